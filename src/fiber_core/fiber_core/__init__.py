@@ -1,0 +1,52 @@
+"""What a focal plane of fibre positioners is and how things move on it.
+
+Lengths in mm, angles in rad counter-clockwise, times in s; phi = 0 is the stretched arm.
+Outlines, gaps and the certificate of clearance are in ``fiber_core.clearance``.
+"""
+
+from fiber_core.errors import FiberError, FieldError, LayoutError, MotionError, TargetsError
+from fiber_core.fields import Field, random_field, random_problem
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.kinematics import forward, inverse, jacobian
+from fiber_core.motion import SampledMotion, SegmentMotion
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.presets import PRESETS, Preset, plane_from, preset
+from fiber_core.problem import Problem, load_plan, load_problem, save_plan, save_problem
+from fiber_core.tables import read_layout, read_obstacles, read_targets
+from fiber_core.targets import Assignment, assign
+from fiber_core.wire_units import WireMotion, WireUnits
+
+__all__ = [
+    "PRESETS",
+    "Assignment",
+    "FiberError",
+    "Field",
+    "FieldError",
+    "FocalPlane",
+    "LayoutError",
+    "MotionError",
+    "Outcome",
+    "Preset",
+    "Problem",
+    "Reason",
+    "SampledMotion",
+    "SegmentMotion",
+    "TargetsError",
+    "WireMotion",
+    "WireUnits",
+    "assign",
+    "forward",
+    "inverse",
+    "jacobian",
+    "load_plan",
+    "load_problem",
+    "plane_from",
+    "preset",
+    "random_field",
+    "random_problem",
+    "read_layout",
+    "read_obstacles",
+    "read_targets",
+    "save_plan",
+    "save_problem",
+]

@@ -1,0 +1,156 @@
+"""Outlines of every robot and obstacle as plain arrays that compiled loops can read."""
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+
+from fiber_core.focal_plane import FocalPlane
+
+__all__ = ["Bodies", "bodies_of"]
+
+# Columns of Bodies.table: a body's numbers, then the records of its phi and theta link.
+X, Y, ARM1, THETA, PHI = range(5)  # THETA holds the column of the theta record
+COUNT, RADIUS, DISC, VERTICES = 0, 1, 2, 5  # columns of a record from its first
+
+
+class Bodies(NamedTuple):
+    """Robots followed by obstacles, one row each; what the distance kernels work on.
+
+    An obstacle is a body without arms whose phi outline is one vertex rounded by the
+    radius of the disc. Vertices are hulls: convex, counter-clockwise, the first
+    ``count`` of a row in use. ``disc`` is a circle around them: x, y in the frame of
+    the link and a radius, the rounding not included. ``reach`` is the distance of the
+    farthest vertex from the origin of the link, the rounding not included.
+
+    Args:
+        center: theta axes [mm], shape (b, 2).
+        arm1: lengths of the first arms [mm], shape (b,).
+        arm2: lengths of the second arms [mm], shape (b,).
+        phi_vertices: hull of the phi outline [mm], shape (b, k, 2).
+        phi_count: number of its vertices, at least 1, shape (b,).
+        phi_radius: its rounding [mm], shape (b,).
+        phi_disc: circle around its vertices [mm], shape (b, 3).
+        phi_reach: farthest vertex from the elbow [mm], shape (b,).
+        theta_vertices: hull of the theta outline [mm], shape (b, m, 2).
+        theta_count: number of its vertices, 0 where there is no outline, shape (b,).
+        theta_radius: its rounding [mm], shape (b,).
+        theta_disc: circle around its vertices [mm], shape (b, 3).
+        theta_reach: farthest vertex from the centre [mm], shape (b,).
+        table: the same once more, a body a row, for the kernels: one row is one or two
+            cache lines, and many arrays would cost each call more than its arithmetic.
+    """
+
+    center: np.ndarray
+    arm1: np.ndarray
+    arm2: np.ndarray
+    phi_vertices: np.ndarray
+    phi_count: np.ndarray
+    phi_radius: np.ndarray
+    phi_disc: np.ndarray
+    phi_reach: np.ndarray
+    theta_vertices: np.ndarray
+    theta_count: np.ndarray
+    theta_radius: np.ndarray
+    theta_disc: np.ndarray
+    theta_reach: np.ndarray
+    table: np.ndarray
+
+
+def bodies_of(plane: FocalPlane) -> Bodies:
+    """Return the outlines of a plane's robots, then of its obstacles as rows n, n+1, ...
+
+    Args:
+        plane: the focal plane.
+    """
+    discs = plane.obstacles
+    nothing = np.zeros(len(discs))
+
+    def rows(of_robots, of_obstacles):
+        return np.concatenate([of_robots, of_obstacles])
+
+    def padded(vertices):
+        return rows(vertices, np.zeros((len(discs), *vertices.shape[1:])))
+
+    center = rows(plane.centers, discs[:, :2])
+    arm1, arm2 = rows(plane.arms[:, 0], nothing), rows(plane.arms[:, 1], nothing)
+    phi_hull, phi_count, phi_disc, phi_reach = _hulls(padded(plane.phi_vertices))
+    phi_radius = rows(plane.phi_radius, discs[:, 2])
+    theta_hull, theta_count, theta_disc, theta_reach = _hulls(padded(plane.theta_vertices))
+    theta_count[plane.n :] = 0
+    theta_radius = rows(plane.theta_radius, nothing)
+
+    def record(count, radius, disc, hull):
+        return np.column_stack([count, radius, disc, hull.reshape(len(hull), 2 * hull.shape[1])])
+
+    phi_record = record(phi_count, phi_radius, phi_disc, phi_hull)
+    theta_record = record(theta_count, theta_radius, theta_disc, theta_hull)
+    theta_column = np.full(len(center), PHI + phi_record.shape[1])
+    bodies = Bodies(
+        center, arm1, arm2,
+        phi_hull, phi_count, phi_radius, phi_disc, phi_reach,
+        theta_hull, theta_count, theta_radius, theta_disc, theta_reach,
+        np.column_stack([center, arm1, theta_column, phi_record, theta_record]),
+    )  # fmt: skip
+    for column in bodies:
+        column.setflags(write=False)
+    return bodies
+
+
+@nb.njit(cache=True)
+def _hulls(vertices):
+    # per row: convex hull, its size, a circle around it, its reach from the origin
+    rows, most, _ = vertices.shape
+    hull = np.zeros((rows, max(most, 1), 2))
+    count = np.zeros(rows, dtype=np.int64)
+    disc = np.zeros((rows, 3))
+    reach = np.zeros(rows)
+    for i in range(rows):
+        count[i] = _hull(vertices[i], hull[i])
+        widest = -1.0
+        for j in range(count[i]):
+            reach[i] = max(reach[i], np.hypot(hull[i, j, 0], hull[i, j, 1]))
+            for k in range(j + 1):
+                width = np.hypot(hull[i, j, 0] - hull[i, k, 0], hull[i, j, 1] - hull[i, k, 1])
+                if width > widest:
+                    widest = width
+                    disc[i, 0] = 0.5 * (hull[i, j, 0] + hull[i, k, 0])
+                    disc[i, 1] = 0.5 * (hull[i, j, 1] + hull[i, k, 1])
+        for j in range(count[i]):
+            out = np.hypot(hull[i, j, 0] - disc[i, 0], hull[i, j, 1] - disc[i, 1])
+            disc[i, 2] = max(disc[i, 2], out)
+    return hull, count, disc, reach
+
+
+@nb.njit(cache=True)
+def _hull(points, out):
+    # Andrew's monotone chain (Information Processing Letters 9, 1979); returns the size
+    most = len(points)
+    if most == 0:
+        return 0
+    order = np.arange(most)
+    for i in range(1, most):  # a dozen points: insertion sort by x, then y
+        for j in range(i, 0, -1):
+            p, q = points[order[j - 1]], points[order[j]]
+            if p[0] < q[0] or (p[0] == q[0] and p[1] <= q[1]):
+                break
+            order[j - 1], order[j] = order[j], order[j - 1]
+    chain = np.empty((2 * most + 1, 2))
+    size = 0
+    for side in range(2):  # lower side from left to right, then upper side back
+        base = size
+        for step in range(most):
+            p = points[order[step if side == 0 else most - 1 - step]]
+            while size - base >= 2:
+                u, v = chain[size - 2], chain[size - 1]
+                if (v[0] - u[0]) * (p[1] - u[1]) - (v[1] - u[1]) * (p[0] - u[0]) > 0.0:
+                    break
+                size -= 1
+            chain[size] = p
+            size += 1
+        size -= 1  # the last point of a side is the first of the other
+    size = max(size, 1)
+    if size == 2 and chain[0, 0] == chain[1, 0] and chain[0, 1] == chain[1, 1]:
+        size = 1
+    out[:size] = chain[:size]
+    return size

@@ -1,0 +1,162 @@
+"""The proof that a motion is safe: every gap at every instant, limits, speeds, the disabled."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiber_core.clearance.bodies import Bodies, bodies_of
+from fiber_core.clearance.minimum import Minima, Profiles, minimum_gaps, profiles_of
+from fiber_core.clearance.neighbours import neighbour_pairs
+from fiber_core.clearance.safety import Safety
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.motion import SegmentMotion
+
+__all__ = ["Certificate", "certify"]
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """What is proven about a motion at every instant from its start to its end.
+
+    Args:
+        pairs: the pairs examined, rows as from neighbour_pairs, shape (p, 2).
+        required_mm: gap each pair must keep [mm], shape (p,).
+        gap_mm: lower bound of the smallest gap of each pair [mm], shape (p,); within
+            the tolerance of it where it is below the required gap or the smallest of all.
+        time_s: when the smallest gap met of each pair occurs [s], shape (p,).
+        unsafe: pairs not proven to keep their required gap, shape (p,).
+        limits_broken: robots that move a joint outside its limits or too fast, shape (n,).
+        moved_disabled: disabled robots that move, shape (n,).
+    """
+
+    pairs: np.ndarray
+    required_mm: np.ndarray
+    gap_mm: np.ndarray
+    time_s: np.ndarray
+    unsafe: np.ndarray
+    limits_broken: np.ndarray
+    moved_disabled: np.ndarray
+
+    def __post_init__(self):
+        for name, value in list(vars(self).items()):
+            value = np.array(value)
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @property
+    def ok(self) -> bool:
+        """Whether the motion may be carried out."""
+        return not (self.unsafe.any() or self.limits_broken.any() or self.moved_disabled.any())
+
+    @property
+    def unsafe_robots(self) -> np.ndarray:
+        """Robots in an unsafe pair, shape (n,)."""
+        n = len(self.limits_broken)
+        rows = self.pairs[self.unsafe].ravel()
+        found = np.zeros(n, dtype=bool)
+        found[rows[rows < n]] = True
+        return found
+
+    @property
+    def min_gap_mm(self) -> float:
+        """Smallest gap of all pairs [mm], a lower bound within the tolerance; inf without pairs."""
+        return float(self.gap_mm.min(initial=np.inf))
+
+    @property
+    def min_pair(self) -> tuple[int, ...]:
+        """Rows a, b of the pair with the smallest gap; empty without pairs."""
+        return tuple(self.pairs[np.argmin(self.gap_mm)].tolist()) if len(self.pairs) else ()
+
+    @property
+    def min_time_s(self) -> float:
+        """When the smallest gap occurs [s]; nan without pairs."""
+        return float(self.time_s[np.argmin(self.gap_mm)]) if len(self.pairs) else float("nan")
+
+
+def certify(
+    plane: FocalPlane,
+    motion: SegmentMotion,
+    safety: Safety,
+    pairs=None,
+    tolerance_mm: float = 0.5e-3,
+) -> Certificate:
+    """Prove, in continuous time, that a motion keeps every pair of outlines apart.
+
+    The gap of a pair cannot change faster than the sum of the speeds of its fastest
+    points, so gaps at finitely many instants bound it at all of them. Rest after the
+    end of a profile is part of the motion.
+
+    Args:
+        plane: the focal plane.
+        motion: joint profiles of all robots.
+        safety: gap asked for and timing errors to survive.
+        pairs: rows a < b to examine, shape (p, 2); by default all that could ever
+            come closer than the largest required gap (at least 1 mm).
+        tolerance_mm: how closely gaps below their required value are resolved [mm].
+    """
+    if pairs is None:
+        pairs = certified_pairs(plane, motion, safety)
+    pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
+    bodies, profiles = bodies_of(plane), profiles_of(motion)
+    required = safety.required_mm(plane, motion, pairs)
+    minima = Minima.unknown(len(pairs))
+    every = np.arange(len(pairs))
+    minimum_gaps(bodies, profiles, pairs, every, required, tolerance_mm, True, minima)
+    return certificate_of(plane, bodies, profiles, pairs, required, minima, tolerance_mm)
+
+
+def certified_pairs(plane: FocalPlane, motion: SegmentMotion, safety: Safety) -> np.ndarray:
+    """Return every pair that must be examined to certify a motion, shape (p, 2)."""
+    with_itself = np.repeat(np.arange(plane.n)[:, None], 2, axis=1)
+    most = safety.required_mm(plane, motion, with_itself).max(initial=0.0)
+    return neighbour_pairs(plane, max(1.0, most))
+
+
+def certificate_of(
+    plane: FocalPlane,
+    bodies: Bodies,
+    profiles: Profiles,
+    pairs: np.ndarray,
+    required: np.ndarray,
+    minima: Minima,
+    tolerance_mm: float,
+) -> Certificate:
+    """Resolve the smallest gap of the plane and put everything known in a certificate."""
+    _resolve_smallest(bodies, profiles, pairs, required, minima, tolerance_mm)
+    return Certificate(
+        pairs=pairs,
+        required_mm=required,
+        gap_mm=minima.lower,
+        time_s=minima.time_s,
+        unsafe=minima.lower < required,
+        limits_broken=limits_broken(plane, profiles),
+        moved_disabled=moved_disabled(plane, profiles),
+    )
+
+
+def limits_broken(plane: FocalPlane, profiles: Profiles) -> np.ndarray:
+    """Return the robots that move a joint outside its limits or too fast, shape (n,)."""
+    low, high = np.moveaxis(plane.limits, -1, 0)
+    outside = (profiles.low < low - 1e-9) | (profiles.high > high + 1e-9)
+    too_fast = profiles.fastest > plane.speeds * (1 + 1e-9)
+    return ((profiles.fastest > 0.0) & outside | too_fast).any(axis=1)
+
+
+def moved_disabled(plane: FocalPlane, profiles: Profiles) -> np.ndarray:
+    """Return the disabled robots that move, shape (n,)."""
+    return ~plane.enabled & (profiles.fastest > 0.0).any(axis=1)
+
+
+def _resolve_smallest(bodies, profiles, pairs, required, minima, tolerance_mm):
+    # Only a pair whose bound is not clear of the smallest gap met can hold the smallest.
+    def open_rows():
+        level = np.maximum(required, minima.best.min(initial=np.inf) + tolerance_mm)
+        found = minima.lower < np.minimum(level, minima.best - 2 * tolerance_mm)
+        return level, np.flatnonzero(found)
+
+    level, rows = open_rows()
+    while len(rows):
+        nearest = rows[np.argmin(minima.best[rows])]
+        one = np.array([nearest])
+        minimum_gaps(bodies, profiles, pairs, one, level, tolerance_mm, True, minima)
+        level, rows = open_rows()

@@ -1,0 +1,40 @@
+"""Which robots and obstacles can ever meet."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fiber_core.focal_plane import FocalPlane
+
+__all__ = ["neighbour_pairs"]
+
+
+def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> np.ndarray:
+    """Return every pair whose reach discs come within a slack of each other.
+
+    All other pairs keep a gap above the slack, whatever their joints do.
+
+    Args:
+        plane: the focal plane.
+        slack_mm: gap that reach discs must exceed to be left out [mm].
+
+    Returns:
+        Rows a < b in increasing order, int32, shape (p, 2). Rows from n on are the
+        obstacles; two obstacles are never a pair.
+    """
+    if plane.n == 0:
+        return np.zeros((0, 2), dtype=np.int32)
+    reach = plane.reach_mm
+    robots = cKDTree(plane.centers)
+    close = robots.query_pairs(2 * reach.max() + slack_mm, output_type="ndarray")
+    close = np.sort(close.reshape(-1, 2), axis=1)
+    x, y, radius = plane.obstacles.T
+    if len(x):
+        near = robots.query_ball_point(np.c_[x, y], radius + reach.max() + slack_mm)
+        obstacle = plane.n + np.repeat(np.arange(len(x)), [len(found) for found in near])
+        beside = np.c_[np.concatenate(near), obstacle].astype(close.dtype)
+        close = np.concatenate([close, beside])
+    centers = np.concatenate([plane.centers, plane.obstacles[:, :2]])
+    reach = np.concatenate([reach, radius])
+    apart = np.hypot(*(centers[close[:, 0]] - centers[close[:, 1]]).T)
+    close = close[apart <= reach[close].sum(axis=1) + slack_mm]
+    return close[np.lexsort(close.T[::-1])].astype(np.int32)

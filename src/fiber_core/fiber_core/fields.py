@@ -1,0 +1,212 @@
+"""Random valid fields: where robots start, and targets that can all be taken at once."""
+
+import math
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+
+from fiber_core import kinematics
+from fiber_core.arrays import frozen_array
+from fiber_core.clearance import Safety, bodies_of, neighbour_pairs, pair_gap_below
+from fiber_core.errors import FieldError
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.problem import Problem
+
+__all__ = ["Field", "random_field", "random_problem"]
+
+_OVER_MARGIN_MM = 0.1
+_TRIES = 20  # draws after which a robot takes the place of those in its way
+_DRAWS_PER_ROBOT = 2000  # on average, before a field counts as impossible
+_REDRAWS = 10_000  # points in the patrol region, until one lies inside the joint ranges
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A random problem and one arrangement that solves it.
+
+    Args:
+        problem: the problem.
+        goal: joint angles that put every target's fibre in place, outlines apart [rad],
+            shape (n, 2); the start angles of robots without a target.
+    """
+
+    problem: Problem
+    goal: np.ndarray
+
+
+def random_field(
+    plane: FocalPlane, rng: np.random.Generator, gap_mm: float | None = None, asked=None
+) -> Field:
+    """Draw start and target configurations in which no outlines come close.
+
+    Tips are drawn uniformly over the patrol region, then one of their configurations, each
+    elbow and turn inside the joint ranges alike. Only robots in each other's way are drawn
+    again: after some tries a robot takes its place and those in its way leave theirs.
+    Disabled robots stand at such a place and stay there, as do those not asked.
+
+    Args:
+        plane: the focal plane.
+        rng: source of randomness; the same state gives the same field.
+        gap_mm: gap between outlines at start and goal [mm]; by default the margin of
+            Safety and 0.1 mm more. Targets keep the plane's spacing as well.
+        asked: robots to give a target, shape (n,); by default all. Disabled ones get none.
+
+    Raises:
+        FieldError: some robots found no place; names them.
+    """
+    gap_mm = Safety().margin_mm + _OVER_MARGIN_MM if gap_mm is None else gap_mm
+    asked = np.ones(plane.n) if asked is None else asked
+    asked = frozen_array(asked, bool, (plane.n,), "asked", FieldError) & plane.enabled
+    neighbours = _neighbours(plane, max(gap_mm, plane.spacing_mm))
+    everybody = np.ones(plane.n, dtype=bool)
+    nowhere = np.zeros((plane.n, 2))
+    start = _arrange(plane, rng, neighbours, everybody, nowhere, gap_mm, 0.0, "start")
+    goal = _arrange(plane, rng, neighbours, asked, start, gap_mm, plane.spacing_mm, "goal")
+    targets = np.where(asked[:, None], kinematics.forward(plane, goal)[1], np.nan)
+    goal.setflags(write=False)
+    return Field(Problem(plane, start, targets), goal)
+
+
+def random_problem(
+    plane: FocalPlane, rng: np.random.Generator, gap_mm: float | None = None, asked=None
+) -> Problem:
+    """Draw a problem all of whose targets can be taken at once; see random_field."""
+    return random_field(plane, rng, gap_mm, asked).problem
+
+
+def _neighbours(plane, slack_mm):
+    # flat lists of the rows that can come near each robot, obstacles from n on, and offsets
+    beyond = max(0.0, (plane.arms.sum(axis=1) - plane.reach_mm).max(initial=0.0))
+    a, b = neighbour_pairs(plane, slack_mm + 2 * beyond).T.astype(np.int64)
+    robots = b < plane.n
+    own, other = np.concatenate([a, b[robots]]), np.concatenate([b, a[robots]])
+    order = np.lexsort([other, own])
+    offsets = np.searchsorted(own[order], np.arange(plane.n + 1))
+    return other[order], offsets
+
+
+def _arrange(plane, rng, neighbours, moves, standing, gap_mm, spacing_mm, what):
+    # places for the robots `moves`, all others standing where they are
+    fixed = np.zeros(len(plane.obstacles), dtype=bool)
+    moves_all = np.concatenate([moves, fixed])
+    angles = np.concatenate([standing, np.zeros((len(fixed), 2))])
+    queue = rng.permutation(np.flatnonzero(moves))
+    options = np.empty((kinematics.most_configurations(plane), 2))
+    bodies, limits = bodies_of(plane), plane.limits
+    left = _place_all(
+        rng, bodies, limits, *neighbours, moves_all, angles, queue, options, gap_mm, spacing_mm
+    )
+    if len(left):
+        ids = np.sort(plane.ids[left])
+        raise FieldError(
+            f"{len(ids)} of {plane.n} robots found no {what} {gap_mm} mm apart from the others: "
+            f"{', '.join(map(str, ids[:10]))}{', ...' if len(ids) > 10 else ''}",
+            ids,
+        )
+    return angles[: plane.n]
+
+
+@nb.njit(cache=True)
+def _draw(rng, arm1, arm2, limits, options):
+    # a point uniform in the annulus, then any of its configurations; its index or -1
+    inner, outer = (arm1 - arm2) ** 2, (arm1 + arm2) ** 2
+    for _ in range(_REDRAWS):
+        distance = math.sqrt(inner + (outer - inner) * rng.random())
+        direction = 2 * math.pi * rng.random()
+        x, y = distance * math.cos(direction), distance * math.sin(direction)
+        count = kinematics.configurations(arm1, arm2, x, y, limits, options)
+        if count:
+            return int(count * rng.random())
+    return -1
+
+
+@nb.njit(cache=True)
+def _tip(bodies, i, theta, phi):
+    x = bodies.arm1[i] * math.cos(theta) + bodies.arm2[i] * math.cos(theta + phi)
+    y = bodies.arm1[i] * math.sin(theta) + bodies.arm2[i] * math.sin(theta + phi)
+    return bodies.center[i, 0] + x, bodies.center[i, 1] + y
+
+
+@nb.njit(cache=True)
+def _in_the_way(
+    bodies, moves, placed, angles, near, i, theta, phi, gap_mm, spacing_mm, enough, found
+):
+    # Writes the rows that robot i would disturb, at most `enough`; returns how many, or
+    # the number of all rows if one of them cannot leave. Only robots with a target keep
+    # the spacing.
+    count = 0
+    x, y = _tip(bodies, i, theta, phi)
+    for j in near:
+        if not placed[j]:
+            continue
+        other_theta, other_phi = angles[j]
+        crowded = False
+        if moves[j] and spacing_mm > 0.0:
+            other_x, other_y = _tip(bodies, j, other_theta, other_phi)
+            crowded = math.hypot(x - other_x, y - other_y) < spacing_mm
+        if not crowded:
+            gap = pair_gap_below(bodies, i, j, theta, phi, other_theta, other_phi, gap_mm)
+            crowded = gap < gap_mm
+        if crowded:
+            if not moves[j]:
+                return len(placed)
+            found[count] = j
+            count += 1
+            if count >= enough:
+                break
+    return count
+
+
+@nb.njit(cache=True)
+def _place_all(
+    rng, bodies, limits, other, offsets, moves, angles, queue, options, gap_mm, spacing_mm
+):
+    # Writes the angles of all robots of the queue; returns the rows left without a place.
+    size, head, waiting = len(queue), 0, len(queue)
+    placed = ~moves
+    found = np.empty(len(other), dtype=np.int64)
+    leaving = np.empty(len(other), dtype=np.int64)
+    budget = _DRAWS_PER_ROBOT * size + 1000 * _TRIES
+    while waiting and budget > 0:
+        i = queue[head % size]
+        head += 1
+        waiting -= 1
+        near = other[offsets[i] : offsets[i + 1]]
+        fewest = len(placed)
+        for _ in range(_TRIES):
+            budget -= 1
+            pick = _draw(rng, bodies.arm1[i], bodies.arm2[i], limits[i], options)
+            if pick < 0:
+                return np.array([i])
+            theta, phi = options[pick]
+            count = _in_the_way(
+                bodies,
+                moves,
+                placed,
+                angles,
+                near,
+                i,
+                theta,
+                phi,
+                gap_mm,
+                spacing_mm,
+                fewest,
+                found,
+            )
+            if count < fewest:
+                fewest = count
+                angles[i] = options[pick]
+                leaving[:count] = found[:count]
+            if fewest == 0:
+                break
+        if fewest == len(placed):
+            queue[(head + waiting) % size] = i
+            waiting += 1
+            continue
+        placed[i] = True
+        for j in leaving[:fewest]:
+            placed[j] = False
+            queue[(head + waiting) % size] = j
+            waiting += 1
+    return np.flatnonzero(~placed)

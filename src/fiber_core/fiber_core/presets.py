@@ -1,0 +1,236 @@
+"""Focal planes of known instruments, built from a table of their figures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from fiber_core.errors import LayoutError
+from fiber_core.focal_plane import FocalPlane
+
+__all__ = ["PRESETS", "Preset", "plane_from", "preset"]
+
+# DESI-0899, in the frame of the link [mm].
+_DESI_PHI_ARM = (
+    (3.967, 0.000), (3.918, 1.014), (3.269, 1.583), (-1.172, 1.037),
+    (-1.172, -1.037), (3.269, -1.583), (3.918, -1.014),
+)  # fmt: skip
+_DESI_THETA_BODY = (
+    (0.814, -3.236), (2.083, -2.707), (2.613, -2.665), (4.154, -2.759), (4.695, -1.680),
+    (5.094, -0.540), (5.094, 0.540), (4.831, 1.291), (4.235, 1.933), (3.432, 2.283),
+    (2.280, 2.283), (-1.902, -0.935), (-2.007, -2.665), (-1.139, -3.137), (-0.170, -3.332),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Figures of one instrument, as they are quoted: mm and degrees.
+
+    Args:
+        robots: how many the instrument has.
+        pitch_mm: distance of neighbours on the hexagonal grid.
+        arms_mm: lengths l1, l2.
+        theta_deg: range of the first joint, about the robot's zero.
+        phi_deg: range of the second joint.
+        speeds_deg_s: highest speeds of theta and phi.
+        spacing_mm: least distance between two targets, D of the papers.
+        radius_mm: rounding of the phi outline; of an outline without polygon, its half width.
+        phi_outline: "capsule" from elbow to tip, "tip" for a disc there, or a polygon [mm].
+        theta_outline: polygon of the body that turns with theta [mm], empty for none.
+        hexagon: whether the grid ends in a hexagon; otherwise in a circle.
+        note: which of these figures are inferred, chosen or assumed.
+    """
+
+    robots: int
+    pitch_mm: float
+    arms_mm: tuple[float, float]
+    theta_deg: tuple[float, float]
+    phi_deg: tuple[float, float]
+    speeds_deg_s: tuple[float, float]
+    spacing_mm: float
+    radius_mm: float
+    phi_outline: str | tuple = "capsule"
+    theta_outline: tuple = ()
+    hexagon: bool = False
+    note: str = ""
+
+
+_DESI = dict(
+    robots=5000,
+    pitch_mm=10.4,
+    arms_mm=(3.0, 3.0),
+    theta_deg=(-194.0, 194.0),
+    phi_deg=(0.0, 180.0),
+    speeds_deg_s=(176.0, 176.0),
+    spacing_mm=4.0,
+)
+
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {
+        "paper": Preset(
+            robots=5167,
+            pitch_mm=12.0,
+            arms_mm=(3.0, 3.0),
+            theta_deg=(-1440.0, 1440.0),
+            phi_deg=(-1440.0, 1440.0),
+            speeds_deg_s=(180.0, 120.0),
+            spacing_mm=4.0,
+            radius_mm=1.0,
+            phi_outline="tip",
+            hexagon=True,
+            note="A&A 566 A84. Pitch inferred from its Fig. 7, arms from its text. It keeps only "
+            "tips apart (discs of d = 2 mm) and has no joint stops: four turns either way "
+            "stand for none.",
+        ),
+        "desi": Preset(
+            **_DESI,
+            radius_mm=1.0,
+            note="A capsule of 1 mm in place of the real outlines, and a plain hexagonal grid in "
+            "place of ten petals. Joint ranges are the narrow end of the real ones.",
+        ),
+        "desi_outlines": Preset(
+            **_DESI,
+            radius_mm=0.0,
+            phi_outline=_DESI_PHI_ARM,
+            theta_outline=_DESI_THETA_BODY,
+            note="Outlines of DESI-0899; the theta body is replaced by its convex hull. Plain "
+            "hexagonal grid, no petal edges.",
+        ),
+        "pfs": Preset(
+            robots=2394,
+            pitch_mm=8.0,
+            arms_mm=(2.375, 2.375),
+            theta_deg=(-192.5, 192.5),
+            phi_deg=(0.0, 180.0),
+            speeds_deg_s=(180.0, 180.0),
+            spacing_mm=4.0,
+            radius_mm=1.0,
+            note="Speed assumed, none is published: half a turn a second, so that times read as "
+            "half turns. Spacing as in the papers.",
+        ),
+        "sdss_v": Preset(
+            robots=547,
+            pitch_mm=22.4,
+            arms_mm=(7.4, 15.0),
+            theta_deg=(0.0, 360.0),
+            phi_deg=(0.0, 180.0),
+            speeds_deg_s=(12.0, 12.0),
+            spacing_mm=8.0,
+            radius_mm=2.0,
+            hexagon=True,
+            note="Speed as its own planner uses it. The full hexagon of 547 sites, of which the "
+            "instrument fills 500. Spacing chosen: four radii.",
+        ),
+        "moons": Preset(
+            robots=1006,
+            pitch_mm=25.3,
+            arms_mm=(8.0, 17.0),
+            theta_deg=(-180.0, 180.0),
+            phi_deg=(-180.0, 150.0),
+            speeds_deg_s=(16.7, 22.5),
+            spacing_mm=10.5,
+            radius_mm=2.625,
+            note="The highest speeds of the ranges quoted. A capsule as wide as the widest part of "
+            "the beta arm (5.25 mm), without its 0.5 mm of safety. Spacing chosen: four radii.",
+        ),
+        "lamost": Preset(
+            robots=4000,
+            pitch_mm=25.6,
+            arms_mm=(8.25, 8.25),
+            theta_deg=(-180.0, 180.0),
+            phi_deg=(0.0, 180.0),
+            speeds_deg_s=(180.0, 180.0),
+            spacing_mm=8.0,
+            radius_mm=2.0,
+            note="Arms inferred. Joint ranges, speeds and arm width are assumed, none is known: "
+            "the least ranges that reach the whole disc, half a turn a second, the width of an "
+            "SDSS-V arm. Spacing chosen: four radii.",
+        ),
+    }
+)
+
+
+def preset(name: str, robots: int | None = None) -> FocalPlane:
+    """Return the focal plane of an instrument, on a hexagonal grid of any number of robots.
+
+    Args:
+        name: one of PRESETS, whose notes say what is assumed.
+        robots: how many; by default as many as the instrument has. Robot k stands on the
+            same site whatever the number.
+
+    Raises:
+        LayoutError: no preset has this name, or the number is not positive.
+    """
+    if name not in PRESETS:
+        raise LayoutError(f"no preset is named {name!r}; there are {', '.join(PRESETS)}")
+    figures = PRESETS[name]
+    robots = figures.robots if robots is None else robots
+    if robots != int(robots) or robots < 1:
+        raise LayoutError(f"a focal plane of {robots} robots")
+    centers = figures.pitch_mm * _hexagonal_sites(int(robots), figures.hexagon)
+    return plane_from(figures, np.arange(len(centers)), centers, name=name)
+
+
+def plane_from(figures: Preset, ids, centers, arms=None, **columns) -> FocalPlane:
+    """Build a focal plane on given sites, with a preset's figures for what is not given.
+
+    Args:
+        figures: the preset.
+        ids: robot ids, strictly increasing, shape (n,).
+        centers: theta axes [mm], shape (n, 2).
+        arms: lengths of both arms [mm], shape (n, 2); capsules and tips follow them.
+        columns: any other field of FocalPlane.
+
+    Raises:
+        LayoutError: as FocalPlane.
+    """
+    n = len(ids)
+
+    def every(value):
+        return np.broadcast_to(np.array(value, dtype=float), (n, *np.shape(value)))
+
+    arms = every(figures.arms_mm) if arms is None else np.asarray(arms, dtype=float)
+    return FocalPlane(
+        **{
+            "ids": ids,
+            "centers": centers,
+            "arms": arms,
+            "limits": every(np.deg2rad([figures.theta_deg, figures.phi_deg])),
+            "speeds": every(np.deg2rad(figures.speeds_deg_s)),
+            "phi_vertices": _phi_vertices(figures.phi_outline, arms),
+            "phi_radius": every(figures.radius_mm),
+            "theta_vertices": every(_hull(figures.theta_outline)),
+            "theta_radius": np.zeros(n),
+            "enabled": np.ones(n, dtype=bool),
+            "spacing_mm": figures.spacing_mm,
+            **columns,
+        }
+    )
+
+
+def _phi_vertices(outline, arms):
+    if outline not in ("capsule", "tip"):
+        hull = _hull(outline)
+        return np.broadcast_to(hull, (len(arms), *hull.shape))
+    vertices = np.zeros((len(arms), 2, 2))
+    vertices[:, 1, 0] = arms[:, 1]
+    return vertices if outline == "capsule" else vertices[:, 1:]
+
+
+def _hull(polygon):
+    points = np.array(polygon, dtype=float).reshape(-1, 2)
+    return points[ConvexHull(points).vertices] if len(points) else points  # counter-clockwise
+
+
+def _hexagonal_sites(count, hexagon):
+    # The sites a e1 + b e2 nearest the centre, e1 and e2 60 degrees apart: by ring of the
+    # hexagon or by a^2 + ab + b^2, the squared distance; from row to row where equal.
+    # A disc of radius r holds 2 pi r^2 / sqrt(3) sites, give or take its rim.
+    rings = int(np.ceil(np.sqrt(count * np.sqrt(3) / (2 * np.pi)) * 2 / np.sqrt(3))) + 3
+    b, a = np.mgrid[-rings : rings + 1, -rings : rings + 1].reshape(2, -1)
+    ring = np.maximum.reduce([np.abs(a), np.abs(b), np.abs(a + b)])
+    order = np.lexsort([a, b, ring if hexagon else a * a + a * b + b * b])[:count]
+    a, b = a[order], b[order]
+    return np.stack([a + 0.5 * b, np.sqrt(0.75) * b], axis=1)

@@ -1,0 +1,168 @@
+"""Whole-number units of time and angle that travel on the bus.
+
+A segment on the wire is a whole number of ticks and a whole number of velocity
+units. One velocity unit is one quantum of angle per tick, so a joint's position
+is a whole number of quanta at every tick and a positioner integrates its orders
+without rounding.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiber_core.arrays import frozen_array
+from fiber_core.errors import MotionError
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.motion import SegmentMotion
+
+__all__ = ["WireMotion", "WireUnits"]
+
+_HEADROOM = 1.02  # velocity range kept above the speed limit, so that rounding never saturates
+
+
+@dataclass(frozen=True)
+class WireUnits:
+    """Size of the tick and of the quantum, and widths of the two fields of a segment.
+
+    Args:
+        tick_us: one tick [us].
+        quantum_prad: one quantum of joint angle [1e-12 rad].
+        velocity_bits: width of the signed velocity field.
+        duration_bits: width of the unsigned duration field.
+
+    Raises:
+        MotionError: a size is not positive, or a field is too narrow or too wide.
+    """
+
+    tick_us: int = 4000
+    quantum_prad: int = 1_565_000
+    velocity_bits: int = 14
+    duration_bits: int = 10
+
+    def __post_init__(self):
+        for name, low, high in (
+            ("tick_us", 1, 2**32),
+            ("quantum_prad", 1, 2**32),
+            ("velocity_bits", 2, 32),
+            ("duration_bits", 1, 32),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise MotionError(f"{name} is {getattr(self, name)}, expected {low}..{high}")
+
+    @classmethod
+    def for_plane(
+        cls, plane: FocalPlane, velocity_bits: int = 14, duration_bits: int = 10
+    ) -> "WireUnits":
+        """Choose the finest units that still carry the plane's highest speed.
+
+        A tick is the time the fastest joint takes for 0.72 deg (4 ms at 180 deg/s),
+        in whole tens of microseconds: slow instruments get longer ticks, so that a
+        half turn always fits the duration field.
+        """
+        fastest = float(plane.speeds.max(initial=0.0)) or np.pi
+        tick_us = int(np.clip(10 * round(np.deg2rad(0.72) / fastest * 1e5), 10, 65_535 * 10))
+        full_scale = 2 ** (velocity_bits - 1) - 1
+        quantum = int(np.ceil(_HEADROOM * fastest * tick_us * 1e-6 / full_scale * 1e12))
+        return cls(tick_us, quantum, velocity_bits, duration_bits)
+
+    @property
+    def tick_s(self) -> float:
+        """One tick [s]."""
+        return self.tick_us * 1e-6
+
+    @property
+    def quantum_rad(self) -> float:
+        """One quantum of joint angle [rad]."""
+        return self.quantum_prad * 1e-12
+
+    @property
+    def velocity_rad_s(self) -> float:
+        """One velocity unit [rad/s]."""
+        return self.quantum_rad / self.tick_s
+
+    @property
+    def max_velocity(self) -> int:
+        """Largest velocity the field carries, either sign [velocity units]."""
+        return 2 ** (self.velocity_bits - 1) - 1
+
+    @property
+    def max_ticks(self) -> int:
+        """Longest duration the field carries [ticks]."""
+        return 2**self.duration_bits - 1
+
+    @property
+    def segment_bytes(self) -> int:
+        """Bytes of one segment on the wire."""
+        return (self.velocity_bits + self.duration_bits + 7) // 8
+
+    def to_counts(self, angles) -> np.ndarray:
+        """Nearest whole number of quanta for angles [rad]; int64, same shape."""
+        return np.rint(np.asarray(angles) / self.quantum_rad).astype(np.int64)
+
+    def to_angles(self, counts) -> np.ndarray:
+        """Angles [rad] of positions in quanta; same shape."""
+        return np.asarray(counts) * self.quantum_rad
+
+
+@dataclass(frozen=True, eq=False)
+class WireMotion:
+    """A motion in whole wire units: what the discretizer decides and the bus carries.
+
+    Args:
+        units: size of tick and quantum.
+        start: joint positions at time zero [quanta], shape (n, 2).
+        offsets: first segment of each profile, shape (2 n + 1,), as in SegmentMotion.
+        ticks: duration of each segment [ticks], positive, shape (m,).
+        velocity: joint speed in each segment [velocity units], shape (m,).
+
+    Raises:
+        MotionError: shapes do not fit or a number does not fit its field.
+    """
+
+    units: WireUnits
+    start: np.ndarray
+    offsets: np.ndarray
+    ticks: np.ndarray
+    velocity: np.ndarray
+
+    def __post_init__(self):
+        columns = {"start": (None, 2), "offsets": (None,), "ticks": (None,), "velocity": (None,)}
+        for name, shape in columns.items():
+            value = frozen_array(getattr(self, name), np.int64, shape, name, MotionError)
+            object.__setattr__(self, name, value)
+        n, m = len(self.start), len(self.ticks)
+        if (
+            self.offsets.shape != (2 * n + 1,)
+            or self.offsets[0] != 0
+            or self.offsets[-1] != m
+            or np.any(np.diff(self.offsets) < 0)
+        ):
+            raise MotionError(f"offsets do not describe {2 * n} profiles of {m} segments")
+        if self.velocity.shape != (m,):
+            raise MotionError(f"{m} durations but {len(self.velocity)} velocities")
+        for name, value, low, high in (
+            ("duration", self.ticks, 1, self.units.max_ticks),
+            ("velocity", self.velocity, -self.units.max_velocity, self.units.max_velocity),
+        ):
+            wrong = (value < low) | (value > high)
+            if wrong.any():
+                at = int(np.argmax(wrong))
+                robot = int(np.searchsorted(self.offsets, at, side="right") - 1) // 2
+                raise MotionError(
+                    f"robot row {robot}: {name} {value[at]} is outside {low}..{high} wire units"
+                )
+
+    @property
+    def end(self) -> np.ndarray:
+        """Joint positions after the motion [quanta], shape (n, 2)."""
+        running = np.concatenate([[0], np.cumsum(self.ticks * self.velocity)])
+        return self.start + (running[self.offsets[1:]] - running[self.offsets[:-1]]).reshape(-1, 2)
+
+    def decoded(self) -> SegmentMotion:
+        """Return the motion a perfect positioner makes of these numbers."""
+        return SegmentMotion(
+            self.units.to_angles(self.start),
+            self.offsets,
+            self.ticks * self.units.tick_s,
+            self.velocity * self.units.velocity_rad_s,
+        )

@@ -1,0 +1,104 @@
+"""Whole-number motions: what is decoded is exactly what was counted."""
+
+import numpy as np
+import pytest
+
+from fiber_core import PRESETS, MotionError, WireMotion, WireUnits, preset
+
+
+def random_motion(seed, units, n=30):
+    rng = np.random.default_rng(seed)
+    offsets = np.concatenate([[0], np.cumsum(rng.integers(0, 5, 2 * n))])
+    m = offsets[-1]
+    return WireMotion(
+        units,
+        rng.integers(-2_000_000, 2_000_000, (n, 2)),
+        offsets,
+        rng.integers(1, units.max_ticks + 1, m),
+        rng.integers(-units.max_velocity, units.max_velocity + 1, m),
+    )
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_units_of_every_instrument_carry_its_speed_and_half_a_turn(name):
+    plane = preset(name, 7)
+    units = WireUnits.for_plane(plane)
+    assert units.max_velocity * units.velocity_rad_s >= 1.02 * plane.speeds.max()
+    assert (units.max_velocity - 1) * units.velocity_rad_s < 1.02 * plane.speeds.max()
+    assert units.max_ticks * units.tick_s * plane.speeds.max() > np.pi
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_decoded_is_counted(seed):
+    units = WireUnits.for_plane(preset("sdss_v", 7))
+    motion = random_motion(seed, units)
+    decoded = motion.decoded()
+    turn = np.zeros((30, 2), dtype=np.int64)
+    for profile in range(60):
+        rows = slice(motion.offsets[profile], motion.offsets[profile + 1])
+        turn[profile // 2, profile % 2] = int(motion.ticks[rows] @ motion.velocity[rows])
+    assert np.array_equal(motion.end, motion.start + turn)
+    assert np.array_equal(units.to_counts(decoded.end), motion.end)
+    assert np.abs(decoded.end - units.to_angles(motion.end)).max() < 1e-6 * units.quantum_rad
+    ticks = [motion.ticks[a:b].sum() for a, b in zip(motion.offsets[:-1], motion.offsets[1:])]
+    assert decoded.makespan_s == pytest.approx(max(ticks) * units.tick_s, rel=1e-12)
+
+
+def test_at_every_tick_a_joint_stands_on_a_whole_quantum():
+    units = WireUnits()
+    motion = random_motion(7, units)
+    decoded = motion.decoded()
+    for tick in range(0, 2000, 137):
+        quanta = decoded(tick * units.tick_s) / units.quantum_rad
+        assert np.abs(quanta - np.rint(quanta)).max() < 1e-6
+
+
+def test_counts_are_the_nearest():
+    units = WireUnits()
+    angles = np.random.default_rng(0).uniform(-10, 10, 1000)
+    back = units.to_angles(units.to_counts(angles))
+    assert np.abs(back - angles).max() <= 0.5000001 * units.quantum_rad
+    counts = np.arange(-5, 6)
+    assert np.array_equal(units.to_counts(units.to_angles(counts)), counts)
+
+
+GOOD = {"start": [[0, 0], [0, 0]], "offsets": [0, 1, 1, 2, 2], "ticks": [5, 6], "velocity": [1, -1]}
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"ticks": [5, 0]}, ["robot row 1", "duration 0", "1..1023"]),
+        ({"ticks": [1024, 5]}, ["robot row 0", "duration 1024"]),
+        ({"velocity": [1, -8192]}, ["robot row 1", "velocity -8192", "-8191..8191"]),
+        ({"velocity": [8192, 1]}, ["robot row 0", "velocity 8192"]),
+        ({"velocity": [1.5, 1]}, ["velocity", "1.5"]),
+        ({"velocity": [1, 2, 3]}, ["2 durations but 3 velocities"]),
+        ({"offsets": [0, 2, 1, 2, 2]}, ["offsets"]),
+        ({"offsets": [0, 1, 1, 2, 3]}, ["offsets"]),
+        ({"offsets": [0, 1, 2]}, ["offsets"]),
+        ({"start": [0, 0]}, ["start", "(2,)"]),
+        ({"start": [[0, np.nan], [0, 0]]}, ["start", "nan"]),
+    ],
+)
+def test_numbers_that_do_not_fit_are_refused(changes, words):
+    WireMotion(WireUnits(), **GOOD)
+    with pytest.raises(MotionError) as refusal:
+        WireMotion(WireUnits(), **{**GOOD, **changes})
+    assert all(word in str(refusal.value) for word in words), str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "size", [{"tick_us": 0}, {"quantum_prad": -1}, {"velocity_bits": 1}, {"duration_bits": 0}]
+)
+def test_impossible_units_are_refused(size):
+    with pytest.raises(MotionError, match=next(iter(size))):
+        WireUnits(**size)
+
+
+def test_the_extremes_of_the_fields_fit():
+    units = WireUnits()
+    extreme = {"ticks": [1, 1023], "velocity": [8191, -8191]}
+    motion = WireMotion(units, **{**GOOD, **extreme})
+    assert np.array_equal(motion.end, [[8191, 0], [-8191 * 1023, 0]])
+    assert units.segment_bytes == 3
