@@ -1,0 +1,72 @@
+"""Diagnostics: counters and alerts of a node or a bus, for any ROS tool to show."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from fiber_msgs_py.stamps import PlanStamp, header
+
+__all__ = ["Level", "Status", "decode", "encode"]
+
+
+class Level(IntEnum):
+    """How bad it is; the numbers of DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True)
+class Status:
+    """The state of one thing.
+
+    Args:
+        name: what it is, such as "bridge: bus 3".
+        level: how bad it is.
+        text: one line for people.
+        values: figures by name.
+        hardware_id: the hardware it is about, empty for software.
+    """
+
+    name: str
+    level: Level
+    text: str
+    values: Mapping[str, object] = field(default_factory=dict)
+    hardware_id: str = ""
+
+    def to_message(self) -> DiagnosticStatus:
+        """Return the status as a message; figures travel as text."""
+        return DiagnosticStatus(
+            level=bytes([self.level]),
+            name=self.name,
+            message=self.text,
+            hardware_id=self.hardware_id,
+            values=[KeyValue(key=key, value=str(value)) for key, value in self.values.items()],
+        )
+
+    @classmethod
+    def of(cls, message: DiagnosticStatus) -> "Status":
+        """Read a status from a message; figures come as text."""
+        return cls(
+            name=message.name,
+            level=Level(message.level[0]),
+            text=message.message,
+            values={pair.key: pair.value for pair in message.values},
+            hardware_id=message.hardware_id,
+        )
+
+
+def encode(statuses: Iterable[Status], time_ns: int) -> DiagnosticArray:
+    """Return statuses as one message; `time_ns` is when they held [ns]."""
+    return DiagnosticArray(
+        header=header(PlanStamp(time_ns)), status=[status.to_message() for status in statuses]
+    )
+
+
+def decode(message: DiagnosticArray) -> list[Status]:
+    """Return the statuses of a message."""
+    return [Status.of(status) for status in message.status]

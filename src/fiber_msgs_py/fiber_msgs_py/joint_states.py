@@ -1,0 +1,71 @@
+"""Joint states: where the robots' own encoders say they are."""
+
+import array
+
+import numpy as np
+from sensor_msgs.msg import JointState
+
+from fiber_msgs_py.errors import MessageError
+from fiber_msgs_py.ids import refuse
+from fiber_msgs_py.joints import joint_columns, joint_names
+from fiber_msgs_py.stamps import PlanStamp, check_frame, header
+
+__all__ = ["decode", "encode"]
+
+
+def encode(ids, angles, velocities, time_ns: int) -> JointState:
+    """Return encoder readings as a message.
+
+    Args:
+        ids: robot ids, shape (n,).
+        angles: joint angles [rad], shape (n, 2).
+        velocities: joint speeds [rad/s], shape (n, 2).
+        time_ns: when they were read [ns].
+
+    Raises:
+        MessageError: an id is out of range or there twice, or shapes differ.
+    """
+    names = joint_names(ids, "joint_states")
+    message = JointState(header=header(PlanStamp(time_ns)), name=names)
+    for field, values in (("position", angles), ("velocity", velocities)):
+        values = np.ascontiguousarray(values, dtype=float)
+        if values.shape != (len(names) // 2, 2):
+            raise MessageError(
+                "joint_states",
+                f"does not fit {len(names) // 2} ids",
+                field=f"shape of {field}",
+                value=values.shape,
+            )
+        setattr(message, field, array.array("d", values.tobytes()))
+    return message
+
+
+def decode(message: JointState) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Return robot ids, joint angles, joint speeds, and the time they were read.
+
+    Returns:
+        Ids, increasing, shape (n,); angles [rad] and speeds [rad/s], shape (n, 2), speeds
+        zero where the message has none; time [ns].
+
+    Raises:
+        MessageError: a joint name is malformed, there twice, or without its other joint;
+            a value is missing or not finite.
+    """
+    check_frame(message, "joint_states")
+    ids, columns = joint_columns(message.name, "joint_states")
+    tables = []
+    for field in ("position", "velocity"):
+        values = np.asarray(getattr(message, field), dtype=float)
+        if field == "velocity" and not len(values):
+            values = np.zeros(columns.size)
+        if len(values) != columns.size:
+            raise MessageError(
+                "joint_states",
+                f"values for {columns.size} joints",
+                field=f"{field} has",
+                value=len(values),
+            )
+        values = values[columns]
+        refuse(~np.isfinite(values), "joint_states", field, ids, values, "is not finite")
+        tables.append(values)
+    return ids, *tables, PlanStamp.of(message).ns

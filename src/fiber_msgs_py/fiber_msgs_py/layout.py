@@ -1,0 +1,141 @@
+"""Layout: the focal plane as its hardware knows it, and the units its orders are counted in."""
+
+import numpy as np
+from sensor_msgs.msg import PointCloud2
+
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.wire_units import WireUnits
+from fiber_msgs_py.errors import MessageError
+from fiber_msgs_py.ids import checked_ids, refuse
+from fiber_msgs_py.stamps import PlanStamp
+from fiber_msgs_py.table import decode_table, encode_table
+
+__all__ = ["decode", "encode"]
+
+_ROBOT, _DISC = 0, 1  # kinds of row: robots first, then fixed discs
+
+# lengths [m]
+_METRES = ("x", "y", "arm_theta", "arm_phi", "arm_radius", "theta_radius", "spacing")
+# angles [rad] and speeds [rad/s]
+_RADIANS = ("theta_min", "theta_max", "phi_min", "phi_max", "theta_speed", "phi_speed")
+# the same in every row
+_UNITS = {"tick_us": "<u4", "quantum_prad": "<u4", "velocity_bits": "<u1", "duration_bits": "<u1"}
+_COLUMNS = (
+    {"id": "<u4", "kind": "<u1", "enabled": "<u1", "bus": "<u2", "address": "<u2"}
+    | dict.fromkeys(_METRES + _RADIANS, "<f8")
+    | _UNITS
+)
+# vertices x0, y0, x1, y1, ... [m]; a theta link without an outline has no such column
+_OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8"}
+
+
+def encode(plane: FocalPlane, units: WireUnits, stamp: PlanStamp) -> PointCloud2:
+    """Return a focal plane and its wire units as a message; the plane's name stays behind.
+
+    Args:
+        plane: the focal plane.
+        units: size of tick and quantum, widths of the fields.
+        stamp: when this was so.
+
+    Raises:
+        MessageError: no robot, or an id, bus, address or unit does not fit its column.
+    """
+    if plane.n == 0:
+        raise MessageError("layout", "robots, expected at least 1", field="has", value=0)
+    ids = checked_ids(plane.ids, "layout")
+    n, discs = plane.n, plane.obstacles
+    vertices = {"phi_outline": plane.phi_vertices, "theta_outline": plane.theta_vertices}
+    outlines = [(name, "<f8", (2 * v.shape[1],)) for name, v in vertices.items() if v.shape[1]]
+    rows = np.zeros(n + len(discs), dtype=[*_COLUMNS.items(), *outlines])
+    robots, fixed = rows[:n], rows[n:]
+    robots["kind"], robots["enabled"] = _ROBOT, plane.enabled
+    for name, values in {"id": ids, "bus": plane.bus, "address": plane.address}.items():
+        robots[name] = values
+        refuse(robots[name] != values, "layout", name, ids, values, "does not fit 16 bits")
+    for name, values in {
+        "x": plane.centers[:, 0],
+        "y": plane.centers[:, 1],
+        "arm_theta": plane.arms[:, 0],
+        "arm_phi": plane.arms[:, 1],
+        "arm_radius": plane.phi_radius,
+        "theta_radius": plane.theta_radius,
+    }.items():
+        robots[name] = values / 1e3
+    for name, _, (width,) in outlines:
+        robots[name] = vertices[name].reshape(n, width) / 1e3
+    robots["theta_min"], robots["theta_max"] = plane.limits[:, 0].T
+    robots["phi_min"], robots["phi_max"] = plane.limits[:, 1].T
+    robots["theta_speed"], robots["phi_speed"] = plane.speeds.T
+    fixed["kind"], fixed["id"] = _DISC, np.arange(len(discs))
+    fixed["x"], fixed["y"], fixed["arm_radius"] = discs.T / 1e3
+    rows["spacing"] = plane.spacing_mm / 1e3
+    for name in _UNITS:
+        value = getattr(units, name)
+        if not 0 < value <= np.iinfo(rows[name].dtype).max:
+            raise MessageError("layout", "does not fit its column", field=name, value=value)
+        rows[name] = value
+    return encode_table(rows, stamp)
+
+
+def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
+    """Return the focal plane and the wire units of a message.
+
+    Raises:
+        MessageError: malformed table, rows of an unknown kind or out of order, a robot twice,
+            or a value that should be the same in every row and is not.
+        LayoutError: a value is no value for a robot; names it.
+    """
+    rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES)
+    kind, ids = rows["kind"], rows["id"]
+    refuse(kind > _DISC, "layout", "kind", ids, kind, "is neither 0 (robot) nor 1 (disc)")
+    n = int(np.count_nonzero(kind == _ROBOT))
+    if n == 0:
+        raise MessageError("layout", "robots, expected at least 1", field="has", value=0)
+    refuse(kind[:n] != _ROBOT, "layout", "kind", ids, kind, "stands before the last robot")
+    for name in (*_UNITS, "spacing"):
+        changed = rows[name] != rows[name][0]
+        refuse(changed, "layout", name, ids, rows[name], f"is not the {rows[name][0]} of others")
+    robots, fixed = rows[:n], rows[n:]
+    checked_ids(robots["id"], "layout")
+    refuse(robots["enabled"] > 1, "layout", "enabled", ids, robots["enabled"], "is neither 0 nor 1")
+    plane = FocalPlane(
+        ids=robots["id"],
+        centers=_stacked(robots, "x", "y") * 1e3,
+        arms=_stacked(robots, "arm_theta", "arm_phi") * 1e3,
+        limits=_stacked(robots, "theta_min", "theta_max", "phi_min", "phi_max").reshape(n, 2, 2),
+        speeds=_stacked(robots, "theta_speed", "phi_speed"),
+        phi_vertices=_vertices(robots, "phi_outline"),
+        phi_radius=robots["arm_radius"] * 1e3,
+        theta_vertices=_vertices(robots, "theta_outline"),
+        theta_radius=robots["theta_radius"] * 1e3,
+        enabled=robots["enabled"],
+        obstacles=_stacked(fixed, "x", "y", "arm_radius") * 1e3,
+        bus=robots["bus"],
+        address=robots["address"],
+        spacing_mm=float(rows["spacing"][0]) * 1e3,
+    )
+    return plane, _units(rows[0])
+
+
+def _stacked(rows, *names):
+    return np.stack([rows[name] for name in names], axis=1)
+
+
+def _vertices(rows, name):
+    if name not in rows.dtype.names:
+        return np.zeros((len(rows), 0, 2))
+    values = rows[name]
+    if values.shape[1] % 2:
+        raise MessageError(
+            "layout", "numbers, expected pairs", field=f"{name} has", value=values.shape[1]
+        )
+    return values.reshape(len(rows), -1, 2) * 1e3
+
+
+def _units(row) -> WireUnits:
+    values = {name: int(row[name]) for name in _UNITS}
+    for name, value in values.items():
+        low, high = (2, 32) if name.endswith("_bits") else (1, 2**32 - 1)
+        if not low <= value <= high:
+            raise MessageError("layout", f"is outside {low}..{high}", field=name, value=value)
+    return WireUnits(**values)

@@ -1,0 +1,66 @@
+"""What a node tells about itself: how far it is, what it refused, what it counted."""
+
+from collections.abc import Callable, Iterable
+
+from rclpy.node import Node
+
+from fiber_msgs_py import diagnostics, progress, topics
+from fiber_msgs_py.diagnostics import Level, Status
+from fiber_msgs_py.progress import Progress
+from fiber_msgs_py.stamps import PlanStamp
+
+__all__ = ["Reporter"]
+
+_PERIOD_S = 1.0
+
+
+class Reporter:
+    """Publishes progress and diagnostics of a node, and logs what it tells.
+
+    Diagnostics go out every second, and at once when something is refused. A refusal
+    stays the node's message until it does something again.
+
+    Args:
+        node: the node.
+        stage: its name in progress and diagnostics.
+        more: asked for what else goes into the diagnostics, each time.
+    """
+
+    def __init__(self, node: Node, stage: str, more: Callable[[], Iterable[Status]] = tuple):
+        self._node, self._stage, self._more = node, stage, more
+        self._level, self._text = Level.OK, "waiting"
+        self.counters: dict[str, object] = {"refused": 0}
+        self._progress = topics.PROGRESS.publisher(node)
+        self._diagnostics = topics.DIAGNOSTICS.publisher(node)
+        node.create_timer(_PERIOD_S, self.publish)
+
+    def progress(self, stamp: PlanStamp, fraction: float, text: str) -> None:
+        """Tell how far the work on a plan is, 0..1."""
+        self._level, self._text = Level.OK, text
+        message = progress.encode(Progress(self._stage, min(fraction, 1.0), text, stamp))
+        self._progress.publish(message)
+
+    def done(self, stamp: PlanStamp, text: str) -> None:
+        """Tell that a plan is done, and log it."""
+        self._node.get_logger().info(f"plan {stamp}: {text}")
+        self.progress(stamp, 1.0, text)
+
+    def refuse(self, text: str) -> None:
+        """Tell that something was refused and why: log, diagnostics, counter."""
+        self._level, self._text = Level.ERROR, text
+        self.counters["refused"] += 1
+        self._node.get_logger().error(text)
+        self.publish()
+
+    def drop(self, text: str) -> None:
+        """Tell that something out of date was dropped."""
+        self._level, self._text = Level.WARN, text
+        self.counters["dropped"] = self.counters.get("dropped", 0) + 1
+        self._node.get_logger().warning(text)
+        self.publish()
+
+    def publish(self) -> None:
+        """Publish the diagnostics now."""
+        own = Status(self._stage, self._level, self._text, self.counters)
+        now_ns = self._node.get_clock().now().nanoseconds
+        self._diagnostics.publish(diagnostics.encode([own, *self._more()], now_ns))

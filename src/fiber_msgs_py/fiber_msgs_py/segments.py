@@ -1,0 +1,101 @@
+"""Segments: a plan in whole wire units, as the bus bridge will load it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from sensor_msgs.msg import PointCloud2
+
+from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_msgs_py.errors import MessageError
+from fiber_msgs_py.ids import checked_ids, refuse
+from fiber_msgs_py.stamps import PlanStamp
+from fiber_msgs_py.table import decode_table, encode_table
+
+__all__ = ["SegmentTable", "decode", "encode"]
+
+_COLUMNS = {"id": "<u4", "joint": "<u1", "duration": "<u4", "velocity": "<i4"}
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentTable:
+    """What a segments message says; where the robots start, only their encoders know.
+
+    Args:
+        ids: robots of the plan, increasing, shape (n,).
+        offsets: first segment of each profile, shape (2 n + 1,), as in WireMotion.
+        ticks: duration of each segment [ticks], shape (m,).
+        velocity: joint speed in each segment [velocity units], shape (m,).
+    """
+
+    ids: np.ndarray
+    offsets: np.ndarray
+    ticks: np.ndarray
+    velocity: np.ndarray
+
+    def motion(self, units: WireUnits, start) -> WireMotion:
+        """Return the motion of these segments from joint positions [quanta], shape (n, 2).
+
+        Raises:
+            MotionError: a number does not fit its field in these units.
+        """
+        return WireMotion(units, start, self.offsets, self.ticks, self.velocity)
+
+
+def encode(ids, motion: WireMotion, stamp: PlanStamp) -> PointCloud2:
+    """Return a motion as rows in order: robot by robot, theta before phi, in time.
+
+    A joint that rests is one row of duration 0, so that every robot of the plan has rows
+    for both joints and a lost row cannot pass for a rest.
+
+    Args:
+        ids: robot ids, increasing, shape (n,).
+        motion: their motion, n robots.
+        stamp: plan it belongs to.
+
+    Raises:
+        MessageError: ids do not increase, are out of range, or differ in number from the
+            robots that move.
+    """
+    ids = checked_ids(ids, "segments")
+    if len(ids) != len(motion.start):
+        raise MessageError("segments", f"robots move, {len(ids)} have ids", value=len(motion.start))
+    back = np.concatenate([[False], np.diff(ids) <= 0])
+    refuse(back, "segments", "id", ids, ids, "does not increase")
+    counts = np.diff(motion.offsets)
+    lengths = np.maximum(counts, 1)
+    first = np.cumsum(lengths) - lengths
+    profile = np.repeat(np.arange(len(counts)), counts)
+    place = first[profile] + np.arange(len(profile)) - motion.offsets[profile]
+    rows = np.zeros(int(lengths.sum()), dtype=list(_COLUMNS.items()))
+    rows["id"] = np.repeat(np.repeat(ids, 2), lengths)
+    rows["joint"] = np.repeat(np.tile([0, 1], len(ids)), lengths)
+    rows["duration"][place] = motion.ticks
+    rows["velocity"][place] = motion.velocity
+    return encode_table(rows, stamp)
+
+
+def decode(message: PointCloud2) -> SegmentTable:
+    """Return the segments of a plan.
+
+    Raises:
+        MessageError: malformed table, rows out of order, a robot with one joint only, or a
+            rest that is not alone; names the robot and the value.
+    """
+    rows = decode_table(message, "segments", _COLUMNS)
+    ids = rows["id"].astype(np.int64)
+    joint, duration, velocity = rows["joint"], rows["duration"], rows["velocity"]
+    refuse(joint > 1, "segments", "joint", ids, joint, "is neither 0 (theta) nor 1 (phi)")
+    keys = 2 * ids + joint
+    back = np.concatenate([[False], np.diff(keys) < 0])[: len(keys)]
+    refuse(back, "segments", "joint", ids, joint, "comes too late: rows are out of order")
+    profiles, profile, lengths = np.unique(keys, return_inverse=True, return_counts=True)
+    robots, joints = np.unique(profiles // 2, return_counts=True)
+    refuse(joints < 2, "segments", "joints", robots, joints, "of 2 are there")
+    rest = duration == 0
+    refuse(rest & (velocity != 0), "segments", "velocity", ids, velocity, "lasts no time")
+    refuse(rest & (lengths[profile] > 1), "segments", "duration", ids, duration, "is not alone")
+    counts = np.bincount(profile[~rest], minlength=len(profiles))
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    return SegmentTable(
+        robots, offsets, duration[~rest].astype(np.int64), velocity[~rest].astype(np.int64)
+    )

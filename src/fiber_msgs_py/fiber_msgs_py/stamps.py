@@ -1,0 +1,82 @@
+"""The stamp that names a plan, and the frame every message is in."""
+
+from dataclasses import dataclass
+
+from builtin_interfaces.msg import Time
+from std_msgs.msg import Header
+
+from fiber_msgs_py.errors import MessageError
+
+__all__ = ["FRAME_ID", "PlanStamp", "check_frame", "header", "ns_from_time", "time_from_ns"]
+
+FRAME_ID = "focal_plane"
+
+_SECOND = 1_000_000_000
+_END_NS = 2**31 * _SECOND
+
+
+def ns_from_time(time: Time) -> int:
+    """Return a time as nanoseconds.
+
+    Raises:
+        MessageError: it is negative, or holds a second or more of nanoseconds.
+    """
+    if time.sec < 0 or not 0 <= time.nanosec < _SECOND:
+        raise MessageError("time", "is no time", field="stamp", value=(time.sec, time.nanosec))
+    return time.sec * _SECOND + time.nanosec
+
+
+def time_from_ns(ns: int) -> Time:
+    """Return nanoseconds as a time.
+
+    Raises:
+        MessageError: negative, or past the last second a message can carry.
+    """
+    ns = int(ns)
+    if not 0 <= ns < _END_NS:
+        raise MessageError("time", "does not fit a stamp", field="ns", value=ns)
+    return Time(sec=ns // _SECOND, nanosec=ns % _SECOND)
+
+
+@dataclass(frozen=True, order=True)
+class PlanStamp:
+    """Names a plan: the header stamp of its targets, carried by all that follows from them.
+
+    Stamps are ordered: of two plans the one with the larger stamp is newer.
+
+    Args:
+        ns: the stamp [ns].
+
+    Raises:
+        MessageError: the number does not fit a header stamp.
+    """
+
+    ns: int
+
+    def __post_init__(self):
+        time_from_ns(self.ns)
+
+    @classmethod
+    def of(cls, message) -> "PlanStamp":
+        """Read the stamp of any message with a header."""
+        return cls(ns_from_time(message.header.stamp))
+
+    def to_time(self) -> Time:
+        """Return the stamp as a message."""
+        return time_from_ns(self.ns)
+
+    def __str__(self) -> str:
+        return f"{self.ns // _SECOND}.{self.ns % _SECOND:09d}"
+
+
+def header(stamp: PlanStamp) -> Header:
+    """Return the header of a message that belongs to a plan."""
+    return Header(stamp=stamp.to_time(), frame_id=FRAME_ID)
+
+
+def check_frame(message, name: str) -> None:
+    """Refuse a message in another frame than `focal_plane`; `name` is what to call it."""
+    if message.header.frame_id != FRAME_ID:
+        raise MessageError(
+            name, f"is not {FRAME_ID!r}", field="frame_id", value=repr(message.header.frame_id)
+        )

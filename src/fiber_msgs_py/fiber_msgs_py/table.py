@@ -1,0 +1,137 @@
+"""Tables of numbers as PointCloud2: one row per point, named columns, no copy on the way in."""
+
+import array
+
+import numpy as np
+from sensor_msgs.msg import PointCloud2, PointField
+
+from fiber_msgs_py.errors import MessageError
+from fiber_msgs_py.stamps import PlanStamp, check_frame, header
+
+__all__ = ["decode_table", "encode_table"]
+
+_CODES = {
+    np.dtype(kind): code
+    for kind, code in (
+        ("<i1", PointField.INT8),
+        ("<u1", PointField.UINT8),
+        ("<i2", PointField.INT16),
+        ("<u2", PointField.UINT16),
+        ("<i4", PointField.INT32),
+        ("<u4", PointField.UINT32),
+        ("<f4", PointField.FLOAT32),
+        ("<f8", PointField.FLOAT64),
+    )
+}
+_NAMES = {code: dtype.name for dtype, code in _CODES.items()}
+
+
+def encode_table(rows: np.ndarray, stamp: PlanStamp) -> PointCloud2:
+    """Return a table as a message.
+
+    Args:
+        rows: structured array of little-endian columns, shape (n,); a column may be an
+            array of its own, but not an empty one.
+        stamp: plan it belongs to.
+    """
+    fields = []
+    for name in rows.dtype.names:
+        dtype, offset = rows.dtype.fields[name][:2]
+        fields.append(
+            PointField(
+                name=name,
+                offset=offset,
+                datatype=_CODES[dtype.base],
+                count=int(np.prod(dtype.shape, dtype=int)),
+            )
+        )
+    return PointCloud2(
+        header=header(stamp),
+        height=1,
+        width=len(rows),
+        fields=fields,
+        is_bigendian=False,
+        point_step=rows.dtype.itemsize,
+        row_step=rows.nbytes,
+        data=array.array("B", rows.tobytes()),  # any other type costs a Python object per byte
+        is_dense=True,
+    )
+
+
+def decode_table(
+    message: PointCloud2, name: str, columns: dict[str, str], lists: dict[str, str] | None = None
+) -> np.ndarray:
+    """Return the columns asked for as a read-only view of a message.
+
+    Columns may come in any order and at any offset, and others beside them are ignored.
+
+    Args:
+        message: the message; its bytes are shared, not copied.
+        name: what to call it in an error.
+        columns: numpy type of each single-valued column that must be there.
+        lists: numpy type of columns that hold any number of values a row, left out of
+            the result where they are absent.
+
+    Returns:
+        Structured array, shape (n,).
+
+    Raises:
+        MessageError: another frame, big-endian, a column missing or of another type or
+            count, or sizes that contradict each other; names the field and its value.
+    """
+    check_frame(message, name)
+    if message.is_bigendian:
+        raise MessageError(name, "is not supported", field="is_bigendian", value=True)
+    found = {}
+    for field in message.fields:
+        if field.name in found:
+            raise MessageError(name, "is there twice", field="field", value=field.name)
+        found[field.name] = field
+    dtype = _row_type(found, name, columns, lists or {}, message.point_step)
+    rows = message.width * message.height
+    for size, value, expected in (
+        ("row_step", message.row_step, message.width * message.point_step),
+        ("data", len(message.data), rows * message.point_step),
+    ):
+        if value != expected:
+            raise MessageError(
+                name, f"bytes, expected {expected}", field=f"size of {size} is", value=value
+            )
+    view = np.frombuffer(message.data, dtype, rows) if rows else np.zeros(0, dtype)
+    view.flags.writeable = False
+    return view
+
+
+def _row_type(found, name, columns, lists, point_step) -> np.dtype:
+    names, formats, offsets = [], [], []
+    for column, kind in (columns | lists).items():
+        field = found.get(column)
+        if field is None:
+            if column in lists:
+                continue
+            raise MessageError(name, "is missing", field="field", value=column)
+        dtype = np.dtype(kind)
+        if field.datatype != _CODES[dtype]:
+            got = _NAMES.get(field.datatype, f"datatype {field.datatype}")
+            raise MessageError(name, f"is not {dtype.name}", field=f"field {column}:", value=got)
+        if field.count < 1 or (column in columns and field.count != 1):
+            raise MessageError(
+                name,
+                "values a row, expected " + ("1" if column in columns else "at least 1"),
+                field=f"field {column} has",
+                value=field.count,
+            )
+        end = field.offset + field.count * dtype.itemsize
+        if end > point_step:
+            raise MessageError(
+                name,
+                f"is less than the {end} bytes that field {column} needs",
+                field="point_step",
+                value=point_step,
+            )
+        names.append(column)
+        formats.append(dtype if column in columns else (dtype, (field.count,)))
+        offsets.append(field.offset)
+    return np.dtype(
+        {"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step}
+    )

@@ -1,0 +1,119 @@
+"""Layout: a plane comes back as it went, in metres on the way."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from fiber_core.errors import FiberError
+from fiber_core.wire_units import WireUnits
+from fiber_msgs_py import MessageError, layout
+
+UNITS = WireUnits(tick_us=60_000, quantum_prad=4_000_000_000, velocity_bits=16, duration_bits=12)
+
+
+def raw_rows(message):
+    """The table of a message, writable: what a faulty sender would have sent."""
+    types = {2: "<u1", 4: "<u2", 6: "<u4", 8: "<f8"}
+    return np.frombuffer(
+        message.data,
+        dtype=np.dtype(
+            {
+                "names": [f.name for f in message.fields],
+                "formats": [
+                    (types[f.datatype], (f.count,)) if "outline" in f.name else types[f.datatype]
+                    for f in message.fields
+                ],
+                "offsets": [f.offset for f in message.fields],
+                "itemsize": message.point_step,
+            }
+        ),
+    )
+
+
+@pytest.mark.parametrize("outlined", [True, False])
+@pytest.mark.parametrize("discs", [0, 2])
+def test_round_trip(plane, stamp, outlined, discs):
+    if not outlined:
+        plane = replace(plane, theta_vertices=np.zeros((plane.n, 0, 2)))
+    plane = replace(plane, obstacles=plane.obstacles[:discs])
+    decoded, units = layout.decode(layout.encode(plane, UNITS, stamp))
+    assert units == UNITS
+    for field in fields(plane):
+        if field.name == "name":
+            continue
+        ours, theirs = getattr(plane, field.name), getattr(decoded, field.name)
+        assert np.shape(ours) == np.shape(theirs), field.name
+        np.testing.assert_allclose(theirs, ours, rtol=1e-12, atol=0, err_msg=field.name)
+
+
+def test_lengths_travel_in_metres_and_angles_in_radians(plane, stamp):
+    message = layout.encode(plane, UNITS, stamp)
+    rows = raw_rows(message)
+    assert message.width == plane.n + 2
+    assert rows["kind"].tolist() == [0, 0, 0, 1, 1]
+    np.testing.assert_allclose(rows["x"][:3], plane.centers[:, 0] / 1000)
+    np.testing.assert_allclose(rows["arm_phi"][:3], plane.arms[:, 1] / 1000)
+    np.testing.assert_allclose(rows["arm_radius"][3:], plane.obstacles[:, 2] / 1000)
+    np.testing.assert_allclose(rows["phi_max"][:3], plane.limits[:, 1, 1])
+    np.testing.assert_allclose(rows["theta_speed"][:3], plane.speeds[:, 0])
+    np.testing.assert_allclose(rows["spacing"], plane.spacing_mm / 1000)
+
+
+@pytest.mark.parametrize(
+    ("column", "row", "value", "words"),
+    [
+        ("x", 1, np.nan, ["robot 42", "nan"]),
+        ("arm_phi", 2, -0.003, ["robot 70000", "-3.0"]),
+        ("theta_speed", 0, 0.0, ["robot 3", "0.0"]),
+        ("phi_min", 1, 9.0, ["robot 42", "9.0"]),
+        ("enabled", 1, 7, ["robot 42", "enabled", "7"]),
+        ("kind", 1, 5, ["robot 42", "kind", "5"]),
+        ("kind", 0, 1, ["robot 3", "kind", "1"]),
+        ("id", 1, 3, ["robot 3", "twice"]),
+        ("id", 0, 50, ["42", "50"]),
+        ("tick_us", 2, 5, ["robot 70000", "tick_us", "5", "60000"]),
+        ("spacing", 1, 0.5, ["robot 42", "spacing", "0.5", "0.004"]),
+    ],
+)
+def test_values_no_robot_can_have_are_refused(plane, stamp, column, row, value, words):
+    message = layout.encode(plane, UNITS, stamp)
+    raw_rows(message)[column][row] = value
+    with pytest.raises(FiberError) as caught:
+        layout.decode(message)
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("tick_us", 0), ("quantum_prad", 0), ("velocity_bits", 1), ("duration_bits", 33)],
+)
+def test_units_nothing_could_be_counted_in_are_refused(plane, stamp, column, value):
+    message = layout.encode(plane, UNITS, stamp)
+    raw_rows(message)[column] = value
+    with pytest.raises(MessageError, match=f"{column} {value} "):
+        layout.decode(message)
+
+
+@pytest.mark.parametrize("field", ["bus", "address"])
+@pytest.mark.parametrize("value", [-1, 65_536])
+def test_what_does_not_fit_its_column_is_not_sent(plane, stamp, field, value):
+    values = getattr(plane, field).copy()
+    values[1] = value
+    with pytest.raises(FiberError, match=rf"robot 42: {field}.* {value}"):
+        layout.encode(replace(plane, **{field: values}), UNITS, stamp)
+
+
+def test_units_that_do_not_fit_their_column_are_not_sent(plane, stamp):
+    with pytest.raises(MessageError, match="quantum_prad 4294967296"):
+        layout.encode(plane, replace(UNITS, quantum_prad=2**32), stamp)
+
+
+def test_a_plane_without_robots_is_not_sent(plane, stamp):
+    message = layout.encode(plane, UNITS, stamp)
+    with pytest.raises(MessageError, match="has 0 robots"):
+        layout.encode(plane.permuted([]), UNITS, stamp)
+    raw_rows(message)["kind"] = 1
+    with pytest.raises(MessageError, match="has 0 robots"):
+        layout.decode(message)

@@ -1,0 +1,99 @@
+"""Segments: a plan in wire units comes back as it went, and a lost row is noticed."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fiber_core.errors import MotionError
+from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_msgs_py import MessageError, PlanStamp, segments
+
+UNITS = WireUnits()
+ROW = [("id", "<u4"), ("joint", "<u1"), ("duration", "<u4"), ("velocity", "<i4")]
+SEGMENT = st.tuples(
+    st.integers(1, UNITS.max_ticks), st.integers(-UNITS.max_velocity, UNITS.max_velocity)
+)
+
+
+@st.composite
+def plans(draw):
+    ids = sorted(draw(st.sets(st.integers(0, 2**32 - 1), max_size=6)))
+    profiles = [draw(st.lists(SEGMENT, max_size=4)) for _ in range(2 * len(ids))]
+    offsets = np.concatenate([[0], np.cumsum([len(profile) for profile in profiles])])
+    flat = np.array([s for profile in profiles for s in profile], dtype=int).reshape(-1, 2)
+    start = np.array(
+        draw(st.lists(st.integers(-1000, 1000), min_size=2 * len(ids), max_size=2 * len(ids)))
+    ).reshape(-1, 2)
+    return ids, WireMotion(UNITS, start, offsets, flat[:, 0], flat[:, 1])
+
+
+def example(stamp):
+    """Robot 5 turns theta twice and rests phi, robot 17 moves both."""
+    motion = WireMotion(
+        UNITS, np.zeros((2, 2)), [0, 2, 2, 3, 4], [10, 20, 30, 40], [-100, 200, 300, -400]
+    )
+    message = segments.encode([5, 17], motion, stamp)
+    return message, np.frombuffer(message.data, ROW)
+
+
+@given(plans())
+def test_round_trip(plan):
+    ids, motion = plan
+    table = segments.decode(segments.encode(ids, motion, PlanStamp(1)))
+    assert table.ids.tolist() == ids
+    again = table.motion(UNITS, motion.start)
+    for name in ("start", "offsets", "ticks", "velocity"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(motion, name))
+
+
+def test_rows_are_in_order_and_a_rest_is_a_row(stamp):
+    _, rows = example(stamp)
+    assert rows.tolist() == [
+        (5, 0, 10, -100),
+        (5, 0, 20, 200),
+        (5, 1, 0, 0),
+        (17, 0, 30, 300),
+        (17, 1, 40, -400),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("row", "values", "words"),
+    [
+        (2, (5, 2, 0, 0), "robot 5: joint 2 is neither"),
+        (2, (5, 0, 7, 7), "robot 5: joints 1 of 2"),
+        (2, (5, 1, 0, 9), "robot 5: velocity 9 lasts no time"),
+        (1, (5, 0, 0, 0), "robot 5: duration 0 is not alone"),
+        (3, (4, 0, 30, 300), "robot 4: joint 0 comes too late"),
+        (4, (18, 1, 40, -400), "robot 17: joints 1 of 2"),
+    ],
+)
+def test_rows_that_are_no_plan_are_refused(stamp, row, values, words):
+    message, rows = example(stamp)
+    rows[row] = values
+    with pytest.raises(MessageError, match=words):
+        segments.decode(message)
+
+
+def test_any_lost_profile_is_noticed(stamp):
+    message, rows = example(stamp)
+    for lost in (2, 3, 4):
+        shorter = segments.encode_table(np.delete(rows, lost), stamp)
+        with pytest.raises(MessageError, match="joints 1 of 2"):
+            segments.decode(shorter)
+
+
+def test_numbers_too_large_for_the_units_are_refused(stamp):
+    message, rows = example(stamp)
+    rows["duration"][0] = UNITS.max_ticks + 1
+    with pytest.raises(MotionError, match=f"duration {UNITS.max_ticks + 1}"):
+        segments.decode(message).motion(UNITS, np.zeros((2, 2)))
+
+
+def test_ids_must_increase_and_agree_with_the_motion(stamp):
+    rest = WireMotion(UNITS, np.zeros((2, 2)), np.zeros(5), [], [])
+    with pytest.raises(MessageError, match="robot 5: id 5 does not increase"):
+        segments.encode([17, 5], rest, stamp)
+    with pytest.raises(MessageError, match="2 robots move, 1 have ids"):
+        segments.encode([5], rest, stamp)

@@ -1,0 +1,65 @@
+"""Targets: a wish list comes back as it went, or is refused by robot and value."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fiber_msgs_py import MessageError, PlanStamp, targets
+
+IDS = st.lists(st.integers(0, 2**32 - 1), unique=True, max_size=20)
+LENGTH = st.floats(-1e4, 1e4)
+
+
+@given(IDS.flatmap(lambda ids: st.tuples(st.just(ids), st.lists(
+    st.tuples(LENGTH, LENGTH), min_size=len(ids), max_size=len(ids)))))  # fmt: skip
+def test_round_trip_keeps_the_order(example):
+    ids, xy_mm = example
+    xy_mm = np.array(xy_mm).reshape(-1, 2)
+    stamp = PlanStamp(5)
+    message = targets.encode(ids, xy_mm, stamp)
+    got_ids, got_mm = targets.decode(message)
+    assert got_ids.tolist() == ids
+    np.testing.assert_allclose(got_mm, xy_mm, rtol=1e-12, atol=1e-300)
+
+
+def test_targets_travel_in_metres(stamp):
+    message = targets.encode([7], [[1500.0, -2.0]], stamp)
+    assert np.frombuffer(message.data, "<f8", 2, offset=4).tolist() == [1.5, -0.002]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_target_that_is_not_finite_is_refused_on_both_sides(stamp, value, axis):
+    xy = np.ones((3, 2))
+    message = targets.encode([4, 17, 5], xy, stamp)
+    xy[1, axis] = value
+    with pytest.raises(MessageError, match=f"robot 17: .* {value} is not finite") as caught:
+        targets.encode([4, 17, 5], xy, stamp)
+    assert caught.value.robot == 17
+    raw = np.frombuffer(message.data, [("id", "<u4"), ("x", "<f8"), ("y", "<f8")])
+    raw["xy"[axis]][1] = value
+    with pytest.raises(MessageError, match=f"robot 17: {'xy'[axis]} {value} is not finite"):
+        targets.decode(message)
+
+
+def test_a_robot_asked_twice_is_refused_on_both_sides(stamp):
+    with pytest.raises(MessageError, match="robot 17: id 17 is there twice"):
+        targets.encode([17, 4, 17], np.zeros((3, 2)), stamp)
+    message = targets.encode([17, 4, 18], np.zeros((3, 2)), stamp)
+    np.frombuffer(message.data, [("id", "<u4"), ("xy", "<f8", 2)])["id"][2] = 17
+    with pytest.raises(MessageError, match="robot 17: id 17 is there twice"):
+        targets.decode(message)
+
+
+@pytest.mark.parametrize("bad", [-1, 2**32])
+def test_an_id_that_no_message_can_carry_is_refused(stamp, bad):
+    with pytest.raises(MessageError, match=f"robot {bad}: id {bad} is outside"):
+        targets.encode([bad], np.zeros((1, 2)), stamp)
+
+
+def test_ids_are_whole_numbers_one_per_target(stamp):
+    with pytest.raises(MessageError, match="1.5"):
+        targets.encode([1.5], np.zeros((1, 2)), stamp)
+    with pytest.raises(MessageError, match=r"\(3, 2\) does not fit 2 ids"):
+        targets.encode([1, 2], np.zeros((3, 2)), stamp)

@@ -1,0 +1,61 @@
+"""Topics, their qualities, and the stamps that name plans."""
+
+import pytest
+from builtin_interfaces.msg import Time
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from std_msgs.msg import UInt8
+
+from fiber_msgs_py import MessageError, PlanStamp, Service, Topic, topics
+from fiber_msgs_py.stamps import ns_from_time, time_from_ns
+
+
+def test_no_two_topics_share_a_name_and_all_have_a_quality():
+    all_topics = [value for value in vars(topics).values() if isinstance(value, Topic)]
+    services = [value for value in vars(topics).values() if isinstance(value, Service)]
+    names = [entry.name for entry in all_topics + services]
+    assert len(set(names)) == len(names) >= 16
+    assert all(name.startswith("focal_plane/") for name in names if name != "/diagnostics")
+    assert all(t.qos.reliability == ReliabilityPolicy.RELIABLE for t in all_topics)
+
+
+def test_late_joiners_get_the_plan():
+    for topic in (
+        topics.LAYOUT,
+        topics.TRAJECTORY,
+        topics.SEGMENTS,
+        topics.OUTCOME,
+        topics.HELD_BY_PLANNER,
+        topics.HELD_BY_DISCRETIZER,
+    ):
+        assert topic.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL and topic.qos.depth == 1
+
+
+@given(st.integers(0, 2**31 * 10**9 - 1))
+def test_time_round_trip(ns):
+    assert ns_from_time(time_from_ns(ns)) == ns
+    assert ns_from_time(PlanStamp(ns).to_time()) == ns
+
+
+@given(st.integers(0, 2**62), st.integers(0, 2**62))
+def test_stamps_are_ordered_by_time(a, b):
+    end = 2**31 * 10**9
+    assert (PlanStamp(a % end) < PlanStamp(b % end)) == (a % end < b % end)
+
+
+@pytest.mark.parametrize("ns", [-1, 2**31 * 10**9])
+def test_what_no_stamp_can_carry_is_refused(ns):
+    with pytest.raises(MessageError, match=f"ns {ns} does not fit"):
+        PlanStamp(ns)
+
+
+@pytest.mark.parametrize(("sec", "nanosec"), [(-1, 0), (0, 10**9)])
+def test_what_is_no_time_is_refused(sec, nanosec):
+    with pytest.raises(MessageError, match="is no time"):
+        ns_from_time(Time(sec=sec, nanosec=nanosec))
+
+
+def test_the_messages_check_their_own_fields_in_this_suite():
+    with pytest.raises(AssertionError):
+        UInt8(data=256)
