@@ -1,0 +1,8 @@
+"""Straight moves at the physical limit, repaired by local search where robots would meet."""
+
+from fiber_planner.direct.parameters import DirectParameters
+from fiber_planner.direct.pieces import straight_pieces
+from fiber_planner.direct.planner import DirectPlanner
+from fiber_planner.direct.reach import reachable
+
+__all__ = ["DirectParameters", "DirectPlanner", "reachable", "straight_pieces"]

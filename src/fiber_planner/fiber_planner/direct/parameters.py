@@ -1,0 +1,58 @@
+"""Parameters of the direct planner, their defaults and ranges."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiber_core.clearance import Safety
+from fiber_planner.errors import PlannerError
+
+__all__ = ["DirectParameters"]
+
+
+@dataclass(frozen=True)
+class DirectParameters:
+    """What the plan must keep apart, and how long the search may work.
+
+    Args:
+        margin_mm: gap between outlines that must remain at every instant [mm].
+        clock_ppm: worst error of a positioner's clock, either way [1e-6].
+        start_skew_s: worst difference between the starts of two positioners [s].
+        allowance_mm: gap planned for beyond what safety asks [mm]; it is what
+            discretization and rounding may use up.
+        intervals: length of the common time grid; every break of a profile is on it.
+        stretch: longest makespan tried, in units of the time the slowest robot needs
+            alone.
+        effort: candidate profiles that may be weighed, per robot of the plane. It
+            bounds the computing time without a clock, so that a plan is repeatable.
+        seed: of the draws.
+
+    Raises:
+        PlannerError: a value is out of range.
+    """
+
+    margin_mm: float = 0.05
+    clock_ppm: float = 50.0
+    start_skew_s: float = 200e-6
+    allowance_mm: float = 0.03
+    intervals: int = 48
+    stretch: float = 2.0
+    effort: float = 5000.0
+    seed: int = 0
+
+    def __post_init__(self):
+        for name in ("margin_mm", "clock_ppm", "start_skew_s", "allowance_mm", "effort"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise PlannerError(f"{name} is {value}, expected zero or more")
+        if not (np.isfinite(self.stretch) and self.stretch >= 1):
+            raise PlannerError(f"stretch is {self.stretch}, expected 1 or more")
+        for name, low, high in (("intervals", 4, 1024), ("seed", 0, 2**32 - 1)):
+            value = getattr(self, name)
+            if value != int(value) or not low <= value <= high:
+                raise PlannerError(f"{name} is {value}, expected a whole number {low}..{high}")
+
+    @property
+    def safety(self) -> Safety:
+        """The clearance the certificate will ask for."""
+        return Safety(self.margin_mm, self.clock_ppm, self.start_skew_s)

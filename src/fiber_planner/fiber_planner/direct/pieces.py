@@ -1,0 +1,57 @@
+"""Sampled profiles as the straight pieces they are made of."""
+
+import numba as nb
+import numpy as np
+
+from fiber_core.motion import SampledMotion, SegmentMotion
+
+__all__ = ["straight_pieces"]
+
+_STRAIGHT_RAD = 1e-11  # samples this close to a line are on it
+
+
+def straight_pieces(motion: SampledMotion) -> SegmentMotion:
+    """Return a sampled motion as constant-velocity segments, one for each straight piece.
+
+    Nothing is approximated: samples on a line become one segment, trailing rest none.
+
+    Args:
+        motion: joint profiles; its first instant becomes time zero.
+    """
+    n, _, _ = motion.angles.shape
+    offsets, duration, velocity = _pieces(motion.time_s, motion.angles.reshape(2 * n, -1))
+    return SegmentMotion(motion.start, offsets, duration, velocity)
+
+
+@nb.njit(cache=True)
+def _pieces(time_s, profiles):
+    rows, samples = profiles.shape
+    offsets = np.zeros(rows + 1, dtype=np.int64)
+    duration = np.empty(rows * max(1, samples - 1))
+    velocity = np.empty_like(duration)
+    used = 0
+    for i in range(rows):
+        row = profiles[i]
+        last = samples - 1
+        while last > 0 and row[last - 1] == row[last]:
+            last -= 1
+        begin = 0
+        while begin < last:
+            end = begin + 1
+            while end < last and _on_line(time_s, row, begin, end + 1):
+                end += 1
+            duration[used] = time_s[end] - time_s[begin]
+            velocity[used] = (row[end] - row[begin]) / duration[used]
+            used += 1
+            begin = end
+        offsets[i + 1] = used
+    return offsets, duration[:used].copy(), velocity[:used].copy()
+
+
+@nb.njit(cache=True)
+def _on_line(time_s, row, begin, end):
+    slope = (row[end] - row[begin]) / (time_s[end] - time_s[begin])
+    for k in range(begin + 1, end):
+        if abs(row[begin] + slope * (time_s[k] - time_s[begin]) - row[k]) > _STRAIGHT_RAD:
+            return False
+    return True

@@ -1,0 +1,101 @@
+"""Parameters of the decentralized navigation function, their defaults and ranges."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiber_core.focal_plane import FocalPlane
+from fiber_planner.errors import PlannerError
+
+__all__ = ["DnfParameters"]
+
+_PAPER_SPEED = np.pi  # [rad/s] 30 rpm, the speed for which the paper chose 10 ms
+_PAPER_STEP_S = 0.01
+_LEAST_HORIZON_S = 2.5  # the motion time the paper announces
+_HORIZON_RATIO = 3.0
+
+
+@dataclass(frozen=True)
+class DnfParameters:
+    """How the robots attract and repel, and how finely and how long the law is followed.
+
+    None stands for a value that follows from the plane.
+
+    Args:
+        lambda1: weight of the attraction to the target [1/mm^2].
+        lambda2: weight of the repulsion between neighbours [1/s].
+        outer_mm: D of the paper, distance from which on neighbours repel [mm]; None for
+            the plane's target spacing.
+        inner_mm: d of the paper, distance they never reach [mm]; None for half of D.
+        dt_s: time step [s]; None for the paper's 10 ms at 180 deg/s, longer in
+            proportion where the fastest joint is slower.
+        tolerance_mm: a tip this near to its target has arrived [mm].
+        horizon_s: time after which robots still on their way are given up [s]; None for
+            three times the time the slowest robot needs alone, and at least 2.5 s.
+        margin_mm: gap kept between the outlines of the goal configurations, and by
+            dnf_arms all the way [mm].
+        sign: 'corrected', or 'printed' for the repulsion of the papers as printed,
+            which attracts.
+        attraction: 'joint' towards the chosen configuration, or 'tip' as printed.
+        adaptive: whether steps are shortened near neighbours so that none comes nearer
+            than d; False is the fixed step of the papers.
+
+    Raises:
+        PlannerError: a value is out of range.
+    """
+
+    lambda1: float = 1.0
+    lambda2: float = 0.05
+    outer_mm: float | None = None
+    inner_mm: float | None = None
+    dt_s: float | None = None
+    tolerance_mm: float = 0.1
+    horizon_s: float | None = None
+    margin_mm: float = 0.1
+    sign: str = "corrected"
+    attraction: str = "joint"
+    adaptive: bool = True
+
+    def __post_init__(self):
+        for name in ("lambda1", "outer_mm", "inner_mm", "dt_s", "tolerance_mm", "horizon_s"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise PlannerError(f"{name} is {value}, expected a positive number")
+        for name in ("lambda2", "margin_mm"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise PlannerError(f"{name} is {value}, expected zero or more")
+        for name, choices in (("sign", ("corrected", "printed")), ("attraction", ("joint", "tip"))):
+            if getattr(self, name) not in choices:
+                raise PlannerError(f"{name} is {getattr(self, name)!r}, expected one of {choices}")
+        if not isinstance(self.adaptive, (bool, np.bool_)):
+            raise PlannerError(f"adaptive is {self.adaptive!r}, expected True or False")
+        if None not in (self.outer_mm, self.inner_mm) and self.inner_mm >= self.outer_mm:
+            raise PlannerError(f"d is {self.inner_mm} mm, expected less than D, {self.outer_mm} mm")
+
+    def radii_mm(self, plane: FocalPlane) -> tuple[float, float]:
+        """Return D and d for a plane [mm].
+
+        Raises:
+            PlannerError: neither the parameters nor the plane give a D above d.
+        """
+        outer = plane.spacing_mm if self.outer_mm is None else self.outer_mm
+        inner = outer / 2 if self.inner_mm is None else self.inner_mm
+        if not outer > inner > 0:
+            raise PlannerError(
+                f"D is {outer} mm and d is {inner} mm on plane {plane.name!r}, expected D > d > 0"
+            )
+        return float(outer), float(inner)
+
+    def step_s(self, plane: FocalPlane) -> float:
+        """Return the time step for a plane [s]."""
+        if self.dt_s is not None:
+            return float(self.dt_s)
+        fastest = float(plane.speeds.max(initial=0.0)) or _PAPER_SPEED
+        return _PAPER_STEP_S * max(1, round(_PAPER_SPEED / fastest))
+
+    def end_s(self, alone_s: float) -> float:
+        """Return the horizon [s] when the slowest robot alone would need alone_s [s]."""
+        if self.horizon_s is not None:
+            return float(self.horizon_s)
+        return max(_LEAST_HORIZON_S, _HORIZON_RATIO * alone_s)

@@ -1,0 +1,19 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="fiber_planner",
+    version="0.1.0",
+    description="Takes a focal plane from one configuration to the next: collision-free joint trajectories.",
+    maintainer="fiber positioner team",
+    maintainer_email="maintainers@example.org",
+    license="Apache-2.0",
+    packages=find_packages(exclude=["test", "test.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/fiber_planner"]),
+        ("share/fiber_planner", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
+    zip_safe=False,  # compiled loops are cached beside the modules
+    entry_points={"console_scripts": ["planner = fiber_planner.node:main"]},
+)
