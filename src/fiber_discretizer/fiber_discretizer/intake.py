@@ -1,0 +1,93 @@
+"""Look a planned trajectory over before anything is made of it."""
+
+import numpy as np
+from numba import njit
+
+from fiber_core.errors import MotionError
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.motion import SampledMotion
+from fiber_core.outcomes import Reason
+from fiber_core.wire_units import WireUnits
+
+__all__ = ["check_trajectory", "peak_speeds", "range_counts", "start_inside_limits"]
+
+_LIMIT_NOISE_RAD = 1e-6
+
+
+def check_trajectory(
+    plane: FocalPlane,
+    trajectory: SampledMotion,
+    start_counts,
+    units: WireUnits,
+    start_tolerance_rad: float,
+    speed_tolerance: float,
+) -> np.ndarray:
+    """Return the Reason for which each robot's profiles cannot be used, OK where they can.
+
+    Args:
+        plane: the focal plane.
+        trajectory: joint profiles of all its robots.
+        start_counts: where the robots are [quanta], shape (n, 2).
+        units: size of tick and quantum.
+        start_tolerance_rad: how far from there a profile may begin [rad].
+        speed_tolerance: part by which a profile may exceed the speed limits; a jump
+            between two samples is a speed too high.
+
+    Returns:
+        Reason of each robot, shape (n,): DISABLED where a disabled robot is to move,
+        BAD_TRAJECTORY where a profile does not begin where the robot is, is too fast,
+        moves outside the joint limits, or needs a motor slower than one velocity unit.
+
+    Raises:
+        MotionError: the trajectory belongs to another plane, or begins before time zero.
+    """
+    if trajectory.n != plane.n:
+        raise MotionError(f"a trajectory of {trajectory.n} robots for a plane of {plane.n}")
+    if trajectory.time_s[0] < 0:
+        raise MotionError(f"the trajectory begins at {trajectory.time_s[0]} s, before time zero")
+    angles, start = trajectory.angles, units.to_angles(start_counts)
+    low, high = plane.limits[:, :, 0] - _LIMIT_NOISE_RAD, plane.limits[:, :, 1] + _LIMIT_NOISE_RAD
+    fastest = peak_speeds(trajectory)
+    bad = np.abs(trajectory.start - start) > start_tolerance_rad
+    bad |= fastest > plane.speeds * (1 + speed_tolerance)
+    moves = fastest > 0
+    bad |= moves & (plane.speeds < units.velocity_rad_s)
+    bad |= moves & ((start < plane.limits[:, :, 0]) | (start > plane.limits[:, :, 1]))
+    bad |= moves & ((angles.min(axis=2) < low) | (angles.max(axis=2) > high))
+    reason = np.where(bad.any(axis=1), int(Reason.BAD_TRAJECTORY), int(Reason.OK))
+    reason[moves.any(axis=1) & ~plane.enabled] = Reason.DISABLED
+    return reason
+
+
+def peak_speeds(trajectory: SampledMotion) -> np.ndarray:
+    """Return the highest speed of each joint between two samples [rad/s], shape (n, 2)."""
+    return _peak_speeds(np.diff(trajectory.time_s), trajectory.angles)
+
+
+@njit(cache=True)
+def _peak_speeds(steps, angles):
+    peak = np.zeros(angles.shape[:2])
+    for i in range(angles.shape[0]):
+        for j in range(angles.shape[1]):
+            for k in range(len(steps)):
+                speed = abs(angles[i, j, k + 1] - angles[i, j, k]) / steps[k]
+                peak[i, j] = max(peak[i, j], speed)
+    return peak
+
+
+def range_counts(plane: FocalPlane, units: WireUnits) -> np.ndarray:
+    """Return the lowest and highest position inside the joint limits [quanta], shape (n, 2, 2)."""
+    low, high = np.moveaxis(plane.limits, -1, 0) / units.quantum_rad
+    return np.stack([np.ceil(low), np.floor(high)], axis=-1).astype(np.int64)
+
+
+def start_inside_limits(
+    plane: FocalPlane, trajectory: SampledMotion, units: WireUnits
+) -> np.ndarray:
+    """Return where a trajectory begins [quanta], shape (n, 2).
+
+    Rounding never takes a joint across its limit; one that begins outside stays there.
+    """
+    nearest = units.to_counts(trajectory.start)
+    inside = np.clip(nearest, *np.moveaxis(range_counts(plane, units), -1, 0))
+    return np.where(np.abs(nearest - inside) <= 1, inside, nearest)

@@ -1,0 +1,100 @@
+"""The discretizer as a node: a trajectory in, certified segments in whole wire units out."""
+
+import numpy as np
+from fiber_core.clearance import Safety
+from fiber_core.errors import FiberError
+from fiber_core.motion import SampledMotion
+from fiber_core.outcomes import Reason
+from fiber_msgs_py import (
+    MessageError,
+    PlaneView,
+    PlanStamp,
+    Reporter,
+    Stage,
+    declare_settings,
+    held,
+    run,
+    segments,
+    topics,
+    trajectory,
+)
+from rclpy.node import Node
+
+from fiber_discretizer.discretize import discretize
+from fiber_discretizer.options import DiscretizeOptions
+
+__all__ = ["DiscretizerNode", "main"]
+
+
+class DiscretizerNode(Node):
+    """Turns each trajectory, of whatever planner, into orders that are proven safe.
+
+    Args:
+        options: keyword arguments of rclpy.node.Node.
+    """
+
+    def __init__(self, **options):
+        super().__init__("discretizer", **options)
+        self._options = declare_settings(self, DiscretizeOptions)
+        self._safety = declare_settings(self, Safety, "safety")
+        self._stamp: PlanStamp | None = None
+        self._report = Reporter(self, "discretizer")
+        self._view = PlaneView(self, self._report)
+        self._held = topics.HELD_BY_DISCRETIZER.publisher(self)
+        self._segments = topics.SEGMENTS.publisher(self)
+        topics.TRAJECTORY.subscription(self, self._on_trajectory)
+
+    def _on_trajectory(self, message):
+        try:
+            stamp = PlanStamp.of(message)
+            if self._stamp is not None and stamp <= self._stamp:
+                self._report.drop(f"trajectory {stamp} dropped: plan {self._stamp} is not older")
+                return
+            ids, motion, _ = trajectory.decode(message)
+            done = discretize(
+                self._view.plane,
+                self._of_whole_plane(ids, motion),
+                self._view.units,
+                self._safety,
+                self._view.units.to_counts(self._view.angles),
+                self._options,
+                lambda fraction, text: self._report.progress(stamp, fraction, text),
+            )
+            self._stamp = stamp
+            self._publish(done, self._view.plane.ids, stamp)
+        except FiberError as error:
+            self._report.refuse(f"trajectory refused: {error}")
+
+    def _of_whole_plane(self, ids, motion):
+        """The motion with the robots it does not mention resting where they are."""
+        rows = self._view.plane.index_of(ids)
+        if (rows < 0).any():
+            raise MessageError("trajectory", "is not in the layout", robot=int(ids[rows < 0][0]))
+        angles = np.repeat(self._view.angles[:, :, None], len(motion.time_s), axis=2)
+        angles[rows] = motion.angles
+        return SampledMotion(motion.time_s, angles)
+
+    def _publish(self, done, ids, stamp):
+        holds = done.reason != Reason.OK
+        self._held.publish(held.encode(ids[holds], done.reason[holds], Stage.DISCRETIZER, stamp))
+        self._segments.publish(segments.encode(ids, done.wire, stamp))
+        counts = np.diff(done.wire.offsets)
+        moving = int((counts.reshape(-1, 2) > 0).any(axis=1).sum())
+        clearance = f"{done.certificate.min_gap_mm:.4f}"
+        self._report.counters |= {
+            "plan": stamp,
+            "moving": moving,
+            "held": int(holds.sum()),
+            "segments": int(counts.sum()),
+            "clearance_mm": clearance,
+        }
+        self._report.done(
+            stamp,
+            f"{moving} robots move, {holds.sum()} held, {counts.sum()} segments, "
+            f"least clearance {clearance} mm",
+        )
+
+
+def main(args=None) -> int:
+    """Run the discretizer until it is interrupted."""
+    return run(DiscretizerNode, args)

@@ -1,0 +1,251 @@
+"""Round piecewise-linear profiles to whole wire units without losing their targets."""
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numba import njit
+
+from fiber_core.wire_units import WireUnits
+from fiber_discretizer.linearize import Polylines
+
+__all__ = ["Rounding", "Segments", "quantize"]
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """How the last segment of a profile is searched for whole units that meet its end.
+
+    Args:
+        good_quanta: end error with which the search is content [quanta].
+        worst_quanta: end error with which a profile of one segment is cut in two, which
+            always meets the end [quanta].
+        later_ticks: how many ticks the last segment may become longer.
+        sooner_ticks: how many ticks it may become shorter.
+        nudge_units: how many velocity units the segment before it may change.
+    """
+
+    good_quanta: int = 6
+    worst_quanta: int = 60
+    later_ticks: int = 8
+    sooner_ticks: int = 64
+    nudge_units: int = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Constant-velocity segments in whole wire units, ragged by profile.
+
+    Args:
+        offsets: first segment of each profile, shape (p + 1,).
+        ticks: durations [ticks], shape (m,).
+        velocity: joint speeds [velocity units], shape (m,).
+    """
+
+    offsets: np.ndarray
+    ticks: np.ndarray
+    velocity: np.ndarray
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Number of segments of each profile, shape (p,)."""
+        return np.diff(self.offsets)
+
+    @classmethod
+    def none(cls, profiles: int) -> "Segments":
+        """Return that many profiles at rest."""
+        nothing = np.zeros(0, dtype=np.int64)
+        return cls(np.zeros(profiles + 1, dtype=np.int64), nothing, nothing)
+
+    def replaced(self, rows, other: "Segments") -> "Segments":
+        """Return these segments with the profiles `rows`, shape (r,), taken from another set."""
+        source = np.stack([self.offsets[:-1], self.counts], axis=1)
+        source[rows] = np.stack([other.offsets[:-1] + len(self.ticks), other.counts], axis=1)
+        first, counts = source.T
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        pick = np.arange(offsets[-1]) + np.repeat(first - offsets[:-1], counts)
+        ticks = np.concatenate([self.ticks, other.ticks])[pick]
+        return Segments(offsets, ticks, np.concatenate([self.velocity, other.velocity])[pick])
+
+    def without(self, rows) -> "Segments":
+        """Return these segments with the profiles `rows`, shape (r,), at rest."""
+        return self.replaced(rows, Segments.none(len(rows)))
+
+    def polylines(self, start, units: WireUnits) -> Polylines:
+        """Return the profiles these segments make of positions start [quanta], shape (p,)."""
+        offsets = self.offsets + np.arange(len(self.offsets))
+        first = offsets[:-1]
+
+        def knots(steps, at_first):
+            # running sums per profile, begun anew at each first knot
+            values = np.zeros(offsets[-1], dtype=np.int64)
+            values[np.setdiff1d(np.arange(offsets[-1]), first)] = steps
+            running = np.cumsum(values)
+            return running + np.repeat(at_first - running[first], np.diff(offsets))
+
+        ticks = knots(self.ticks, np.zeros(len(first), dtype=np.int64))
+        counts = knots(self.ticks * self.velocity, np.asarray(start))
+        return Polylines(offsets, ticks * units.tick_s, units.to_angles(counts))
+
+
+def quantize(
+    paths: Polylines,
+    start,
+    goal,
+    range_counts,
+    speed_rad_s,
+    slack_rad,
+    units: WireUnits,
+    rounding: Rounding = Rounding(),
+) -> Segments:
+    """Return the whole-number motion nearest to piecewise-linear profiles.
+
+    Break times are rounded to ticks and the profile is read off there, so no segment
+    becomes faster than the profile. Velocities are rounded so that each segment ends
+    nearest to the profile, which carries the rounding error of one segment into the
+    next. For the last segment every duration and change of the velocity before it that
+    the search allows is tried, nearest first, until the end is met well enough; the
+    best is kept. Where a profile is faster than the speed limit, it takes longer.
+
+    Args:
+        paths: p profiles, the first knot at time >= 0; before it a profile rests.
+        start: where each motor is [quanta], shape (p,).
+        goal: where each is to end [quanta], shape (p,).
+        range_counts: lowest and highest position allowed [quanta], shape (p, 2); a motor
+            that starts outside may come back in, but not go farther out.
+        speed_rad_s: speed limits [rad/s], shape (p,); velocities are cut below them.
+        slack_rad: how far each profile may be shifted by the search [rad], shape (p,).
+        units: size of tick and quantum, and the widths of the fields.
+        rounding: limits of the search.
+
+    Returns:
+        Segments; longer ones than a duration field holds are split, and those that rest
+        at the end of a profile, or of no duration, are left out.
+    """
+    fastest = np.floor(np.asarray(speed_rad_s) / units.velocity_rad_s)
+    return Segments(
+        *_quantize(
+            paths.offsets,
+            paths.time_s / units.tick_s,
+            paths.angles / units.quantum_rad,
+            np.asarray(start, dtype=np.int64),
+            np.asarray(goal, dtype=np.int64),
+            np.asarray(range_counts, dtype=np.int64),
+            np.minimum(fastest, units.max_velocity).astype(np.int64),
+            np.asarray(slack_rad) / units.quantum_rad,
+            units.max_ticks,
+            astuple(rounding),
+        )
+    )
+
+
+@njit(cache=True)
+def _quantize(offsets, time, position, start, goal, ranges, fastest, slack, max_ticks, search):
+    # times in ticks, positions in quanta, velocities in quanta per tick
+    p = len(offsets) - 1
+    first = np.zeros(p + 1, np.int64)
+    ticks, velocity = [np.int64(0) for _ in range(0)], [np.int64(0) for _ in range(0)]
+    for i in range(p):
+        first[i] = len(ticks)
+        knot, last = offsets[i], offsets[i + 1] - 1
+        while last > knot and abs(position[last - 1] - position[offsets[i + 1] - 1]) < 1.0:
+            last -= 1  # a rest at the end needs no segment
+        bounds = (fastest[i], min(ranges[i, 0], start[i]), max(ranges[i, 1], start[i]))
+        here, now = start[i], np.int64(0)
+        for k in range(offsets[i], last):
+            tick = np.int64(np.rint(time[k]))
+            if tick <= now:
+                continue
+            while knot + 1 < last and time[knot + 1] <= tick:
+                knot += 1
+            along = (tick - time[knot]) / (time[knot + 1] - time[knot])
+            there = position[knot] + max(along, 0.0) * (position[knot + 1] - position[knot])
+            while now < tick:
+                left = tick - now
+                span = left // -(-left // max_ticks)
+                v = _nearest_velocity(here, there - here, left, span, bounds)
+                ticks.append(span)
+                velocity.append(v)
+                here += v * span
+                now += span
+        if fastest[i] > 0:
+            span = max(np.int64(np.ceil(time[last] - 1e-6)) - now, 1)
+            travel = goal[i] - here
+            _finish(ticks, velocity, first[i], here, travel, span, bounds, slack[i], max_ticks, search)
+        while len(ticks) > first[i] and velocity[-1] == 0:
+            ticks.pop()
+            velocity.pop()
+    first[p] = len(ticks)
+    return first, np.array(ticks, np.int64), np.array(velocity, np.int64)
+
+
+@njit(cache=True)
+def _nearest_velocity(here, travel, left, span, bounds):
+    # whole velocity for `span` of the `left` ticks in which to travel, within all bounds
+    fastest, low, high = bounds
+    v = np.int64(np.rint(travel / left))
+    v = min(max(v, -fastest), fastest)
+    return min(max(v, -((here - low) // span)), (high - here) // span)
+
+
+@njit(cache=True)
+def _finish(ticks, velocity, first, here, travel, span, bounds, slack, max_ticks, search):
+    # travel to the goal in about `span` ticks and as few segments as the fields allow
+    fastest, worst = bounds[0], search[1]
+    span = max(span, -(-abs(travel) // fastest))
+    while True:
+        if span <= max_ticks:
+            alone = len(ticks) == first
+            before = (np.int64(0), np.int64(0)) if alone else (ticks[-1], velocity[-1])
+            error, last_ticks, last_velocity, nudge = _search(
+                here, travel, span, bounds, before, slack, max_ticks, search
+            )
+            if error <= worst or not alone or span == 1:
+                break
+            part = max(np.int64(0.382 * span), 1)  # golden section: halves share their errors
+        else:
+            part = span // -(-span // max_ticks)
+        v = _nearest_velocity(here, travel, span, part, bounds)
+        ticks.append(part)
+        velocity.append(v)
+        here += v * part
+        travel -= v * part
+        span = max(span - part, -(-abs(travel) // fastest))
+    if not alone:
+        velocity[-1] += nudge
+    ticks.append(last_ticks)
+    velocity.append(last_velocity)
+
+
+@njit(cache=True)
+def _search(here, travel, span, bounds, before, slack, max_ticks, search):
+    # Error, ticks and velocity of the best last segment, and the change of velocity of
+    # the segment before it. Near candidates come first: 0, -1, +1, -2, +2, ...
+    fastest, low, high = bounds
+    good, _, later, sooner, nudges = search
+    before_ticks, before_velocity = before
+    if before_ticks == 0:
+        nudges = 0
+    best = (np.int64(2**62), span, np.int64(0), np.int64(0))
+    for a in range(2 * max(later, sooner) + 1):
+        shift = a // 2 if a % 2 == 0 else -(a // 2) - 1
+        t = span + shift
+        if a > 0 and abs(shift) * abs(travel) > slack * span:
+            break
+        if t < 1 or t > max_ticks or shift > later or -shift > sooner:
+            continue
+        for b in range(2 * nudges + 1):
+            nudge = b // 2 if b % 2 == 0 else -(b // 2) - 1
+            moved = nudge * before_ticks
+            if b > 0 and (
+                abs(moved) > slack
+                or abs(before_velocity + nudge) > fastest
+                or not low <= here + moved <= high
+            ):
+                continue
+            v = _nearest_velocity(here + moved, travel - moved, t, t, bounds)
+            error = abs(travel - moved - v * t)
+            if error < best[0]:
+                best = (error, t, v, nudge)
+            if error <= good:
+                return best
+    return best
