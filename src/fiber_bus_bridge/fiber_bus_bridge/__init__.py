@@ -1,0 +1,38 @@
+"""The bus bridge: orders become bytes, bytes go over I2C, robots move, outcomes come back."""
+
+from fiber_bus_bridge.bus import (
+    TOPOLOGIES,
+    Ack,
+    BusBackend,
+    BusTiming,
+    Exchange,
+    SimulatedBuses,
+    addresses_of,
+    bus_timing,
+)
+from fiber_bus_bridge.errors import BridgeError, SessionError, TopologyError, WireError
+from fiber_bus_bridge.firmware import Positioners
+from fiber_bus_bridge.results import PlanResult
+from fiber_bus_bridge.session import Session, SessionConfig, SessionState
+from fiber_bus_bridge.upload import Upload
+
+__all__ = [
+    "TOPOLOGIES",
+    "Ack",
+    "BridgeError",
+    "BusBackend",
+    "BusTiming",
+    "Exchange",
+    "PlanResult",
+    "Positioners",
+    "Session",
+    "SessionConfig",
+    "SessionError",
+    "SessionState",
+    "SimulatedBuses",
+    "TopologyError",
+    "Upload",
+    "WireError",
+    "addresses_of",
+    "bus_timing",
+]

@@ -1,0 +1,57 @@
+"""Counts per bus of what went over it, for diagnostics."""
+
+import numpy as np
+
+from fiber_bus_bridge.bus.backend import Ack, Exchange
+
+__all__ = ["BusCounters"]
+
+
+class BusCounters:
+    """Running totals, one entry per bus, in the order of `buses`.
+
+    Args:
+        buses: bus numbers, shape (b,).
+    """
+
+    def __init__(self, buses):
+        self.buses = np.unique(buses)
+        b = len(self.buses)
+        self.frames, self.bytes, self.no_address, self.refused, self.retries, self.bad_replies = (
+            np.zeros((6, b), dtype=np.int64)
+        )
+        self.busy_s = np.zeros(b)
+
+    def add(self, exchange: Exchange) -> None:
+        """Count a batch; bytes are data bytes, read and written."""
+        frames, replies = exchange.frames, exchange.replies
+        at = self._rows(frames.to.bus)
+        self.frames += self._count(at)
+        np.add.at(self.bytes, at, np.where(replies.ack == Ack.NO_ADDRESS, 0, frames.lengths))
+        np.add.at(self.bytes, at, np.where(replies.ack == Ack.OK, np.diff(replies.offsets), 0))
+        self.no_address += self._count(at[replies.ack == Ack.NO_ADDRESS])
+        self.refused += self._count(at[replies.ack == Ack.REFUSED])
+        np.add.at(self.busy_s, at, replies.end_s - replies.start_s)
+
+    def add_retries(self, buses) -> None:
+        """Count one more try on each of these buses, shape (f,)."""
+        self.retries += self._count(self._rows(buses))
+
+    def add_bad_replies(self, buses) -> None:
+        """Count replies whose checksum was wrong on these buses, shape (f,)."""
+        self.bad_replies += self._count(self._rows(buses))
+
+    def table(self) -> dict[int, dict[str, float]]:
+        """Return the totals of each bus by name."""
+        names = ("frames", "bytes", "no_address", "refused", "retries", "bad_replies", "busy_s")
+        columns = {name: getattr(self, name).tolist() for name in names}
+        return {
+            int(bus): {name: column[i] for name, column in columns.items()}
+            for i, bus in enumerate(self.buses)
+        }
+
+    def _rows(self, buses):
+        return np.searchsorted(self.buses, buses)
+
+    def _count(self, rows):
+        return np.bincount(rows, minlength=len(self.buses))

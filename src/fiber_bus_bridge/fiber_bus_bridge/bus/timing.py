@@ -1,0 +1,75 @@
+"""How long a message takes on an I2C bus, by the standard's figures."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiber_bus_bridge.errors import TopologyError
+
+__all__ = ["BUS_TIMINGS", "BusTiming", "bus_timing"]
+
+_BITS_PER_BYTE = 9  # eight and the acknowledge
+
+
+@dataclass(frozen=True)
+class BusTiming:
+    """Clock of a bus and the least times around START and STOP (NXP UM10204, tables 10 and 11).
+
+    Args:
+        clock_hz: bits per second [Hz].
+        start_hold_s: tHD;STA, from START to the first clock [s].
+        low_s: tLOW, clock low before the first bit [s].
+        restart_setup_s: tSU;STA, before a repeated START [s].
+        stop_setup_s: tSU;STO, before STOP [s].
+        free_s: tBUF, from STOP to the next START [s]; none in High-speed mode.
+    """
+
+    clock_hz: float
+    start_hold_s: float
+    low_s: float
+    restart_setup_s: float
+    stop_setup_s: float
+    free_s: float
+
+    def message_s(self, written, read, ten_bit) -> np.ndarray:
+        """Time from START until the bus is free again [s].
+
+        9 (data + address bytes) / clock + tHD;STA + tLOW + tSU;STO + tBUF. A message that
+        writes then reads repeats START and the address. A read of a ten-bit target does
+        so always: its address is first written, then its head sent again to read.
+
+        Args:
+            written: data bytes written, shape (f,) or one number.
+            read: data bytes read, likewise.
+            ten_bit: whether the address has the ten-bit form, likewise.
+        """
+        written, read, ten_bit = np.asarray(written), np.asarray(read), np.asarray(ten_bit)
+        turns = (read > 0) & ((written > 0) | ten_bit)
+        address = np.where(ten_bit, 2, 1) + turns
+        ends = self.start_hold_s + self.low_s + self.stop_setup_s + self.free_s
+        restart = self.restart_setup_s + self.start_hold_s + self.low_s
+        return _BITS_PER_BYTE * (written + read + address) / self.clock_hz + ends + turns * restart
+
+    def unanswered_s(self, ten_bit) -> np.ndarray:
+        """Time lost on an address nobody acknowledges [s], shape as ten_bit."""
+        return self.message_s(0, 0, ten_bit)
+
+
+BUS_TIMINGS = {
+    "100k": BusTiming(100e3, 4.0e-6, 4.7e-6, 4.7e-6, 4.0e-6, 4.7e-6),
+    "400k": BusTiming(400e3, 0.6e-6, 1.3e-6, 0.6e-6, 0.6e-6, 1.3e-6),
+    "1M": BusTiming(1e6, 0.26e-6, 0.5e-6, 0.26e-6, 0.26e-6, 0.5e-6),
+    "1.7M": BusTiming(1.7e6, 160e-9, 320e-9, 160e-9, 160e-9, 0.0),
+    "3.4M": BusTiming(3.4e6, 160e-9, 160e-9, 160e-9, 160e-9, 0.0),
+}
+
+
+def bus_timing(mode: str) -> BusTiming:
+    """Return the timing of a mode: 100k, 400k, 1M, 1.7M or 3.4M.
+
+    Raises:
+        TopologyError: no such mode.
+    """
+    if mode not in BUS_TIMINGS:
+        raise TopologyError(f"no bus mode {mode!r}; there are {', '.join(BUS_TIMINGS)}")
+    return BUS_TIMINGS[mode]

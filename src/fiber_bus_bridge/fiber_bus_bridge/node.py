@@ -1,0 +1,292 @@
+"""The bus bridge as a node: segments in, bytes on the buses, outcomes out."""
+
+import threading
+
+import numpy as np
+from fiber_core.clearance import Safety
+from fiber_core.errors import FiberError
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.wire_units import WireUnits
+from fiber_msgs_py import (
+    FrameLog,
+    Level,
+    MessageError,
+    PlanStamp,
+    Reporter,
+    Status,
+    declare_settings,
+    frames,
+    held,
+    joint_states,
+    layout,
+    outcome,
+    run,
+    segments,
+    targets,
+    topics,
+)
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+
+from fiber_bus_bridge.session import Session, SessionConfig, SessionState
+from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
+
+__all__ = ["BridgeNode", "main"]
+
+_TICK_S = 0.1  # simulated time between two looks at moving robots
+
+
+class BridgeNode(Node):
+    """Carries plans to simulated positioners and says what became of every robot.
+
+    Simulated time goes on only while robots move, `time_scale` seconds a second.
+
+    Args:
+        options: keyword arguments of rclpy.node.Node.
+    """
+
+    def __init__(self, **options):
+        super().__init__("bridge", **options)
+        simulation = declare_settings(self, SimulationConfig)
+        safety = declare_settings(self, Safety, "safety")
+        scale = self.declare_parameter("time_scale", 1.0).value
+        if not scale >= 0:
+            raise MessageError("parameters", "is negative", field="time_scale", value=scale)
+        plane, start = simulated_plane(simulation)
+        self._plane, self._units = plane, WireUnits.for_plane(plane)
+        buses = simulated_buses(plane, self._units, start, simulation)
+        config = declare_settings(self, SessionConfig, "session")
+        self._session = Session(plane, self._units, safety, buses, start, config)
+        self._lock, self._halt = threading.Lock(), threading.Event()
+        self._time_s = 0.0
+        self._stamp: PlanStamp | None = None
+        self._asked: dict[PlanStamp, np.ndarray] = {}
+        self._reasons: dict[PlanStamp, np.ndarray] = {}
+
+        self._report = Reporter(self, "bridge", self._bus_statuses)
+        self._layout = topics.LAYOUT.publisher(self)
+        self._joint_states = topics.JOINT_STATES.publisher(self)
+        self._frames = topics.FRAMES.publisher(self)
+        self._outcome = topics.OUTCOME.publisher(self)
+        topics.TARGETS.subscription(self, self._on_targets)
+        topics.HELD_BY_PLANNER.subscription(self, self._on_held)
+        topics.HELD_BY_DISCRETIZER.subscription(self, self._on_held)
+        topics.SEGMENTS.subscription(self, self._on_segments)
+        for service, call in (
+            (topics.START, self._start),
+            (topics.HOME, self._home),
+            (topics.CLEAR, self._clear),
+            (topics.CONFIGURE, self._configure),
+        ):
+            service.server(self, self._served(call))
+        # stop is served while another call is at work
+        alone = MutuallyExclusiveCallbackGroup()
+        topics.STOP.server(self, self._on_stop, callback_group=alone)
+        self._timer = self.create_timer(_TICK_S / scale if scale else 1e-3, self._tick)
+        self._timer.cancel()
+        self._configure()
+        self._publish_state()
+        self.get_logger().info(f"{plane.n} robots on {len(self._session.link.buses)} buses")
+
+    # --- plans ---------------------------------------------------------------
+
+    def _on_targets(self, message):
+        try:
+            stamp, (ids, xy_mm) = PlanStamp.of(message), targets.decode(message)
+        except FiberError:
+            return  # the planner says so
+        rows = self._plane.index_of(ids)
+        asked = np.full((self._plane.n, 2), np.nan)
+        asked[rows[rows >= 0]] = xy_mm[rows >= 0]
+        _remember(self._asked, stamp, asked)
+
+    def _on_held(self, message):
+        try:
+            stamp, (ids, reason, _) = PlanStamp.of(message), held.decode(message)
+            rows = self._rows(ids, "held")
+        except FiberError as error:
+            self._report.refuse(f"held refused: {error}")
+            return
+        known = self._reasons.get(stamp, np.full(self._plane.n, Reason.OK))
+        fresh = rows[known[rows] == Reason.OK]
+        known[fresh] = reason[np.isin(rows, fresh)]
+        _remember(self._reasons, stamp, known)
+
+    def _on_segments(self, message):
+        try:
+            stamp, table = PlanStamp.of(message), segments.decode(message)
+            if self._stamp is not None and stamp <= self._stamp:
+                self._report.drop(f"segments {stamp} dropped: plan {self._stamp} is not older")
+                return
+            rows = self._rows(table.ids, "segments")
+            counts = np.zeros((self._plane.n, 2), dtype=np.int64)
+            counts[rows] = np.diff(table.offsets).reshape(-1, 2)
+            offsets = np.concatenate([[0], np.cumsum(counts)])
+            with self._lock:
+                whole = segments.SegmentTable(
+                    self._plane.ids, offsets, table.ticks, table.velocity
+                )
+                motion = whole.motion(self._units, self._session.counts)
+                replaced = self._session.submit(motion, self._asked.get(stamp))
+                if replaced is not None:
+                    self._publish_outcome(replaced)
+                self._stamp = stamp
+        except FiberError as error:
+            self._report.refuse(f"segments refused: {error}")
+            return
+        self._report.done(stamp, f"ready: orders for {(counts.any(axis=1)).sum()} robots")
+
+    def _rows(self, ids, name):
+        rows = self._plane.index_of(ids)
+        if (rows < 0).any():
+            raise MessageError(name, "is not of this plane", robot=int(ids[rows < 0][0]))
+        return rows
+
+    # --- services ------------------------------------------------------------
+
+    def _served(self, call):
+        """A Trigger service: the core's refusal is the answer, and the node lives on."""
+
+        def serve(_, response):
+            try:
+                with self._lock:
+                    response.message = call()
+                response.success = True
+            except FiberError as error:
+                response.success, response.message = False, str(error)
+                self._report.refuse(str(error))
+            return response
+
+        return serve
+
+    def _start(self):
+        self._session.start(self._time_s, self._may_go)
+        return self._under_way()
+
+    def _home(self):
+        self._session.home(self._time_s, self._may_go)
+        self._stamp = PlanStamp(self.get_clock().now().nanoseconds)
+        return self._under_way()
+
+    def _may_go(self):
+        return not self._halt.is_set()
+
+    def _under_way(self):
+        started = int(self._session.upload.started.sum())
+        self._after()
+        if self._session.state is SessionState.MOVING:
+            self._timer.reset()
+        return f"plan {self._stamp}: {started} robots started"
+
+    def _on_stop(self, request, response):
+        self._halt.set()  # a start that is not through its checks yet will not go
+        try:
+            return self._served(self._stop)(request, response)
+        finally:
+            self._halt.clear()
+
+    def _stop(self):
+        self._session.stop(self._time_s)
+        self._after()
+        return f"stopped: {SessionState.STOPPED.value}"
+
+    def _clear(self):
+        self._session.clear(self._time_s)
+        self._after()
+        return self._session.state.value
+
+    def _configure(self):
+        self._session.configure(self._time_s)
+        stamp = PlanStamp(self.get_clock().now().nanoseconds)
+        self._layout.publish(layout.encode(self._plane, self._units, stamp))
+        self._after()
+        return f"{self._session.known.sum()} of {self._plane.n} robots configured"
+
+    # --- what the robots do --------------------------------------------------
+
+    def _tick(self):
+        with self._lock:
+            if self._session.state is SessionState.MOVING:
+                self._session.advance(self._time_s + _TICK_S)
+                self._after()
+
+    def _after(self):
+        """Tell everybody what a call has changed."""
+        self._time_s = max(self._time_s, self._session.link.now_s)
+        self._publish_frames()
+        self._publish_state()
+        if self._session.state is SessionState.MOVING:
+            motion = self._session.upload
+            lasts = max(motion.motion.decoded().makespan_s, _TICK_S)
+            gone = np.clip((self._time_s - motion.go_s) / lasts, 0.0, 1.0)
+            self._report.progress(self._stamp, gone, "robots are moving")
+            return
+        self._timer.cancel()
+        if self._session.result is not None and self._stamp is not None:
+            self._publish_outcome(self._session.take_result())
+
+    def _publish_outcome(self, result):
+        given = self._reasons.get(self._stamp)
+        if given is not None:
+            result = result.explained_by(given)
+        self._outcome.publish(
+            outcome.encode(
+                self._plane.ids, result.outcome, result.reason, result.error_mm, self._stamp
+            )
+        )
+        counts = np.bincount(result.outcome, minlength=len(Outcome))
+        said = ", ".join(f"{counts[o]} {o.name.lower()}" for o in Outcome)
+        self._report.counters |= {"plan": self._stamp, "outcome": said}
+        self._report.done(self._stamp, said)
+
+    def _publish_state(self):
+        speeds = self._session.velocities
+        stamp_ns = self.get_clock().now().nanoseconds
+        self._joint_states.publish(
+            joint_states.encode(self._plane.ids, self._session.angles, speeds, stamp_ns)
+        )
+
+    def _publish_frames(self):
+        traffic = self._session.link.take_traffic()
+        if self._stamp is None or self._frames.get_subscription_count() == 0:
+            return
+        for exchange in traffic:
+            self._frames.publish(frames.encode(_frame_log(exchange), self._stamp))
+
+    def _bus_statuses(self):
+        for bus, figures in self._session.link.counters.table().items():
+            bad = figures["no_address"] + figures["refused"] + figures["bad_replies"]
+            level, text = (Level.WARN, f"{bad} frames failed") if bad else (Level.OK, "good")
+            yield Status(f"bridge: bus {bus}", level, text, figures, f"i2c-{bus}")
+
+
+def _remember(table, stamp, value, keep=8):
+    table[stamp] = value
+    for old in sorted(table)[:-keep]:
+        del table[old]
+
+
+def _frame_log(exchange):
+    """One row for what was written to a robot and one for what was read from it."""
+    sent, replies = exchange.frames, exchange.replies
+    lengths = np.stack([sent.lengths, np.diff(replies.offsets)], axis=1)
+    both = np.concatenate([sent.data, replies.data])
+    begins = np.stack([sent.offsets[:-1], len(sent.data) + replies.offsets[:-1]], axis=1)
+    row, read = np.nonzero(lengths)
+    offsets = np.concatenate([[0], np.cumsum(lengths[row, read])])
+    place = np.repeat(begins[row, read] - offsets[:-1], lengths[row, read]) + np.arange(offsets[-1])
+    return FrameLog(
+        replies.start_s[row],
+        sent.to.bus[row],
+        sent.to.address[row],
+        sent.to.ten_bit[row],
+        read.astype(bool),
+        replies.ack[row],
+        offsets,
+        both[place],
+    )
+
+
+def main(args=None) -> int:
+    """Run the bridge until it is interrupted."""
+    return run(BridgeNode, args)

@@ -1,0 +1,326 @@
+"""A controller's session with a focal plane: configure, take orders, start, watch, stop."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from fiber_bus_bridge.bus import BusBackend, addresses_of
+from fiber_bus_bridge.errors import SessionError
+from fiber_bus_bridge.fold import fold_motion
+from fiber_bus_bridge.link import Link
+from fiber_bus_bridge.results import Plan, PlanResult, judge
+from fiber_bus_bridge.upload import Upload, Uploader
+from fiber_bus_bridge.wire import (
+    Configuration,
+    Opcode,
+    RobotState,
+    encode_command,
+    encode_config,
+    general_call,
+)
+from fiber_core.clearance import Safety, neighbour_pairs
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.wire_units import WireMotion, WireUnits
+
+__all__ = ["Session", "SessionConfig", "SessionState"]
+
+
+_AT_REST = (RobotState.UNCONFIGURED, RobotState.STOPPED, RobotState.FAULT)
+_RUNNING = (RobotState.MOVING, RobotState.DONE)
+
+
+class SessionState(Enum):
+    """What a session may be asked next; the value is the advice given with a refusal."""
+
+    UNCONFIGURED = "configure first"
+    IDLE = "send orders, or home"
+    READY = "start, or clear to drop the orders"
+    MOVING = "wait for the end, or stop"
+    STOPPED = "clear first"
+
+
+@dataclass(frozen=True)
+class SessionConfig:
+    """Settings of a session and their defaults.
+
+    Args:
+        tolerance_mm: distance from its target within which a tip has reached it [mm].
+        start_tolerance_rad: how far orders may begin from where encoders are [rad].
+        watchdog_ms: how long an order may wait on a robot for its GO [ms].
+        grace_s: how long after the last robot should have arrived the plan is ended [s].
+    """
+
+    tolerance_mm: float = 0.1
+    start_tolerance_rad: float = 1e-4
+    watchdog_ms: int = 10_000
+    grace_s: float = 1.0
+
+
+class Session:
+    """Everything a bridge does, without a clock: each call is told the simulated time.
+
+    Calls that use the bus return when the bus is free again [s]; a later call at an
+    earlier time waits for that. Each robot of each plan gets exactly one outcome, in
+    `result` from the moment the plan ends until the next one begins.
+
+    Args:
+        plane: the focal plane.
+        units: tick, quantum and widths of the wire format.
+        safety: clearance asked of everything that is started.
+        backend: the buses.
+        believed: where robots that never answered are held to be [rad], shape (n, 2).
+        config: settings.
+
+    Raises:
+        TopologyError: the plane's addresses are impossible.
+        SessionError: `believed` does not fit the plane.
+    """
+
+    def __init__(
+        self,
+        plane: FocalPlane,
+        units: WireUnits,
+        safety: Safety,
+        backend: BusBackend,
+        believed,
+        config: SessionConfig | None = None,
+    ):
+        believed = np.asarray(believed, dtype=float)
+        if believed.shape != (plane.n, 2) or not np.isfinite(believed).all():
+            raise SessionError(f"believed angles {believed.shape} do not fit {plane.n} robots")
+        self.plane, self.units, self.config = plane, units, config or SessionConfig()
+        self.link = Link(backend, addresses_of(plane))
+        self.state = SessionState.UNCONFIGURED
+        self.counts = units.to_counts(believed)
+        self.known = np.zeros(plane.n, dtype=bool)
+        self.robot_state = np.zeros(plane.n, dtype=np.int64)
+        self.robot_fault = np.zeros(plane.n, dtype=np.int64)
+        self.alerts = np.zeros(plane.n, dtype=np.int64)
+        self.result: PlanResult | None = None
+        self.upload: Upload | None = None
+        self._boot = np.full(plane.n, -1)
+        self._lost = np.zeros(plane.n, dtype=bool)  # last heard, or started, while it moved
+        self._arrived = np.zeros(plane.n, dtype=bool)
+        self._failed = np.zeros(plane.n, dtype=bool)
+        self._velocities = np.zeros((plane.n, 2))
+        self._read_s = np.full(plane.n, -np.inf)
+        self._plan: Plan | None = None
+        self._uploader = Uploader(plane, units, safety, self.link, neighbour_pairs(plane))
+        # inside the limits, so that what a robot accepts is inside them too
+        low, high = np.moveaxis(plane.limits / units.quantum_rad, -1, 0)
+        self._limits = np.stack([np.ceil(low), np.floor(high)], axis=-1).astype(np.int64)
+        speed = np.floor(plane.speeds / units.velocity_rad_s).astype(np.int64)
+        self._speed = np.minimum(speed, units.max_velocity)
+
+    @property
+    def angles(self) -> np.ndarray:
+        """Joint angles by the robots' own encoders, last read or believed [rad], shape (n, 2)."""
+        return self.units.to_angles(self.counts)
+
+    @property
+    def velocities(self) -> np.ndarray:
+        """Mean joint speeds between the last two encoder readings [rad/s], shape (n, 2)."""
+        if self.state is not SessionState.MOVING:
+            return np.zeros(self.counts.shape)
+        return self._velocities
+
+    def take_result(self) -> PlanResult | None:
+        """Return the result of the plan that has ended since the last call, if there is one."""
+        taken, self.result = self.result, None
+        return taken
+
+    def configure(self, t: float) -> float:
+        """Find out who is there, check identities, and send units, limits and speeds.
+
+        Robots that do not answer, or answer with another serial number, stay unknown and
+        are obstacles where they are believed to be; a later call tries them again.
+
+        Raises:
+            SessionError: robots are moving, or stopped and not cleared, or orders wait.
+        """
+        self._require("configure", SessionState.UNCONFIGURED, SessionState.IDLE)
+        everybody = np.arange(self.plane.n)
+        identity = self.link.identities(everybody, t)
+        rows = np.flatnonzero(identity.ok & (identity.serial == self.plane.ids))
+        config = Configuration(
+            self.units, self._limits[rows], self._speed[rows], self.config.watchdog_ms
+        )
+        self.link.send(rows, encode_config(config, self.link.addresses[rows]), t)
+        status = self._sweep(rows, t)
+        configured = status.ok & (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)
+        self.known = np.isin(everybody, rows[configured])
+        self._boot[rows] = status.boot
+        halted = np.isin(self.robot_state, (RobotState.STOPPED, RobotState.FAULT)) & self.known
+        self.state = SessionState.STOPPED if halted.any() else SessionState.IDLE
+        return self.link.now_s
+
+    def submit(self, motion: WireMotion, targets=None) -> PlanResult | None:
+        """Take the orders of the next plan; nothing goes to the robots yet.
+
+        Args:
+            motion: orders of every robot, from where its encoders are.
+            targets: where each fibre should go [mm], shape (n, 2), nan = nothing asked; by
+                default the end of the motion, for those that move.
+
+        Returns:
+            The result of the plan that waited and is replaced, if there was one.
+
+        Raises:
+            SessionError: in this state orders are not taken, or they do not fit the plane,
+                the units, or where a robot stands; names the robot.
+        """
+        self._require("submit", SessionState.IDLE, SessionState.READY)
+        if motion.units != self.units:
+            raise SessionError(f"orders in {motion.units}, robots configured for {self.units}")
+        if motion.start.shape != self.counts.shape:
+            raise SessionError(f"orders for {len(motion.start)} robots, not {self.plane.n}")
+        plan = Plan.of(self.plane, motion, self.counts, targets)
+        off = np.abs(motion.start - self.counts).max(axis=1, initial=0) * self.units.quantum_rad
+        wrong = plan.moves & self.known & (off > self.config.start_tolerance_rad)
+        if wrong.any():
+            at = int(np.argmax(wrong))
+            raise SessionError(
+                f"robot {self.plane.ids[at]}: orders begin at {motion.start[at].tolist()} quanta, "
+                f"its encoders are at {self.counts[at].tolist()}"
+            )
+        replaced = self._end() if self._plan else None
+        self._plan, self.upload, self.result = plan, None, None
+        self._arrived[:] = self._failed[:] = False
+        self.state = SessionState.READY
+        return replaced
+
+    def start(self, t: float, may_go: Callable[[], bool] = lambda: True) -> float:
+        """Load, verify, certify and, if nobody objects by then, go.
+
+        Robots that cannot be verified or certified stay where they are and say why. When
+        nobody is started the plan ends at once.
+
+        Raises:
+            SessionError: there are no orders to start, or the robots are moving or stopped.
+        """
+        self._require("start", SessionState.READY)
+        plan = self._plan
+        wanted = plan.moves & self.plane.enabled & ~plan.crowded & self.known
+        self.upload = self._uploader.run(plan.motion, wanted, self._boot, self._lost, t, may_go)
+        self._lost |= self.upload.started
+        self.state = SessionState.MOVING
+        self._sweep(np.flatnonzero(self.upload.started), self.link.now_s, whole=False)
+        return self._watch()
+
+    def advance(self, t: float) -> float:
+        """Read the robots that move; end the plan when all have arrived or time is up.
+
+        A robot that was started and reports neither motion nor arrival stops everybody.
+        In other states nothing is done.
+        """
+        if self.state is not SessionState.MOVING:
+            return self.link.now_s
+        rows = np.flatnonzero(self.upload.started & ~self._arrived)
+        self._sweep(rows, t)
+        self._arrived[rows] = self.robot_state[rows] == RobotState.DONE
+        return self._watch()
+
+    def stop(self, t: float) -> float:
+        """Stop every robot, from any state: a general call, then one by one who has not."""
+        calls = encode_command(Opcode.STOP, general_call(self.link.buses))
+        self.link.call(calls, t)
+        rows = np.flatnonzero(self.known) if self.known.any() else np.arange(self.plane.n)
+        self._sweep(rows, t)
+        deaf = rows[~np.isin(self.robot_state[rows], _AT_REST)]
+        self.link.command(Opcode.STOP, deaf, t)
+        self._sweep(deaf, t)
+        if self._plan:
+            self._end()
+        self.state = SessionState.STOPPED
+        return self.link.now_s
+
+    def clear(self, t: float) -> float:
+        """Forget orders, faults and a stop; robots stay where they are.
+
+        Raises:
+            SessionError: robots are moving, or nobody is configured.
+        """
+        self._require("clear", SessionState.IDLE, SessionState.READY, SessionState.STOPPED)
+        if self._plan:
+            self._end()
+        rows = np.flatnonzero(self.known) if self.known.any() else np.arange(self.plane.n)
+        self.link.command(Opcode.CLEAR, rows, t)
+        self._sweep(rows, t)
+        self.state = SessionState.IDLE if self.known.any() else SessionState.UNCONFIGURED
+        return self.link.now_s
+
+    def home(self, t: float, may_go: Callable[[], bool] = lambda: True) -> float:
+        """Fold every robot that safely can: phi to its upper limit, theta still.
+
+        Goes the way of all orders. Robots held the first time may fold the next.
+
+        Raises:
+            SessionError: in this state the robots cannot be moved.
+        """
+        self._require("home", SessionState.IDLE)
+        chosen = self.plane.enabled & self.known
+        motion = fold_motion(
+            self.units, self.counts, self._limits[:, 1, 1], self._speed[:, 1], chosen
+        )
+        self.submit(motion)
+        return self.start(t, may_go)
+
+    def _require(self, call, *states):
+        if self.state not in states:
+            raise SessionError(f"cannot {call} while {self.state.name}: {self.state.value}")
+
+    def _sweep(self, rows, t, whole=True):
+        """Read robots; a silent one has state 0 and keeps its last position."""
+        status = self.link.statuses(rows, t, whole)
+        self.robot_state[rows] = status.state
+        if whole:
+            good = rows[status.ok]
+            passed = (self.link.now_s - self._read_s[good])[:, None]
+            way = (status.position[status.ok] - self.counts[good]) * self.units.quantum_rad
+            self._velocities[good] = way / passed
+            self._read_s[good] = self.link.now_s
+            self.counts[good] = status.position[status.ok]
+            self.robot_fault[good] = status.fault[status.ok]
+            self.alerts[good] = status.alerts[status.ok]
+            self._lost[good] = status.state[status.ok] == RobotState.MOVING
+        return status
+
+    def _watch(self):
+        """End the plan when all have arrived or time is up, stop all when one did not start."""
+        now = self.link.now_s
+        running = self.upload.started & ~self._arrived
+        silent = running & (self.robot_state == 0)
+        stays = running & ~silent & ~np.isin(self.robot_state, _RUNNING)
+        motion, safety = self.upload.motion.decoded(), self._uploader.safety
+        late = safety.clock_ppm * 1e-6 * motion.makespan_s + safety.start_skew_s
+        if now > self.upload.go_s + motion.makespan_s + late + self.config.grace_s:
+            self._failed |= running
+            if (running & ~silent).any():
+                return self.stop(now)
+            self._end()
+        elif stays.any():
+            self._failed |= stays
+            return self.stop(now)
+        elif not running.any():
+            self._end()
+        return now
+
+    def _end(self):
+        """Judge the plan and forget it; silent robots of a plan cut short have failed."""
+        if self.upload:
+            self._failed |= self.upload.started & ~self._arrived & (self.robot_state == 0)
+        self.result = judge(
+            self.plane,
+            self._plan,
+            self.upload,
+            self.counts,
+            self.known,
+            self._arrived,
+            self._failed,
+            self.config.tolerance_mm,
+        )
+        self._plan = None
+        self.state = SessionState.IDLE
+        return self.result

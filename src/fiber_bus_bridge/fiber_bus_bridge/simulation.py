@@ -1,0 +1,86 @@
+"""A simulated focal plane to put a session on: robots, their clocks, their buses."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiber_bus_bridge.bus import SimulatedBuses, addresses_of, bus_timing
+from fiber_bus_bridge.errors import BridgeError
+from fiber_bus_bridge.firmware import Positioners
+from fiber_core.fields import random_problem
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.presets import preset
+from fiber_core.problem import load_problem
+from fiber_core.tables import read_layout
+from fiber_core.wire_units import WireUnits
+
+__all__ = ["SimulationConfig", "simulated_buses", "simulated_plane"]
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """Which plane is simulated, and how well its hardware keeps time.
+
+    Args:
+        problem: problem.npz to take plane and starts from; stands before the others.
+        layout: table of robots (CSV, ECSV, FITS); the preset fills what it lacks.
+        preset: name of an instrument; empty with a layout to guess from its name.
+        robots: how many robots of the preset, 0 for its own number.
+        seed: of random starts and of the clocks' errors.
+        clock: bus clock, as 100k, 400k, 1M, 1.7M or 3.4M.
+        clock_ppm: robots' clocks are off by up to this much, either way [1e-6].
+        start_skew_s: robots start up to this late after a GO [s].
+    """
+
+    problem: str = ""
+    layout: str = ""
+    preset: str = "desi"
+    robots: int = 0
+    seed: int = 0
+    clock: str = "1M"
+    clock_ppm: float = 20.0
+    start_skew_s: float = 20e-6
+
+    def __post_init__(self):
+        for name in ("robots", "seed", "clock_ppm", "start_skew_s"):
+            if getattr(self, name) < 0:
+                raise BridgeError(f"{name} is {getattr(self, name)}, expected zero or more")
+
+
+def simulated_plane(config: SimulationConfig) -> tuple[FocalPlane, np.ndarray]:
+    """Return the plane asked for and where its robots stand [rad], shape (n, 2).
+
+    Raises:
+        FiberError: no such preset or file, or a table that is no layout.
+    """
+    if config.problem:
+        problem = load_problem(config.problem)
+        return problem.plane, problem.start
+    if config.layout:
+        plane = read_layout(config.layout, config.preset or None)
+    else:
+        plane = preset(config.preset, config.robots or None)
+    return plane, random_problem(plane, np.random.default_rng(config.seed)).start
+
+
+def simulated_buses(
+    plane: FocalPlane, units: WireUnits, start, config: SimulationConfig
+) -> SimulatedBuses:
+    """Return buses with a simulated positioner for every robot of a plane.
+
+    Args:
+        plane: the focal plane.
+        units: what one count of their encoders is.
+        start: where they stand [rad], shape (n, 2).
+        config: bus clock and errors of the robots' clocks.
+    """
+    rng = np.random.default_rng(config.seed)
+    positioners = Positioners(
+        addresses_of(plane),
+        plane.ids,
+        units.quantum_prad,
+        units.to_counts(start),
+        clock_ppm=rng.uniform(-config.clock_ppm, config.clock_ppm, plane.n),
+        start_skew_s=rng.uniform(0.0, config.start_skew_s, plane.n),
+    )
+    return SimulatedBuses(positioners, bus_timing(config.clock))

@@ -1,0 +1,221 @@
+"""Bring orders onto robots so that nothing can move but what was loaded, verified and certified."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiber_bus_bridge.bus import Ack
+from fiber_bus_bridge.link import Link
+from fiber_bus_bridge.wire import (
+    Opcode,
+    RobotState,
+    decode_load,
+    encode_command,
+    encode_load,
+    general_call,
+)
+from fiber_core.clearance import Certificate, Safety, hold_until_safe
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.outcomes import Reason
+from fiber_core.wire_units import WireMotion, WireUnits
+
+__all__ = ["Upload", "Uploader"]
+
+_ROUNDS = 4  # fresh sequence numbers tried on a bus before nothing is started
+
+
+@dataclass(frozen=True, eq=False)
+class Upload:
+    """What an upload came to.
+
+    Args:
+        started: robots that were told to go, shape (n,).
+        reason: why the others that had orders were not, Reason, shape (n,).
+        sequence: sequence number of each robot's order, shape (n,).
+        motion: the motion decoded from the bytes of those that were started, and certified.
+        certificate: its certificate.
+        go_s: when the GO was complete on the last bus [s].
+    """
+
+    started: np.ndarray
+    reason: np.ndarray
+    sequence: np.ndarray
+    motion: WireMotion
+    certificate: Certificate
+    go_s: float
+
+
+class Uploader:
+    """LOAD, VERIFY, certify, GO.
+
+    GO reaches a whole bus and starts whatever is loaded there under its sequence number.
+    So a robot that may hold such an order though it must not move (it did not verify, or
+    it is unsafe and could not be given an empty order instead) takes its bus to a fresh
+    sequence number: the others are loaded again, and the GO means nothing to it.
+
+    Args:
+        plane: the focal plane.
+        units: tick, quantum and widths.
+        safety: clearance asked of what is started.
+        link: the wire.
+        pairs: rows of neighbours as from neighbour_pairs, shape (p, 2).
+    """
+
+    def __init__(
+        self, plane: FocalPlane, units: WireUnits, safety: Safety, link: Link, pairs: np.ndarray
+    ):
+        self.plane, self.units, self.safety, self.link, self.pairs = (
+            plane, units, safety, link, pairs
+        )  # fmt: skip
+        self._bus = np.searchsorted(link.buses, link.addresses.bus)
+        self._sequence = np.zeros(len(link.buses), dtype=np.int64)
+
+    def run(
+        self,
+        motion: WireMotion,
+        wanted,
+        boot,
+        lost,
+        t: float,
+        may_go: Callable[[], bool] = lambda: True,
+    ) -> Upload:
+        """Load, verify and certify orders, and start what is certified.
+
+        Args:
+            motion: orders of every robot, from where its encoders are.
+            wanted: robots that shall move, shape (n,).
+            boot: boot counters at configuration, shape (n,).
+            lost: robots whose position is not known: whoever could touch them rests, (n,).
+            t: not before this time [s].
+            may_go: asked when everything is certified; False drops all orders instead.
+        """
+        reason = np.zeros(self.plane.n, dtype=np.int64)
+        blocked = wanted & (self._beside(lost) | lost)
+        reason[blocked] = Reason.UNSAFE_AS_LOADED
+        wanted = wanted & ~blocked
+        motion = _only(motion, wanted)
+        verified = np.zeros_like(wanted)
+        stale = np.ones(len(self.link.buses), dtype=bool)  # buses that need a fresh sequence
+        for _ in range(_ROUNDS):
+            verified &= ~stale[self._bus]
+            self._sequence = np.where(stale, self._sequence % 15 + 1, self._sequence)
+            todo = np.flatnonzero(wanted & stale[self._bus])
+            # on the other buses these are, byte for byte, the frames already verified there
+            frames = self._encode(motion)
+            delivered = self._deliver(todo, frames[todo], boot, t)
+            verified[todo] = delivered.verified
+            reason[todo] = delivered.reason
+            wanted &= reason == Reason.OK
+            # what was never acknowledged was never received
+            never = delivered.reason == Reason.NOT_ACKNOWLEDGED
+            stale = self._buses_of(todo[delivered.suspect & ~never])
+            if stale.any():
+                continue
+            loaded = self._decode(motion, frames, verified)
+            certificate, held = self._certify(loaded)
+            held &= verified
+            reason[held] = Reason.UNSAFE_AS_LOADED
+            wanted, verified = wanted & ~held, verified & ~held
+            stale = self._buses_of(self._disarm(np.flatnonzero(held), boot, t))
+            if not stale.any():
+                if not may_go():
+                    return self._nothing(motion, frames, wanted, verified, reason, Reason.STOPPED)
+                loaded = self._decode(motion, frames, verified)
+                go_s = self._go(verified, t)
+                sequence = self._sequence[self._bus]
+                return Upload(verified, reason, sequence, loaded, certificate, go_s)
+        return self._nothing(motion, frames, wanted, verified, reason, Reason.NOT_VERIFIED)
+
+    def _nothing(self, motion, frames, wanted, verified, reason, why):
+        """Drop what was loaded: nobody is started."""
+        reason[wanted] = why
+        self.link.command(Opcode.CLEAR, np.flatnonzero(verified), self.link.now_s)
+        nobody = np.zeros_like(wanted)
+        loaded = self._decode(motion, frames, nobody)
+        certificate, _ = self._certify(loaded)
+        sequence = self._sequence[self._bus]
+        return Upload(nobody, reason, sequence, loaded, certificate, self.link.now_s)
+
+    def _beside(self, lost):
+        """Robots in a pair with a lost one, shape (n,)."""
+        pairs = self.pairs[(self.pairs < self.plane.n).all(axis=1)]
+        beside = np.zeros(self.plane.n, dtype=bool)
+        beside[pairs[lost[pairs[:, 1]], 0]] = True
+        beside[pairs[lost[pairs[:, 0]], 1]] = True
+        return beside
+
+    def _buses_of(self, rows):
+        return np.isin(np.arange(len(self.link.buses)), self._bus[rows])
+
+    def _encode(self, motion):
+        return encode_load(
+            self.units, self.link.addresses, self._sequence[self._bus],
+            motion.offsets, motion.ticks, motion.velocity,
+        )  # fmt: skip
+
+    def _decode(self, motion, frames, chosen):
+        """The motion in the bytes sent to the chosen robots; everybody else rests."""
+        orders = decode_load(self.units, frames)
+        whole = WireMotion(
+            self.units, motion.start, orders.offsets, orders.ticks, orders.velocity
+        )
+        return _only(whole, chosen)
+
+    def _deliver(self, rows, frames, boot, t):
+        """LOAD and VERIFY."""
+        ack = self.link.send(rows, frames, t)
+        verified, suspect = np.zeros(len(rows), dtype=bool), np.ones(len(rows), dtype=bool)
+        asked = np.flatnonzero(ack != Ack.NO_ADDRESS)
+        status = self.link.statuses(rows[asked], t, whole=False)
+        sent = decode_load(self.units, frames[asked])
+        loaded = (status.state == RobotState.LOADED) & (status.sequence == sent.sequence)
+        verified[asked] = (
+            status.ok & loaded & (status.order_crc == sent.crc) & (status.boot == boot[rows[asked]])
+        )
+        suspect[asked] = ~verified[asked] & (~status.ok | loaded)
+        unverified = np.where(ack == Ack.REFUSED, Reason.REFUSED, Reason.NOT_VERIFIED)
+        unverified[ack == Ack.NO_ADDRESS] = Reason.NOT_ACKNOWLEDGED
+        return _Delivery(verified, suspect, np.where(verified, Reason.OK, unverified))
+
+    def _certify(self, loaded):
+        """The certificate of what remains when unsafe robots are held, and who they are."""
+        motion, held, certificate = hold_until_safe(
+            self.plane, loaded.decoded(), self.safety, self.pairs
+        )
+        # two robots at rest may stand too close; whoever moves may not be one of them
+        wrong = certificate.unsafe_robots | certificate.limits_broken | certificate.moved_disabled
+        if (wrong & (motion.counts > 0).any(axis=1)).any():
+            held = np.ones(self.plane.n, dtype=bool)
+        return certificate, held
+
+    def _disarm(self, rows, boot, t):
+        """Overwrite orders with empty ones; return the robots that may still hold theirs."""
+        nothing = encode_load(
+            self.units, self.link.addresses[rows], self._sequence[self._bus[rows]],
+            np.zeros(2 * len(rows) + 1), [], [],
+        )  # fmt: skip
+        return rows[self._deliver(rows, nothing, boot, t).suspect]
+
+    def _go(self, verified, t):
+        buses = np.flatnonzero(self._buses_of(np.flatnonzero(verified)))
+        if len(buses) == 0:
+            return max(t, self.link.now_s)
+        calls = general_call(self.link.buses[buses])
+        go = encode_command(Opcode.GO, calls, self._sequence[buses])
+        return float(self.link.call(go, t).end_s.max())
+
+
+@dataclass(frozen=True, eq=False)
+class _Delivery:
+    verified: np.ndarray
+    suspect: np.ndarray  # may hold an order under this sequence number that is not the one sent
+    reason: np.ndarray
+
+
+def _only(motion, chosen):
+    """The same orders for the chosen robots, none for the others."""
+    counts = np.diff(motion.offsets) * np.repeat(chosen, 2)
+    keep = np.repeat(np.repeat(chosen, 2), np.diff(motion.offsets))
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    return WireMotion(motion.units, motion.start, offsets, motion.ticks[keep], motion.velocity[keep])

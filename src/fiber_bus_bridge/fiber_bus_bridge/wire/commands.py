@@ -1,0 +1,194 @@
+"""Commands and configuration as bytes: everything sent that is not a placement order."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from fiber_bus_bridge.errors import WireError
+from fiber_bus_bridge.wire.codes import CALL_PREFIX, VERSION, Fault, Opcode
+from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc, frame_pec
+from fiber_core.wire_units import WireUnits
+
+__all__ = [
+    "CONFIG_BYTES",
+    "CONFIG_FIELDS",
+    "Configuration",
+    "command_fault",
+    "decode_command",
+    "decode_config",
+    "encode_command",
+    "encode_config",
+]
+
+_GO, _CONFIG = int(Opcode.GO), int(Opcode.CONFIG)
+_SHORT = tuple(int(o) for o in (Opcode.STOP, Opcode.CLEAR, Opcode.RESET, Opcode.IDENTIFY))
+_NONE = int(Fault.NONE)
+_BAD_LENGTH = int(Fault.BAD_LENGTH)
+_BAD_OPCODE = int(Fault.BAD_OPCODE)
+_BAD_CRC = int(Fault.BAD_CRC)
+
+CONFIG_FIELDS = np.dtype(
+    [
+        ("opcode_version", "u1"),
+        ("velocity_bits", "u1"),
+        ("duration_bits", "u1"),
+        ("tick_us", ">u4"),
+        ("quantum_prad", ">u4"),
+        ("limits", ">i4", (2, 2)),  # joint (theta, phi), (low, high)
+        ("speed", ">u2", (2,)),
+        ("watchdog_ms", ">u2"),
+        ("crc", ">u2"),
+    ]
+)
+CONFIG_BYTES = CONFIG_FIELDS.itemsize
+
+
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """What robots must know before they take orders.
+
+    Args:
+        units: tick, quantum and widths of the segment fields.
+        limits: joint ranges [quanta], shape (f, 2, 2): robot, joint, (low, high).
+        speed: highest joint speeds [velocity units], shape (f, 2).
+        watchdog_ms: how long an order may wait for its GO [ms], 0 for ever.
+    """
+
+    units: WireUnits
+    limits: np.ndarray
+    speed: np.ndarray
+    watchdog_ms: int
+
+
+def encode_command(opcode: Opcode, to: Addresses, sequence=0) -> Frames:
+    """Write the same short command to each target: GO, STOP, CLEAR, RESET or IDENTIFY.
+
+    GO makes robots move and ends with a CRC-16, the others with a packet error code.
+    To address 0, the general call, the frame begins with CALL_PREFIX.
+
+    Args:
+        opcode: the command.
+        to: the robots or general calls addressed, f rows.
+        sequence: order to start [0..15], one number or shape (f,); GO only.
+
+    Raises:
+        WireError: not a short command, or a sequence number out of range.
+    """
+    if opcode != Opcode.GO and opcode not in _SHORT:
+        raise WireError(f"{opcode} is not a short command")
+    sequence = np.broadcast_to(np.asarray(sequence, dtype=np.int64), (len(to),))
+    if np.any((sequence < 0) | (sequence > (15 if opcode == Opcode.GO else 0))):
+        raise WireError(f"{Opcode(opcode).name} cannot carry sequence {sequence.tolist()}")
+    called = (to.address == 0) & ~to.ten_bit
+    check = 2 if opcode == Opcode.GO else 1
+    offsets = np.concatenate([[0], np.cumsum(1 + check + called)])
+    data = np.empty(offsets[-1], dtype=np.uint8)
+    data[offsets[:-1][called]] = CALL_PREFIX
+    data[offsets[:-1] + called] = (int(opcode) << 4) | sequence
+    _seal(to.address, to.ten_bit, offsets, data, check)
+    return Frames(to, offsets, data)
+
+
+def encode_config(config: Configuration, to: Addresses) -> Frames:
+    """Write one CONFIG frame per target, f rows.
+
+    Raises:
+        WireError: a value does not fit its field; names field and value.
+    """
+    table = np.zeros(len(to), dtype=CONFIG_FIELDS)
+    units = config.units
+    values = {
+        "opcode_version": (_CONFIG << 4) | VERSION,
+        "velocity_bits": units.velocity_bits,
+        "duration_bits": units.duration_bits,
+        "tick_us": units.tick_us,
+        "quantum_prad": units.quantum_prad,
+        "limits": config.limits,
+        "speed": config.speed,
+        "watchdog_ms": config.watchdog_ms,
+    }
+    for name, value in values.items():
+        value = np.asarray(value, dtype=np.int64)
+        room = np.iinfo(CONFIG_FIELDS[name].base)
+        wrong = (value < room.min) | (value > room.max)
+        if wrong.any():
+            at = value[wrong].flat[0]
+            raise WireError(f"{name} {at} is outside {room.min}..{room.max}")
+        table[name] = value
+    frames = Frames.equal_length(to, table.view(np.uint8).reshape(len(to), CONFIG_BYTES))
+    data = frames.data.copy()
+    _seal(to.address, to.ten_bit, frames.offsets, data, 2)
+    return Frames(to, frames.offsets, data)
+
+
+def decode_command(payload: bytes, address: int, ten_bit: bool) -> tuple[Opcode, int]:
+    """Return opcode and low four bits of a single frame that is not a LOAD.
+
+    Raises:
+        WireError: length, opcode or checksum is wrong; carries the Fault.
+    """
+    data = np.frombuffer(payload, dtype=np.uint8)
+    fault, head = command_fault(address, ten_bit, data, 0, len(data))
+    if fault != _NONE:
+        raise WireError(f"{payload.hex()} to {address}: {Fault(fault).name}", Fault(fault))
+    return Opcode(head >> 4), int(head & 15)
+
+
+def decode_config(payload: bytes, address: int, ten_bit: bool) -> Configuration:
+    """Return what a single CONFIG frame says, arrays with one row.
+
+    Raises:
+        WireError: the frame is malformed, another command, or another version.
+    """
+    opcode, version = decode_command(payload, address, ten_bit)
+    if opcode != Opcode.CONFIG:
+        raise WireError(f"{opcode.name} is not CONFIG", Fault.BAD_OPCODE)
+    if version != VERSION:
+        raise WireError(f"version {version}, expected {VERSION}", Fault.BAD_VERSION)
+    row = np.frombuffer(payload, dtype=CONFIG_FIELDS)
+    units = WireUnits(
+        *(int(row[n][0]) for n in ("tick_us", "quantum_prad", "velocity_bits", "duration_bits"))
+    )
+    limits, speed = row["limits"].astype(np.int64), row["speed"].astype(np.int64)
+    return Configuration(units, limits, speed, int(row["watchdog_ms"][0]))
+
+
+@njit(cache=True)
+def command_fault(address, ten_bit, data, first, last):
+    """Return what is wrong with a frame other than LOAD, and its opcode byte."""
+    at = first
+    if address == 0 and not ten_bit:
+        if last == first or data[first] != CALL_PREFIX:
+            return _BAD_OPCODE, 0
+        at += 1
+    if at == last:
+        return _BAD_LENGTH, 0
+    head = np.int64(data[at])
+    if head >> 4 in _SHORT:
+        if last - at != 2:
+            return _BAD_LENGTH, head
+        if frame_pec(address, ten_bit, data, first, last - 1) != data[last - 1]:
+            return _BAD_CRC, head
+        # the low bits of a short command mean nothing and must be zero
+        return (_NONE if head & 15 == 0 else _BAD_OPCODE), head
+    if head >> 4 != _GO and head >> 4 != _CONFIG:
+        return _BAD_OPCODE, head
+    if last - at != (3 if head >> 4 == _GO else CONFIG_BYTES):
+        return _BAD_LENGTH, head
+    crc = (np.int64(data[last - 2]) << 8) | np.int64(data[last - 1])
+    if frame_crc(address, ten_bit, data, first, last - 2) != crc:
+        return _BAD_CRC, head
+    return _NONE, head
+
+
+@njit(cache=True)
+def _seal(address, ten_bit, offsets, data, check):
+    for f in range(len(address)):
+        last = offsets[f + 1]
+        if check == 1:
+            data[last - 1] = frame_pec(address[f], ten_bit[f], data, offsets[f], last - 1)
+        else:
+            crc = frame_crc(address[f], ten_bit[f], data, offsets[f], last - 2)
+            data[last - 2] = crc >> 8
+            data[last - 1] = crc & 0xFF

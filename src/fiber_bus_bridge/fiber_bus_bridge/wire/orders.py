@@ -1,0 +1,233 @@
+"""Placement orders as bytes: what a robot shall do once it is told to go.
+
+A LOAD frame is ``opcode 4 bits | sequence 4 | theta segments 4 | phi segments 4``,
+the segments of theta, those of phi, and a CRC-16 over the address bytes and all
+that. A segment is a big-endian whole number of bytes that holds the signed velocity
+above the unsigned duration; with 14 + 10 bits it is three bytes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from fiber_bus_bridge.errors import WireError
+from fiber_bus_bridge.wire.codes import MAX_SEGMENTS, Fault, Opcode
+from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc
+from fiber_core.wire_units import WireUnits
+
+__all__ = ["Orders", "decode_load", "encode_load", "order_fault", "read_segment", "segment_counts"]
+
+_LOAD = int(Opcode.LOAD)
+_NONE = int(Fault.NONE)
+_BAD_LENGTH = int(Fault.BAD_LENGTH)
+_BAD_OPCODE = int(Fault.BAD_OPCODE)
+_BAD_CRC = int(Fault.BAD_CRC)
+_BAD_DURATION = int(Fault.BAD_DURATION)
+_BAD_VELOCITY = int(Fault.BAD_VELOCITY)
+_BAD_PADDING = int(Fault.BAD_PADDING)
+
+
+@dataclass(frozen=True, eq=False)
+class Orders:
+    """Placement orders decoded from bytes; a frame with a fault gives no segments.
+
+    Args:
+        fault: Fault of each frame, shape (f,).
+        sequence: sequence number of each order, shape (f,).
+        crc: checksum each frame ends with, shape (f,).
+        offsets: first segment of each profile, shape (2 f + 1,), as in WireMotion.
+        ticks: duration of each segment [ticks], shape (m,).
+        velocity: joint speed in each segment [velocity units], shape (m,).
+    """
+
+    fault: np.ndarray
+    sequence: np.ndarray
+    crc: np.ndarray
+    offsets: np.ndarray
+    ticks: np.ndarray
+    velocity: np.ndarray
+
+    @property
+    def ok(self) -> np.ndarray:
+        """Frames that are valid orders, shape (f,)."""
+        return self.fault == Fault.NONE
+
+
+def encode_load(
+    units: WireUnits, to: Addresses, sequence, offsets, ticks, velocity
+) -> Frames:
+    """Write placement orders as LOAD frames, one per target.
+
+    Args:
+        units: widths of the two fields of a segment.
+        to: the robots addressed, f rows.
+        sequence: sequence number of each order, 0..15, one number or shape (f,).
+        offsets: first segment of each profile, shape (2 f + 1,), as in WireMotion.
+        ticks: duration of each segment [ticks], shape (m,).
+        velocity: joint speed in each segment [velocity units], shape (m,).
+
+    Raises:
+        WireError: a number does not fit its field; names the row.
+    """
+    _check_widths(units)
+    offsets = np.asarray(offsets, dtype=np.int64)
+    ticks = np.asarray(ticks, dtype=np.int64)
+    velocity = np.asarray(velocity, dtype=np.int64)
+    if offsets.shape != (2 * len(to) + 1,) or not offsets[-1] == len(ticks) == len(velocity):
+        raise WireError(f"offsets do not describe orders for {len(to)} robots")
+    counts = np.diff(offsets).reshape(-1, 2)
+    sequence = np.broadcast_to(np.asarray(sequence, dtype=np.int64), (len(to),))
+    for name, wrong, value in (
+        ("segments", (counts < 0) | (counts > MAX_SEGMENTS), counts),
+        ("sequence", (sequence < 0) | (sequence > 15), sequence),
+    ):
+        if wrong.any():
+            at = int(np.argwhere(wrong)[0][0])
+            raise WireError(f"row {at}: {value[at].tolist()} {name} do not fit four bits")
+    for name, value, low, high in (
+        ("duration", ticks, 1, units.max_ticks),
+        ("velocity", velocity, -units.max_velocity, units.max_velocity),
+    ):
+        wrong = (value < low) | (value > high)
+        if wrong.any():
+            at = int(np.argmax(wrong))
+            row = int(np.searchsorted(offsets, at, side="right") - 1) // 2
+            raise WireError(f"row {row}: {name} {value[at]} is outside {low}..{high} wire units")
+    lengths = 4 + units.segment_bytes * counts.sum(axis=1)
+    starts = np.concatenate([[0], np.cumsum(lengths)])
+    data = np.empty(starts[-1], dtype=np.uint8)
+    _fill(
+        to.address, to.ten_bit, sequence, offsets, ticks, velocity,
+        units.velocity_bits, units.duration_bits, starts, data,
+    )  # fmt: skip
+    return Frames(to, starts, data)
+
+
+def decode_load(units: WireUnits, frames: Frames) -> Orders:
+    """Read placement orders back from LOAD frames; malformed frames get a fault, never an error.
+
+    Args:
+        units: widths of the two fields of a segment.
+        frames: any bytes.
+
+    Raises:
+        WireError: the widths of the units are not ones a frame can have.
+    """
+    _check_widths(units)
+    f = len(frames)
+    fault, sequence, crc = (np.zeros(f, dtype=np.int64) for _ in range(3))
+    counts = np.zeros((f, 2), dtype=np.int64)
+    widths = units.velocity_bits, units.duration_bits
+    to = frames.to
+    _scan(
+        to.address, to.ten_bit, frames.offsets, frames.data, *widths, fault, sequence, crc, counts
+    )
+    offsets = np.concatenate([[0], np.cumsum(counts.reshape(-1))])
+    ticks, velocity = (np.empty(offsets[-1], dtype=np.int64) for _ in range(2))
+    _read(frames.offsets, frames.data, *widths, offsets, ticks, velocity)
+    return Orders(fault, sequence, crc, offsets, ticks, velocity)
+
+
+def _check_widths(units):
+    if not (2 <= units.velocity_bits <= 16 and 1 <= units.duration_bits <= 16):
+        raise WireError(
+            f"{units.velocity_bits} velocity and {units.duration_bits} duration bits: "
+            "a segment carries 2..16 and 1..16"
+        )
+
+
+@njit(cache=True)
+def segment_counts(data, first):
+    """Return the numbers of theta and phi segments of the LOAD frame at data[first]."""
+    both = np.int64(data[first + 1])
+    return both >> 4, both & 15
+
+
+@njit(cache=True)
+def read_segment(data, at, velocity_bits, duration_bits):
+    """Return ticks, velocity and padding bits of the segment that begins at a byte."""
+    bits = velocity_bits + duration_bits
+    raw = 0
+    for i in range((bits + 7) // 8):
+        raw = (raw << 8) | np.int64(data[at + i])
+    ticks = raw & ((1 << duration_bits) - 1)
+    velocity = (raw >> duration_bits) & ((1 << velocity_bits) - 1)
+    if velocity >> (velocity_bits - 1):
+        velocity -= 1 << velocity_bits
+    return ticks, velocity, raw >> bits
+
+
+@njit(cache=True)
+def order_fault(address, ten_bit, data, first, last, velocity_bits, duration_bits):
+    """Return what is wrong with data[first:last] as a LOAD frame to this address."""
+    if last - first < 4:
+        return _BAD_LENGTH
+    if data[first] >> 4 != _LOAD:
+        return _BAD_OPCODE
+    size = (velocity_bits + duration_bits + 7) // 8
+    theta, phi = segment_counts(data, first)
+    segments = theta + phi
+    if last - first != 4 + size * segments:
+        return _BAD_LENGTH
+    crc = (np.int64(data[last - 2]) << 8) | np.int64(data[last - 1])
+    if frame_crc(address, ten_bit, data, first, last - 2) != crc:
+        return _BAD_CRC
+    for k in range(segments):
+        ticks, velocity, padding = read_segment(
+            data, first + 2 + size * k, velocity_bits, duration_bits
+        )
+        if padding != 0:
+            return _BAD_PADDING
+        if ticks == 0:
+            return _BAD_DURATION
+        if velocity == -(1 << (velocity_bits - 1)):
+            return _BAD_VELOCITY
+    return _NONE
+
+
+@njit(cache=True)
+def _fill(
+    address, ten_bit, sequence, offsets, ticks, velocity, velocity_bits, duration_bits, starts, data
+):
+    size = (velocity_bits + duration_bits + 7) // 8
+    mask = (1 << velocity_bits) - 1
+    for f in range(len(address)):
+        at = starts[f]
+        theta, phi, end = offsets[2 * f], offsets[2 * f + 1], offsets[2 * f + 2]
+        data[at] = (_LOAD << 4) | sequence[f]
+        data[at + 1] = ((phi - theta) << 4) | (end - phi)
+        at += 2
+        for m in range(theta, end):
+            raw = ((velocity[m] & mask) << duration_bits) | ticks[m]
+            for i in range(size):
+                data[at + i] = (raw >> (8 * (size - 1 - i))) & 0xFF
+            at += size
+        crc = frame_crc(address[f], ten_bit[f], data, starts[f], at)
+        data[at] = crc >> 8
+        data[at + 1] = crc & 0xFF
+
+
+@njit(cache=True)
+def _scan(
+    address, ten_bit, starts, data, velocity_bits, duration_bits, fault, sequence, crc, counts
+):
+    for f in range(len(address)):
+        first, last = starts[f], starts[f + 1]
+        fault[f] = order_fault(
+            address[f], ten_bit[f], data, first, last, velocity_bits, duration_bits
+        )
+        if fault[f] == _NONE:
+            sequence[f] = data[first] & 15
+            counts[f, 0], counts[f, 1] = segment_counts(data, first)
+            crc[f] = (np.int64(data[last - 2]) << 8) | np.int64(data[last - 1])
+
+
+@njit(cache=True)
+def _read(starts, data, velocity_bits, duration_bits, offsets, ticks, velocity):
+    size = (velocity_bits + duration_bits + 7) // 8
+    for f in range(len(starts) - 1):
+        first = offsets[2 * f]
+        for m in range(first, offsets[2 * f + 2]):
+            at = starts[f] + 2 + size * (m - first)
+            ticks[m], velocity[m], _ = read_segment(data, at, velocity_bits, duration_bits)

@@ -1,0 +1,258 @@
+"""What robots answer as bytes: their status and their identity.
+
+A plain read is answered with the status. Its first five bytes, closed by a packet
+error code, say all that VERIFY needs, so a controller that only verifies stops
+reading there; the rest holds fault, alerts and encoders and is closed by a CRC-16.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from fiber_bus_bridge.errors import WireError
+from fiber_bus_bridge.wire.codes import VERSION, Opcode, RobotState
+from fiber_bus_bridge.wire.crc import CRC8_INIT, CRC16_INIT, crc8, crc16
+from fiber_bus_bridge.wire.frames import Addresses, frame_crc, frame_pec, read_address
+
+__all__ = [
+    "IDENTITY_BYTES",
+    "IDENTITY_FIELDS",
+    "STATUS_BYTES",
+    "STATUS_FIELDS",
+    "VERIFY_BYTES",
+    "Identities",
+    "Statuses",
+    "decode_identity",
+    "decode_status",
+    "encode_identity",
+    "encode_status",
+    "write_identity",
+    "write_status",
+]
+
+STATUS_FIELDS = np.dtype(
+    [
+        ("state_sequence", "u1"),
+        ("order_crc", ">u2"),
+        ("boot", "u1"),
+        ("pec", "u1"),
+        ("fault", "u1"),
+        ("alerts", "u1"),
+        ("position", ">i4", (2,)),
+        ("crc", ">u2"),
+    ]
+)
+STATUS_BYTES = STATUS_FIELDS.itemsize
+VERIFY_BYTES = STATUS_FIELDS.fields["fault"][1]
+
+IDENTITY_FIELDS = np.dtype(
+    [
+        ("opcode_version", "u1"),
+        ("serial", ">u4"),
+        ("form_address", ">u2"),  # bit 15: ten-bit form
+        ("boot", "u1"),
+        ("pec", "u1"),
+    ]
+)
+IDENTITY_BYTES = IDENTITY_FIELDS.itemsize
+_FIRST_STATE, _LAST_STATE = int(min(RobotState)), int(max(RobotState))
+_IDENTIFY = int(Opcode.IDENTIFY)
+_IDENTITY_HEAD = (_IDENTIFY << 4) | VERSION
+
+
+@dataclass(frozen=True, eq=False)
+class Statuses:
+    """Status replies decoded, one row each; rows that are not ok hold zeros.
+
+    Args:
+        ok: whether checksums and state are valid, shape (f,).
+        state: RobotState, shape (f,).
+        sequence: sequence number of the last order accepted, shape (f,).
+        order_crc: CRC-16 the robot computes over its stored order, 0 without one, shape (f,).
+        boot: how often the robot has started, modulo 256, shape (f,).
+        fault: Fault, shape (f,); zero when only the first five bytes were read.
+        alerts: Alert flags, shape (f,); likewise.
+        position: encoders theta, phi [quanta], shape (f, 2); likewise.
+    """
+
+    ok: np.ndarray
+    state: np.ndarray
+    sequence: np.ndarray
+    order_crc: np.ndarray
+    boot: np.ndarray
+    fault: np.ndarray
+    alerts: np.ndarray
+    position: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Identities:
+    """Identity replies decoded, one row each; rows that are not ok hold zeros.
+
+    Args:
+        ok: whether version and checksum are right, shape (f,).
+        serial: number the robot was built with, shape (f,).
+        address: address it listens to, shape (f,).
+        ten_bit: whether that is the ten-bit form, shape (f,).
+        boot: how often it has started, modulo 256, shape (f,).
+    """
+
+    ok: np.ndarray
+    serial: np.ndarray
+    address: np.ndarray
+    ten_bit: np.ndarray
+    boot: np.ndarray
+
+
+def encode_status(to: Addresses, state, sequence, order_crc, boot, fault, alerts, position):
+    """Write status replies of robots at some addresses, fields as in Statuses.
+
+    Returns:
+        The bytes, shape (f, STATUS_BYTES), uint8.
+    """
+    data = np.empty((len(to), STATUS_BYTES), dtype=np.uint8)
+    columns = np.broadcast_arrays(state, sequence, order_crc, boot, fault, alerts)
+    columns = [np.broadcast_to(c, (len(to),)) for c in columns]
+    position = np.broadcast_to(np.asarray(position, dtype=np.int64), (len(to), 2))
+    for f in range(len(to)):
+        head = [int(c[f]) for c in columns]
+        write_status(to.address[f], to.ten_bit[f], *head, position[f], data[f])
+    return data
+
+
+def encode_identity(to: Addresses, serial, boot) -> np.ndarray:
+    """Write identity replies of robots at some addresses: bytes, shape (f, IDENTITY_BYTES)."""
+    data = np.empty((len(to), IDENTITY_BYTES), dtype=np.uint8)
+    serial, boot = (np.broadcast_to(c, (len(to),)) for c in (serial, boot))
+    for f in range(len(to)):
+        write_identity(to.address[f], to.ten_bit[f], int(serial[f]), int(boot[f]), data[f])
+    return data
+
+
+def decode_status(to: Addresses, data) -> Statuses:
+    """Read status replies, whole or only their first five bytes.
+
+    Args:
+        to: whom each was read from, f rows.
+        data: the bytes, shape (f, STATUS_BYTES) or (f, VERIFY_BYTES), uint8.
+
+    Raises:
+        WireError: the table has neither width.
+    """
+    data = np.ascontiguousarray(data, dtype=np.uint8)
+    if data.shape not in ((len(to), STATUS_BYTES), (len(to), VERIFY_BYTES)):
+        raise WireError(f"status replies of {len(to)} robots have shape {data.shape}")
+    ok = np.zeros(len(to), dtype=bool)
+    _check_status(to.address, to.ten_bit, data, ok)
+    whole = np.zeros((len(to), STATUS_BYTES), dtype=np.uint8)
+    whole[ok, : data.shape[1]] = data[ok]
+    table = whole.view(STATUS_FIELDS)[:, 0]
+    names = ("order_crc", "boot", "fault", "alerts", "position")
+    crc, boot, fault, alerts, position = (table[name].astype(np.int64) for name in names)
+    head = table["state_sequence"].astype(np.int64)
+    return Statuses(ok, head >> 4, head & 15, crc, boot, fault, alerts, position)
+
+
+def decode_identity(to: Addresses, data) -> Identities:
+    """Read identity replies.
+
+    Args:
+        to: whom each was read from, f rows.
+        data: the bytes, shape (f, IDENTITY_BYTES), uint8.
+
+    Raises:
+        WireError: the table has another shape.
+    """
+    data = np.ascontiguousarray(data, dtype=np.uint8)
+    if data.shape != (len(to), IDENTITY_BYTES):
+        raise WireError(f"identity replies of {len(to)} robots have shape {data.shape}")
+    ok = np.zeros(len(to), dtype=bool)
+    _check_identity(to.address, to.ten_bit, data, ok)
+    table = np.where(ok[:, None], data, np.uint8(0)).view(IDENTITY_FIELDS)[:, 0]
+    form = table["form_address"].astype(np.int64)
+    serial, boot = table["serial"].astype(np.int64), table["boot"].astype(np.int64)
+    return Identities(ok, serial, form & 0x7FFF, form >> 15 == 1, boot)
+
+
+# A read carries the address twice in ten-bit form: as a write, then 11110 A9 A8 1.
+
+
+@njit(cache=True)
+def _status_pec(address, ten_bit, data):
+    empty = data[:0]
+    pec = frame_pec(address, ten_bit, empty, 0, 0) if ten_bit else CRC8_INIT
+    pec = crc8(pec, read_address(address, ten_bit))
+    for i in range(VERIFY_BYTES - 1):
+        pec = crc8(pec, data[i])
+    return pec
+
+
+@njit(cache=True)
+def _status_crc(address, ten_bit, data):
+    empty = data[:0]
+    crc = frame_crc(address, ten_bit, empty, 0, 0) if ten_bit else CRC16_INIT
+    crc = crc16(crc, read_address(address, ten_bit))
+    for i in range(STATUS_BYTES - 2):
+        crc = crc16(crc, data[i])
+    return crc
+
+
+@njit(cache=True)
+def _identity_pec(address, ten_bit, data):
+    # the identity is read in the same message that asks for it
+    asked = np.empty(2, dtype=np.uint8)
+    asked[0] = _IDENTIFY << 4
+    asked[1] = frame_pec(address, ten_bit, asked, 0, 1)
+    pec = frame_pec(address, ten_bit, asked, 0, 2)
+    pec = crc8(pec, read_address(address, ten_bit))
+    for i in range(IDENTITY_BYTES - 1):
+        pec = crc8(pec, data[i])
+    return pec
+
+
+@njit(cache=True)
+def write_status(
+    address, ten_bit, state, sequence, order_crc, boot, fault, alerts, position, out
+):
+    """Write one status reply into out[:STATUS_BYTES]."""
+    out[0] = (state << 4) | sequence
+    out[1], out[2] = order_crc >> 8, order_crc & 0xFF
+    out[3] = boot
+    out[4] = _status_pec(address, ten_bit, out)
+    out[5], out[6] = fault, alerts
+    for joint in range(2):
+        for i in range(4):
+            out[7 + 4 * joint + i] = (position[joint] >> (8 * (3 - i))) & 0xFF
+    crc = _status_crc(address, ten_bit, out)
+    out[15], out[16] = crc >> 8, crc & 0xFF
+
+
+@njit(cache=True)
+def write_identity(address, ten_bit, serial, boot, out):
+    """Write one identity reply into out[:IDENTITY_BYTES]."""
+    out[0] = _IDENTITY_HEAD
+    for i in range(4):
+        out[1 + i] = (serial >> (8 * (3 - i))) & 0xFF
+    out[5] = (address >> 8) | (0x80 if ten_bit else 0)
+    out[6] = address & 0xFF
+    out[7] = boot
+    out[8] = _identity_pec(address, ten_bit, out)
+
+
+@njit(cache=True)
+def _check_status(address, ten_bit, data, ok):
+    for f in range(len(address)):
+        known = _FIRST_STATE <= data[f, 0] >> 4 <= _LAST_STATE
+        pec = _status_pec(address[f], ten_bit[f], data[f])
+        ok[f] = known and pec == data[f, VERIFY_BYTES - 1]
+        if ok[f] and data.shape[1] == STATUS_BYTES:
+            crc = (np.int64(data[f, 15]) << 8) | np.int64(data[f, 16])
+            ok[f] = _status_crc(address[f], ten_bit[f], data[f]) == crc
+
+
+@njit(cache=True)
+def _check_identity(address, ten_bit, data, ok):
+    for f in range(len(address)):
+        pec = _identity_pec(address[f], ten_bit[f], data[f])
+        ok[f] = pec == data[f, IDENTITY_BYTES - 1] and data[f, 0] == _IDENTITY_HEAD

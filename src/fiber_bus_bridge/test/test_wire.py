@@ -1,0 +1,313 @@
+"""Bytes: golden vectors beside their meaning, a slow reference, and everything malformed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastcrc import crc8, crc16
+from fiber_bus_bridge.errors import WireError
+from fiber_bus_bridge.wire import (
+    Addresses,
+    Configuration,
+    Fault,
+    Frames,
+    Opcode,
+    RobotState,
+    decode_command,
+    decode_config,
+    decode_identity,
+    decode_load,
+    decode_status,
+    encode_command,
+    encode_config,
+    encode_identity,
+    encode_load,
+    encode_status,
+    general_call,
+)
+from fiber_core.wire_units import WireUnits
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+UNITS = WireUnits()
+ROBOT = Addresses([3], [300], [True])
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "wire-format.md"
+
+GOLDEN = {
+    "LOAD": "15 21 0f a0 fa ff fc 01 80 07 ff 6c e1",
+    "LOAD, empty, to 0x20": "15 00 2d b7",
+    "GO, general call": "f1 25 98 ab",
+    "STOP, general call": "f1 30 91",
+    "STOP": "30 78",
+    "CLEAR": "40 2f",
+    "RESET": "50 5f",
+    "IDENTIFY": "70 bf",
+    "CONFIG": "61 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 1e a1 66 "
+    "1f 5e 1f 5e 27 10 bc 90",
+    "VERIFY": "35 6c e1 07 e0",
+    "STATUS": "35 6c e1 07 e0 14 01 ff fc 2f 70 00 1e 9f d8 3d f0",
+    "VERIFY, 0x20": "20 00 00 01 63",
+    "ID": "71 00 00 12 67 81 2c 07 5d",
+}
+# theta 1000 for 250 ticks then -1 for 1, phi -8191 for 1023; sequence 5
+ORDER = ([0, 2, 3], [250, 1, 1023], [1000, -1, -8191])
+CONFIG = Configuration(
+    UNITS, np.array([[[-2163504, 2163504], [0, 2007398]]]), np.array([[8030, 8030]]), 10_000
+)
+
+
+def golden(name):
+    return bytes.fromhex(GOLDEN[name])
+
+
+def wire_bytes(to, row, data=b""):
+    """Address bytes of a write and the data."""
+    address = int(to.address[row])
+    if to.ten_bit[row]:
+        return bytes([0b11110000 | address >> 8 << 1, address & 0xFF]) + data
+    return bytes([address << 1]) + data
+
+
+def slow_load(units, to, row, sequence, theta, phi):
+    """A LOAD frame spelled out in text."""
+    pad = 8 * units.segment_bytes - units.velocity_bits - units.duration_bits
+    text = f"{1:04b}{sequence:04b}{len(theta):04b}{len(phi):04b}"
+    for ticks, velocity in theta + phi:
+        two_complement = velocity % 2**units.velocity_bits
+        text += "0" * pad
+        text += f"{two_complement:0{units.velocity_bits}b}{ticks:0{units.duration_bits}b}"
+    body = bytes(int(text[i : i + 8], 2) for i in range(0, len(text), 8))
+    return body + crc16.ibm_3740(wire_bytes(to, row, body)).to_bytes(2, "big")
+
+
+def test_golden_writes():
+    alone = Addresses([0], [0x20], [False])
+    written = {
+        "LOAD": encode_load(UNITS, ROBOT, 5, *ORDER),
+        "LOAD, empty, to 0x20": encode_load(UNITS, alone, 5, [0, 0, 0], [], []),
+        "GO, general call": encode_command(Opcode.GO, general_call([3]), 5),
+        "STOP, general call": encode_command(Opcode.STOP, general_call([3])),
+        "STOP": encode_command(Opcode.STOP, ROBOT),
+        "CLEAR": encode_command(Opcode.CLEAR, ROBOT),
+        "RESET": encode_command(Opcode.RESET, ROBOT),
+        "IDENTIFY": encode_command(Opcode.IDENTIFY, ROBOT),
+        "CONFIG": encode_config(CONFIG, ROBOT),
+    }
+    assert {name: frames.payload(0).hex(" ") for name, frames in written.items()} == {
+        name: GOLDEN[name] for name in written
+    }
+
+
+def test_golden_replies():
+    # LOADED, sequence 5, seventh boot, OUTSIDE_LIMITS, REFUSED, encoders -250000 and 2007000
+    status = encode_status(ROBOT, 3, 5, 0x6CE1, 7, 20, 1, [-250_000, 2_007_000])
+    assert status.tobytes() == golden("STATUS")
+    assert status.tobytes().startswith(golden("VERIFY"))
+    assert encode_identity(ROBOT, 4711, 7).tobytes() == golden("ID")
+    told = decode_status(ROBOT, status)
+    assert told.ok[0] and told.state[0] == RobotState.LOADED and told.fault[0] == 20
+    assert (told.sequence[0], told.order_crc[0], told.boot[0]) == (5, 0x6CE1, 7)
+    assert told.alerts[0] == 1 and told.position[0].tolist() == [-250_000, 2_007_000]
+    short = decode_status(ROBOT, status[:, :5])
+    assert short.ok[0] and short.order_crc[0] == 0x6CE1
+    alone = Addresses([0], [0x20], [False])
+    idle = np.frombuffer(golden("VERIFY, 0x20"), dtype=np.uint8)[None]
+    assert decode_status(alone, idle).state[0] == RobotState.IDLE
+    who = decode_identity(ROBOT, np.frombuffer(golden("ID"), dtype=np.uint8)[None])
+    assert who.ok[0] and who.ten_bit[0]
+    assert (who.serial[0], who.address[0], who.boot[0]) == (4711, 300, 7)
+
+
+def test_golden_reads():
+    orders = decode_load(UNITS, Frames.from_bytes(ROBOT, [golden("LOAD")]))
+    assert orders.ok[0] and orders.sequence[0] == 5 and orders.crc[0] == 0x6CE1
+    assert [orders.offsets.tolist(), orders.ticks.tolist(), orders.velocity.tolist()] == list(ORDER)
+    assert decode_command(golden("GO, general call"), 0, False) == (Opcode.GO, 5)
+    config = decode_config(golden("CONFIG"), 300, True)
+    assert config.units == UNITS and config.watchdog_ms == 10_000
+    assert np.array_equal(config.limits, CONFIG.limits)
+    assert np.array_equal(config.speed, CONFIG.speed)
+
+
+def test_the_page_shows_the_golden_bytes():
+    page = " ".join(PAGE.read_text(encoding="utf-8").split())
+    missing = [name for name, text in GOLDEN.items() if text not in page]
+    assert not missing
+
+
+def profiles(units):
+    segment = st.tuples(
+        st.integers(1, units.max_ticks), st.integers(-units.max_velocity, units.max_velocity)
+    )
+    return st.lists(segment, max_size=15)
+
+
+@st.composite
+def batches(draw):
+    units = WireUnits(
+        velocity_bits=draw(st.integers(2, 16)), duration_bits=draw(st.integers(1, 16))
+    )
+    orders = draw(st.lists(st.tuples(profiles(units), profiles(units)), max_size=4))
+    ten_bit = [draw(st.booleans()) for _ in orders]
+    address = [draw(st.integers(0, 1023 if t else 127)) for t in ten_bit]
+    sequence = [draw(st.integers(0, 15)) for _ in orders]
+    return units, Addresses(np.zeros(len(orders)), address, ten_bit), sequence, orders
+
+
+@settings(max_examples=200, deadline=None)
+@given(batches())
+def test_orders_agree_with_the_reference_and_come_back(batch):
+    units, to, sequence, orders = batch
+    flat = [profile for order in orders for profile in order]
+    offsets = np.concatenate([[0], np.cumsum([len(p) for p in flat], dtype=int)])
+    ticks = [s[0] for p in flat for s in p]
+    velocity = [s[1] for p in flat for s in p]
+    frames = encode_load(units, to, sequence, offsets, ticks, velocity)
+    assert [frames.payload(i) for i in range(len(to))] == [
+        slow_load(units, to, i, sequence[i], *order) for i, order in enumerate(orders)
+    ]
+    back = decode_load(units, frames)
+    assert back.ok.all() and back.sequence.tolist() == sequence
+    assert back.offsets.tolist() == offsets.tolist()
+    assert back.ticks.tolist() == ticks and back.velocity.tolist() == velocity
+
+
+@pytest.mark.parametrize("flips", [1, 2])
+def test_flipped_bits_of_an_order_are_refused(flips):
+    good = int.from_bytes(golden("LOAD"), "big")
+    bits = 8 * len(golden("LOAD"))
+    masks = [1 << i for i in range(bits)]
+    if flips == 2:
+        masks = [a | b for a in masks for b in masks if a < b]
+    bad = [(good ^ mask).to_bytes(bits // 8, "big") for mask in masks]
+    to = ROBOT[np.zeros(len(bad), dtype=int)]
+    orders = decode_load(UNITS, Frames.from_bytes(to, bad))
+    assert len(orders.fault) == len(bad) and not orders.ok.any() and len(orders.ticks) == 0
+
+
+def test_flipped_bits_of_commands_and_replies_are_refused():
+    for name in ("GO, general call", "STOP, general call", "STOP", "CLEAR", "CONFIG"):
+        good, address = golden(name), (0, False) if "call" in name else (300, True)
+        decode_command(good, *address)
+        for bit in range(8 * len(good)):
+            bad = (int.from_bytes(good, "big") ^ 1 << bit).to_bytes(len(good), "big")
+            with pytest.raises(WireError):
+                decode_command(bad, *address)
+    for name, decode in (
+        ("STATUS", decode_status),
+        ("VERIFY", decode_status),
+        ("ID", decode_identity),
+    ):
+        good = np.unpackbits(np.frombuffer(golden(name), dtype=np.uint8))
+        bad = np.packbits(good ^ np.eye(len(good), dtype=np.uint8), axis=1)
+        replies = decode(ROBOT[np.zeros(len(bad), dtype=int)], bad)
+        assert not replies.ok.any()
+
+
+def test_an_order_for_another_robot_is_refused():
+    frames = encode_load(UNITS, ROBOT, 5, *ORDER)
+    for other in (Addresses([3], [301], [True]), Addresses([3], [44], [False])):
+        moved = Frames(other, frames.offsets, frames.data)
+        assert decode_load(UNITS, moved).fault[0] == Fault.BAD_CRC
+
+
+def sealed(hexes):
+    body = bytes.fromhex(hexes)
+    return body + crc16.ibm_3740(wire_bytes(ROBOT, 0, body)).to_bytes(2, "big")
+
+
+@pytest.mark.parametrize(
+    ("payload", "fault"),
+    [
+        (b"", Fault.BAD_LENGTH),
+        (b"\x15", Fault.BAD_LENGTH),
+        (golden("LOAD")[:-1], Fault.BAD_LENGTH),
+        (golden("LOAD") + b"\x00", Fault.BAD_LENGTH),
+        (sealed("15 21 0fa0fa fffc01"), Fault.BAD_LENGTH),
+        (sealed("25 00"), Fault.BAD_OPCODE),
+        (golden("LOAD")[:-1] + b"\x00", Fault.BAD_CRC),
+        (sealed("15 10 0fa000"), Fault.BAD_DURATION),
+        (sealed("15 10 8000fa"), Fault.BAD_VELOCITY),
+    ],
+)
+def test_malformed_orders_are_named(payload, fault):
+    assert decode_load(UNITS, Frames.from_bytes(ROBOT, [payload])).fault[0] == fault
+
+
+def test_padding_must_be_zero():
+    narrow = WireUnits(velocity_bits=13, duration_bits=10)
+    good, bad = sealed("15 10 0003ff"), sealed("15 10 8003ff")
+    to = ROBOT[np.zeros(2, dtype=int)]
+    faults = decode_load(narrow, Frames.from_bytes(to, [good, bad])).fault
+    assert faults.tolist() == [Fault.NONE, Fault.BAD_PADDING]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((UNITS, ROBOT, 16, [0, 0, 0], [], []), "16 sequence"),
+        ((UNITS, ROBOT, 0, [0, 16, 16], [1] * 16, [1] * 16), "16, 0] segments"),
+        ((UNITS, ROBOT, 0, [0, 1, 1], [1024], [1]), "duration 1024"),
+        ((UNITS, ROBOT, 0, [0, 1, 1], [0], [1]), "duration 0"),
+        ((UNITS, ROBOT, 0, [0, 1, 1], [1], [-8192]), "velocity -8192"),
+        ((WireUnits(velocity_bits=17), ROBOT, 0, [0, 0, 0], [], []), "17 velocity"),
+    ],
+)
+def test_values_that_do_not_fit_are_refused(arguments, words):
+    with pytest.raises(WireError) as error:
+        encode_load(*arguments)
+    assert words in str(error.value)
+
+
+def test_only_go_and_config_carry_low_bits():
+    with pytest.raises(WireError):
+        encode_command(Opcode.STOP, ROBOT, 1)
+    body = b"\x31"
+    with pytest.raises(WireError) as error:
+        decode_command(body + bytes([crc8.smbus(wire_bytes(ROBOT, 0, body))]), 300, True)
+    assert error.value.fault == Fault.BAD_OPCODE
+
+
+def test_a_config_of_another_version_is_refused():
+    body = b"\x62" + golden("CONFIG")[1:-2]
+    payload = body + crc16.ibm_3740(wire_bytes(ROBOT, 0, body)).to_bytes(2, "big")
+    with pytest.raises(WireError) as error:
+        decode_config(payload, 300, True)
+    assert error.value.fault == Fault.BAD_VERSION
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"limits": np.full((1, 2, 2), 2**31)},
+        {"speed": np.full((1, 2), 2**16)},
+        {"watchdog_ms": -1},
+        {"units": WireUnits(quantum_prad=2**32)},
+    ],
+)
+def test_a_config_that_does_not_fit_is_refused(change):
+    with pytest.raises(WireError):
+        encode_config(Configuration(**{**vars(CONFIG), **change}), ROBOT)
+
+
+@given(st.binary(max_size=80))
+@settings(deadline=None)
+def test_noise_is_never_an_order(noise):
+    orders = decode_load(UNITS, Frames.from_bytes(ROBOT, [noise]))
+    if orders.ok[0]:  # whatever is accepted is byte for byte what would be sent
+        again = encode_load(
+            UNITS, ROBOT, orders.sequence, orders.offsets, orders.ticks, orders.velocity
+        )
+        assert again.payload(0) == noise
+
+
+def test_frames_can_be_chosen():
+    to = Addresses([0, 0, 1], [8, 9, 8], [False] * 3)
+    frames = Frames.from_bytes(to, [b"a", b"", b"cde"])
+    chosen = frames[np.array([2, 0])]
+    assert [chosen.payload(i) for i in range(2)] == [b"cde", b"a"]
+    assert chosen.to.bus.tolist() == [1, 0]
+    with pytest.raises(WireError):
+        Frames(to, [0, 1, 2, 9], frames.data)
+    with pytest.raises(WireError):
+        Addresses([0], [200], [False])
