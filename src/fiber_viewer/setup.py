@@ -1,0 +1,19 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="fiber_viewer",
+    version="0.1.0",
+    description="Pictures of a focal plane and of its motion.",
+    maintainer="fiber positioner team",
+    maintainer_email="maintainers@example.org",
+    license="Apache-2.0",
+    packages=find_packages(exclude=["test", "test.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/fiber_viewer"]),
+        ("share/fiber_viewer", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
+    zip_safe=False,  # compiled loops are cached beside the modules
+    entry_points={"console_scripts": ["snapshot = fiber_viewer.snapshot:main"]},
+)
