@@ -3,7 +3,7 @@ from setuptools import find_packages, setup
 setup(
     name="fiber_bus_bridge",
     version="0.1.0",
-    description="Puts segments on the buses of a focal plane and reports what every positioner did.",
+    description="Puts segments on the buses and reports what every positioner did.",
     maintainer="fiber positioner team",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",

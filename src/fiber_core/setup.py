@@ -3,7 +3,7 @@ from setuptools import find_packages, setup
 setup(
     name="fiber_core",
     version="0.1.0",
-    description="What a focal plane of fibre positioners is and how things move on it, with no ROS inside.",
+    description="What a focal plane of fibre positioners is and how things move on it.",
     maintainer="fiber positioner team",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",

@@ -3,7 +3,7 @@ from setuptools import find_packages, setup
 setup(
     name="fiber_planner",
     version="0.1.0",
-    description="Takes a focal plane from one configuration to the next: collision-free joint trajectories.",
+    description="Plans joint trajectories from one configuration of a focal plane to the next.",
     maintainer="fiber positioner team",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",

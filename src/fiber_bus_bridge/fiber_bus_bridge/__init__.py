@@ -14,6 +14,7 @@ from fiber_bus_bridge.errors import BridgeError, SessionError, TopologyError, Wi
 from fiber_bus_bridge.firmware import Positioners
 from fiber_bus_bridge.results import PlanResult
 from fiber_bus_bridge.session import Session, SessionConfig, SessionState
+from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
 from fiber_bus_bridge.upload import Upload
 
 __all__ = [
@@ -30,9 +31,12 @@ __all__ = [
     "SessionError",
     "SessionState",
     "SimulatedBuses",
+    "SimulationConfig",
     "TopologyError",
     "Upload",
     "WireError",
     "addresses_of",
     "bus_timing",
+    "simulated_buses",
+    "simulated_plane",
 ]

@@ -23,7 +23,7 @@ class WireError(BridgeError):
 
 
 class TopologyError(BridgeError):
-    """Robots cannot hang on buses as stated: address out of range, or used twice."""
+    """There is no such bus mode, or no such address."""
 
 
 class SessionError(BridgeError):

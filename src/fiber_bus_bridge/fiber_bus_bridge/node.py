@@ -12,19 +12,17 @@ from fiber_msgs_py import (
     Level,
     MessageError,
     PlanStamp,
-    Reporter,
     Status,
-    declare_settings,
     frames,
     held,
     joint_states,
     layout,
     outcome,
-    run,
     segments,
     targets,
     topics,
 )
+from fiber_node import Reporter, declare_settings, run
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 

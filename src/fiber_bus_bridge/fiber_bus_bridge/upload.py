@@ -8,6 +8,7 @@ import numpy as np
 from fiber_bus_bridge.bus import Ack
 from fiber_bus_bridge.link import Link
 from fiber_bus_bridge.wire import (
+    Frames,
     Opcode,
     RobotState,
     decode_load,
@@ -33,7 +34,8 @@ class Upload:
         started: robots that were told to go, shape (n,).
         reason: why the others that had orders were not, Reason, shape (n,).
         sequence: sequence number of each robot's order, shape (n,).
-        motion: the motion decoded from the bytes of those that were started, and certified.
+        loaded: the LOAD frames of those that were started, in the order of their rows.
+        motion: the motion decoded from these bytes, and certified.
         certificate: its certificate.
         go_s: when the GO was complete on the last bus [s].
     """
@@ -41,6 +43,7 @@ class Upload:
     started: np.ndarray
     reason: np.ndarray
     sequence: np.ndarray
+    loaded: Frames
     motion: WireMotion
     certificate: Certificate
     go_s: float
@@ -59,7 +62,7 @@ class Uploader:
         units: tick, quantum and widths.
         safety: clearance asked of what is started.
         link: the wire.
-        pairs: rows of neighbours as from neighbour_pairs, shape (p, 2).
+        pairs: who can touch whom, rows as from neighbour_pairs, shape (p, 2).
     """
 
     def __init__(
@@ -114,7 +117,7 @@ class Uploader:
                 continue
             loaded = self._decode(motion, frames, verified)
             certificate, held = self._certify(loaded)
-            held &= verified
+            held = held & verified
             reason[held] = Reason.UNSAFE_AS_LOADED
             wanted, verified = wanted & ~held, verified & ~held
             stale = self._buses_of(self._disarm(np.flatnonzero(held), boot, t))
@@ -124,7 +127,8 @@ class Uploader:
                 loaded = self._decode(motion, frames, verified)
                 go_s = self._go(verified, t)
                 sequence = self._sequence[self._bus]
-                return Upload(verified, reason, sequence, loaded, certificate, go_s)
+                sent = frames[np.flatnonzero(verified)]
+                return Upload(verified, reason, sequence, sent, loaded, certificate, go_s)
         return self._nothing(motion, frames, wanted, verified, reason, Reason.NOT_VERIFIED)
 
     def _nothing(self, motion, frames, wanted, verified, reason, why):
@@ -135,7 +139,8 @@ class Uploader:
         loaded = self._decode(motion, frames, nobody)
         certificate, _ = self._certify(loaded)
         sequence = self._sequence[self._bus]
-        return Upload(nobody, reason, sequence, loaded, certificate, self.link.now_s)
+        sent = frames[np.flatnonzero(nobody)]
+        return Upload(nobody, reason, sequence, sent, loaded, certificate, self.link.now_s)
 
     def _beside(self, lost):
         """Robots in a pair with a lost one, shape (n,)."""
@@ -180,9 +185,7 @@ class Uploader:
 
     def _certify(self, loaded):
         """The certificate of what remains when unsafe robots are held, and who they are."""
-        motion, held, certificate = hold_until_safe(
-            self.plane, loaded.decoded(), self.safety, self.pairs
-        )
+        motion, held, certificate = hold_until_safe(self.plane, loaded.decoded(), self.safety)
         # two robots at rest may stand too close; whoever moves may not be one of them
         wrong = certificate.unsafe_robots | certificate.limits_broken | certificate.moved_disabled
         if (wrong & (motion.counts > 0).any(axis=1)).any():
@@ -218,4 +221,5 @@ def _only(motion, chosen):
     counts = np.diff(motion.offsets) * np.repeat(chosen, 2)
     keep = np.repeat(np.repeat(chosen, 2), np.diff(motion.offsets))
     offsets = np.concatenate([[0], np.cumsum(counts)])
-    return WireMotion(motion.units, motion.start, offsets, motion.ticks[keep], motion.velocity[keep])
+    ticks, velocity = motion.ticks[keep], motion.velocity[keep]
+    return WireMotion(motion.units, motion.start, offsets, ticks, velocity)

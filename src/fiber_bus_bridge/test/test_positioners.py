@@ -258,7 +258,7 @@ def test_other_quanta_and_impossible_units_are_refused():
     bench = Bench()
     assert bench.configure(WireUnits(quantum_prad=UNITS.quantum_prad + 1)) == [Ack.REFUSED]
     assert bench.status().fault[0] == Fault.OTHER_QUANTUM
-    for units in (WireUnits(tick_us=0), WireUnits(velocity_bits=17), WireUnits(duration_bits=0)):
+    for units in (WireUnits(velocity_bits=17), WireUnits(duration_bits=17)):
         assert bench.configure(units) == [Ack.REFUSED]
         assert bench.status().fault[0] == Fault.BAD_VALUE
 

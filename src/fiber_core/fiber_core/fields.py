@@ -36,7 +36,11 @@ class Field:
 
 
 def random_field(
-    plane: FocalPlane, rng: np.random.Generator, gap_mm: float | None = None, asked=None
+    plane: FocalPlane,
+    rng: np.random.Generator,
+    gap_mm: float | None = None,
+    asked=None,
+    start=None,
 ) -> Field:
     """Draw start and target configurations in which no outlines come close.
 
@@ -51,9 +55,10 @@ def random_field(
         gap_mm: gap between outlines at start and goal [mm]; by default the margin of
             Safety and 0.1 mm more. Targets keep the plane's spacing as well.
         asked: robots to give a target, shape (n,); by default all. Disabled ones get none.
+        start: joint angles now [rad], shape (n, 2), where the start is given and not drawn.
 
     Raises:
-        FieldError: some robots found no place; names them.
+        FieldError: some robots found no place, or the start is not finite; names them.
     """
     gap_mm = Safety().margin_mm + _OVER_MARGIN_MM if gap_mm is None else gap_mm
     asked = np.ones(plane.n) if asked is None else asked
@@ -61,7 +66,13 @@ def random_field(
     neighbours = _neighbours(plane, max(gap_mm, plane.spacing_mm))
     everybody = np.ones(plane.n, dtype=bool)
     nowhere = np.zeros((plane.n, 2))
-    start = _arrange(plane, rng, neighbours, everybody, nowhere, gap_mm, 0.0, "start")
+    if start is None:
+        start = _arrange(plane, rng, neighbours, everybody, nowhere, gap_mm, 0.0, "start")
+    else:
+        start = frozen_array(start, float, (plane.n, 2), "start", FieldError)
+        lost = plane.ids[~np.isfinite(start).all(axis=1)]
+        if len(lost):
+            raise FieldError(f"robot {lost[0]}: its start is not finite", lost)
     goal = _arrange(plane, rng, neighbours, asked, start, gap_mm, plane.spacing_mm, "goal")
     targets = np.where(asked[:, None], kinematics.forward(plane, goal)[1], np.nan)
     goal.setflags(write=False)
@@ -69,10 +80,14 @@ def random_field(
 
 
 def random_problem(
-    plane: FocalPlane, rng: np.random.Generator, gap_mm: float | None = None, asked=None
+    plane: FocalPlane,
+    rng: np.random.Generator,
+    gap_mm: float | None = None,
+    asked=None,
+    start=None,
 ) -> Problem:
     """Draw a problem all of whose targets can be taken at once; see random_field."""
-    return random_field(plane, rng, gap_mm, asked).problem
+    return random_field(plane, rng, gap_mm, asked, start).problem
 
 
 def _neighbours(plane, slack_mm):
@@ -173,7 +188,7 @@ def _place_all(
         head += 1
         waiting -= 1
         near = other[offsets[i] : offsets[i + 1]]
-        fewest = len(placed)
+        least = len(placed)
         for _ in range(_TRIES):
             budget -= 1
             pick = _draw(rng, bodies.arm1[i], bodies.arm2[i], limits[i], options)
@@ -181,31 +196,20 @@ def _place_all(
                 return np.array([i])
             theta, phi = options[pick]
             count = _in_the_way(
-                bodies,
-                moves,
-                placed,
-                angles,
-                near,
-                i,
-                theta,
-                phi,
-                gap_mm,
-                spacing_mm,
-                fewest,
-                found,
+                bodies, moves, placed, angles, near, i, theta, phi, gap_mm, spacing_mm, least, found
             )
-            if count < fewest:
-                fewest = count
-                angles[i] = options[pick]
-                leaving[:count] = found[:count]
-            if fewest == 0:
+            if count < least:
+                least = count
+                angles[i, 0], angles[i, 1] = theta, phi
+                found, leaving = leaving, found
+            if least == 0:
                 break
-        if fewest == len(placed):
+        if least == len(placed):
             queue[(head + waiting) % size] = i
             waiting += 1
             continue
         placed[i] = True
-        for j in leaving[:fewest]:
+        for j in leaving[:least]:
             placed[j] = False
             queue[(head + waiting) % size] = j
             waiting += 1

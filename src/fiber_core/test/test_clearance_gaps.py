@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 seeds = st.integers(0, 2**32 - 1)
-laws = settings(max_examples=200, deadline=None)
+laws = settings(max_examples=100, deadline=None)
 
 
 def _random_plane(rng: np.random.Generator, n: int = 2, discs: int = 0) -> FocalPlane:

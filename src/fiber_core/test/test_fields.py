@@ -73,6 +73,18 @@ def test_real_planes(real_planes):
         check(plane, field, DEFAULT_GAP_MM, plane.enabled)
 
 
+def test_a_field_from_where_the_robots_are():
+    rng = np.random.default_rng(3)
+    plane = preset("sdss_v", 100).with_enabled(rng.random(100) < 0.9)
+    first = random_field(plane, rng)
+    second = random_field(plane, rng, start=first.goal)
+    assert np.array_equal(second.problem.start, first.goal)
+    check(plane, second, DEFAULT_GAP_MM, plane.enabled)
+    assert np.all(second.goal[plane.enabled] != first.goal[plane.enabled])
+    with pytest.raises(FieldError, match="start"):
+        random_field(plane, rng, start=first.goal[1:])
+
+
 def test_same_seed_same_bytes():
     plane = preset("moons", 100)
     first, second = (random_field(plane, np.random.default_rng(11)) for _ in range(2))

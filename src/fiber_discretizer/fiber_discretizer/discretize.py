@@ -12,7 +12,7 @@ from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer.draft import Draft
 from fiber_discretizer.hold import hold_on_samples
-from fiber_discretizer.intake import check_trajectory, start_inside_limits
+from fiber_discretizer.intake import check_trajectory, starting_counts
 from fiber_discretizer.options import DiscretizeOptions
 
 __all__ = ["Discretization", "discretize"]
@@ -43,7 +43,7 @@ def discretize(
     units: WireUnits,
     safety: Safety,
     start_counts=None,
-    options: DiscretizeOptions = DiscretizeOptions(),
+    options: DiscretizeOptions | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> Discretization:
     """Turn a planned trajectory into few constant-velocity segments that are proven safe.
@@ -62,17 +62,16 @@ def discretize(
         safety: gap asked for and timing errors to survive.
         start_counts: where the robots are [quanta], shape (n, 2); by default at the
             start of the trajectory.
-        options: how it is done.
+        options: how it is done, by default as DiscretizeOptions says.
         progress: told now and then the part of the work done (0..1) and a few words.
 
     Raises:
-        MotionError: the trajectory does not fit the plane.
+        MotionError: trajectory or start_counts do not fit the plane.
     """
+    options = options or DiscretizeOptions()
     tell = progress or (lambda part, words: None)
     tell(0.0, "checking the trajectory")
-    if start_counts is None:
-        start_counts = start_inside_limits(plane, trajectory, units)
-    start_counts = np.array(start_counts, dtype=np.int64)
+    start_counts = starting_counts(plane, trajectory, units, start_counts)
     reason = check_trajectory(
         plane, trajectory, start_counts, units, options.start_tolerance_rad, options.speed_tolerance
     )
@@ -103,4 +102,3 @@ def discretize(
     tell(1.0, "certified" if certificate.ok else "robots at rest are too close")
     reason.setflags(write=False)
     return Discretization(draft.wire, reason, certificate, rounds)
-

@@ -3,15 +3,17 @@
 import numpy as np
 from numba import njit
 
+from fiber_core.arrays import frozen_array
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireUnits
 
-__all__ = ["check_trajectory", "peak_speeds", "range_counts", "start_inside_limits"]
+__all__ = ["check_trajectory", "peak_speeds", "range_counts", "starting_counts"]
 
-_LIMIT_NOISE_RAD = 1e-6
+_START_NOISE_RAD = 1e-9  # as the certificate: a joint that starts farther out cannot pass it
+_PROFILE_NOISE_RAD = 1e-6  # rounding brings the rest of a profile inside
 
 
 def check_trajectory(
@@ -37,23 +39,17 @@ def check_trajectory(
         Reason of each robot, shape (n,): DISABLED where a disabled robot is to move,
         BAD_TRAJECTORY where a profile does not begin where the robot is, is too fast,
         moves outside the joint limits, or needs a motor slower than one velocity unit.
-
-    Raises:
-        MotionError: the trajectory belongs to another plane, or begins before time zero.
     """
-    if trajectory.n != plane.n:
-        raise MotionError(f"a trajectory of {trajectory.n} robots for a plane of {plane.n}")
-    if trajectory.time_s[0] < 0:
-        raise MotionError(f"the trajectory begins at {trajectory.time_s[0]} s, before time zero")
     angles, start = trajectory.angles, units.to_angles(start_counts)
-    low, high = plane.limits[:, :, 0] - _LIMIT_NOISE_RAD, plane.limits[:, :, 1] + _LIMIT_NOISE_RAD
+    low, high = np.moveaxis(plane.limits, -1, 0)
     fastest = peak_speeds(trajectory)
     bad = np.abs(trajectory.start - start) > start_tolerance_rad
     bad |= fastest > plane.speeds * (1 + speed_tolerance)
     moves = fastest > 0
     bad |= moves & (plane.speeds < units.velocity_rad_s)
-    bad |= moves & ((start < plane.limits[:, :, 0]) | (start > plane.limits[:, :, 1]))
-    bad |= moves & ((angles.min(axis=2) < low) | (angles.max(axis=2) > high))
+    bad |= moves & ((start < low - _START_NOISE_RAD) | (start > high + _START_NOISE_RAD))
+    least, most = angles.min(axis=2), angles.max(axis=2)
+    bad |= moves & ((least < low - _PROFILE_NOISE_RAD) | (most > high + _PROFILE_NOISE_RAD))
     reason = np.where(bad.any(axis=1), int(Reason.BAD_TRAJECTORY), int(Reason.OK))
     reason[moves.any(axis=1) & ~plane.enabled] = Reason.DISABLED
     return reason
@@ -81,13 +77,29 @@ def range_counts(plane: FocalPlane, units: WireUnits) -> np.ndarray:
     return np.stack([np.ceil(low), np.floor(high)], axis=-1).astype(np.int64)
 
 
-def start_inside_limits(
-    plane: FocalPlane, trajectory: SampledMotion, units: WireUnits
+def starting_counts(
+    plane: FocalPlane, trajectory: SampledMotion, units: WireUnits, given=None
 ) -> np.ndarray:
-    """Return where a trajectory begins [quanta], shape (n, 2).
+    """Return where the robots are [quanta], shape (n, 2): as given, else where they start.
 
     Rounding never takes a joint across its limit; one that begins outside stays there.
+
+    Args:
+        plane: the focal plane.
+        trajectory: joint profiles of all its robots.
+        units: size of the quantum.
+        given: where the robots are [quanta], shape (n, 2), or None.
+
+    Raises:
+        MotionError: the trajectory or the positions belong to another plane, or the
+            trajectory begins before time zero.
     """
+    if trajectory.n != plane.n:
+        raise MotionError(f"a trajectory of {trajectory.n} robots for a plane of {plane.n}")
+    if trajectory.time_s[0] < 0:
+        raise MotionError(f"the trajectory begins at {trajectory.time_s[0]} s, before time zero")
+    if given is not None:
+        return frozen_array(given, int, (plane.n, 2), "start_counts", MotionError)
     nearest = units.to_counts(trajectory.start)
     inside = np.clip(nearest, *np.moveaxis(range_counts(plane, units), -1, 0))
     return np.where(np.abs(nearest - inside) <= 1, inside, nearest)

@@ -53,8 +53,9 @@ class Polylines:
 def linearize(time_s, profiles, margins, method: str = "paper") -> Polylines:
     """Return a piecewise-linear path inside profile +- margin for each profile, ends fixed.
 
-    A profile that rests at last is followed to where its rest begins. Between samples the profile and its margin are straight, and every knot is at a
-    sample, so a path inside at all samples is inside everywhere.
+    A profile that rests at last is followed to where its rest begins. Between samples
+    the profile and its margin are straight, and every knot is at a sample, so a path
+    inside at all samples is inside everywhere.
 
     Args:
         time_s: strictly increasing sample times [s], shape (t,), t >= 1.

@@ -7,17 +7,14 @@ from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_msgs_py import (
     MessageError,
-    PlaneView,
     PlanStamp,
-    Reporter,
     Stage,
-    declare_settings,
     held,
-    run,
     segments,
     topics,
     trajectory,
 )
+from fiber_node import PlaneView, Reporter, declare_settings, run
 from rclpy.node import Node
 
 from fiber_discretizer.discretize import discretize

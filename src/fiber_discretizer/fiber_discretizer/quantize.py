@@ -170,7 +170,9 @@ def _quantize(offsets, time, position, start, goal, ranges, fastest, slack, max_
         if fastest[i] > 0:
             span = max(np.int64(np.ceil(time[last] - 1e-6)) - now, 1)
             travel = goal[i] - here
-            _finish(ticks, velocity, first[i], here, travel, span, bounds, slack[i], max_ticks, search)
+            _finish(
+                ticks, velocity, first[i], here, travel, span, bounds, slack[i], max_ticks, search
+            )
         while len(ticks) > first[i] and velocity[-1] == 0:
             ticks.pop()
             velocity.pop()

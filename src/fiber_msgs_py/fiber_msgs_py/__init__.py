@@ -22,11 +22,7 @@ from fiber_msgs_py.diagnostics import Level, Status
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.frames import FrameLog
 from fiber_msgs_py.held import Stage
-from fiber_msgs_py.parameters import declare_settings
-from fiber_msgs_py.plane_view import PlaneView
 from fiber_msgs_py.progress import Progress
-from fiber_msgs_py.reporter import Reporter
-from fiber_msgs_py.running import run
 from fiber_msgs_py.segments import SegmentTable
 from fiber_msgs_py.stamps import FRAME_ID, PlanStamp
 from fiber_msgs_py.topics import Service, Topic
@@ -37,15 +33,12 @@ __all__ = [
     "Level",
     "MessageError",
     "PlanStamp",
-    "PlaneView",
     "Progress",
-    "Reporter",
     "SegmentTable",
     "Service",
     "Stage",
     "Status",
     "Topic",
-    "declare_settings",
     "diagnostics",
     "frames",
     "held",
@@ -53,7 +46,6 @@ __all__ = [
     "layout",
     "outcome",
     "progress",
-    "run",
     "segments",
     "targets",
     "topics",

@@ -11,7 +11,8 @@ from fiber_core.report import lower_bound_s
 
 __all__ = ["choose_goals", "lower_bound_s", "travel_s"]
 
-_SWEEPS = 100
+_STAYS = 2  # pose of a robot that ends where it starts; 0 and 1 are its elbows, faster first
+_OPEN = -1
 
 
 def travel_s(problem: Problem, goal) -> np.ndarray:
@@ -32,10 +33,13 @@ def travel_s(problem: Problem, goal) -> np.ndarray:
 def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Choose for each robot the fastest configuration on its target that is clear of all others.
 
-    Local search: robots in conflict take, one after the other, the option with the
-    least weighted conflict, then the fastest; the weight of a pair grows as long as
-    its conflict lasts. Where no choice clears a conflict a robot is given up: it stays
-    at its start. The order of the search follows the robots' places, not their rows.
+    A robot has at most two poses on its target, one for each elbow; turns only differ in
+    time. To choose among two so that no pair overlaps is 2-satisfiability, solved exactly
+    by limited backtracking (Even, Itai, Shamir, SIAM J. Comput. 5, 1976): take the faster
+    pose of some robot and all that follows from it for its neighbours; where that leads to
+    a contradiction, take the other. Where both do, the robot is given up and stays at its
+    start. At the end robots change to their faster pose wherever that is clear. The order
+    follows the robots' places, so the choice does not depend on their numbers.
 
     Args:
         problem: the plane, where its robots are, where their fibres should go.
@@ -47,147 +51,147 @@ def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[np.ndarray, 
         move) or GOAL_BLOCKED (no configuration inside the joint limits is clear).
     """
     plane = problem.plane
+    options, count = _options(problem)
+    pairs = neighbour_pairs(plane, margin_mm).astype(np.int64, order="C")
+    free = np.concatenate([count > 0, np.zeros(len(plane.obstacles), dtype=bool)])
+    pairs = pairs[free[pairs].any(axis=1)]
+    clash = _clashes(bodies_of(plane), pairs, options, count, margin_mm)
+    pairs, clash = pairs[clash.any(axis=(1, 2))], clash[clash.any(axis=(1, 2))]
+    order = np.lexsort((plane.centers[:, 1], plane.centers[:, 0]))
+    pose = _choose(*_adjacency(pairs, clash, len(free)), count, order)
+
+    reason = np.full(plane.n, int(Reason.OK))
+    reason[pose == _STAYS] = Reason.GOAL_BLOCKED
+    reason[problem.asked & ~plane.enabled] = Reason.DISABLED
+    reason[~problem.asked] = Reason.NO_TARGET
+    return options[np.arange(plane.n), pose], reason
+
+
+def _options(problem):
+    # Fastest configuration of either elbow, faster one first, then the start: (n, 3, 2),
+    # and how many of the first two exist, (n,).
+    plane = problem.plane
     angles, valid = kinematics.inverse(plane, problem.targets)
     valid &= plane.enabled[:, None]
     time = np.where(valid, travel_s(problem, angles), np.inf)
-    fastest_first = np.argsort(time, axis=1, kind="stable")
-    options = np.take_along_axis(angles, fastest_first[:, :, None], axis=1)
-    count = valid.sum(axis=1)
-    # The last column is the start: the only option of whoever is not asked.
-    options = np.concatenate([options, problem.start[:, None]], axis=1)
-
-    asked = count > 0
-    pairs = neighbour_pairs(plane, margin_mm)
-    free = np.concatenate([asked, np.zeros(len(plane.obstacles), dtype=bool)])
-    pairs = pairs[free[pairs].any(axis=1)]
-    offsets, neighbours, edges = _adjacency(pairs, len(free))
-    order = np.lexsort((plane.centers[:, 1], plane.centers[:, 0]))
-    choice = _search(
-        bodies_of(plane), options, count, offsets, neighbours, edges, len(pairs), order, margin_mm
-    )
-
-    reason = np.full(plane.n, int(Reason.OK))
-    reason[choice < 0] = Reason.GOAL_BLOCKED
-    reason[problem.asked & ~plane.enabled] = Reason.DISABLED
-    reason[~problem.asked] = Reason.NO_TARGET
-    return options[np.arange(plane.n), choice], reason
+    rows = np.arange(plane.n)
+    picks, times = [], []
+    for side in (np.sin(angles[..., 1]) >= 0, np.sin(angles[..., 1]) < 0):
+        of_side = np.where(side, time, np.inf)
+        picks.append(angles[rows, of_side.argmin(axis=1)])
+        times.append(of_side.min(axis=1))
+    faster = np.argsort(times, axis=0, kind="stable")
+    elbows = np.stack(picks)[faster, rows]
+    options = np.concatenate([np.moveaxis(elbows, 0, 1), problem.start[:, None]], axis=1)
+    return options, np.isfinite(times).sum(axis=0)
 
 
-def _adjacency(pairs, rows):
-    # pairs (p, 2) as lists of neighbours: offsets, neighbour rows, number of the pair
-    a, b = np.concatenate([pairs, pairs[:, ::-1]]).T.astype(np.int64)
-    edges = np.tile(np.arange(len(pairs)), 2)
+def _adjacency(pairs, clash, rows):
+    # clashing pairs seen from each row: offsets, neighbours, clash[e, own pose, other's pose]
+    a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
+    both = np.concatenate([clash, clash.transpose(0, 2, 1)])
     by_row = np.argsort(a, kind="stable")
-    return np.searchsorted(a[by_row], np.arange(rows + 1)), b[by_row], edges[by_row]
+    return np.searchsorted(a[by_row], np.arange(rows + 1)), b[by_row], both[by_row]
 
 
 @nb.njit(cache=True)
-def _pose(options, choice, i, n):
-    # obstacles ignore their angles
-    if i >= n:
-        return 0.0, 0.0
-    return options[i, choice[i], 0], options[i, choice[i], 1]
-
-
-@nb.njit(cache=True)
-def _conflict(i, option, bodies, options, choice, offsets, neighbours, edges, weight, margin):
-    # sum of the weights of the pairs that robot i's option does not clear
+def _clashes(bodies, pairs, options, count, margin):
+    # which poses of which pair come nearer than the margin, (p, 3, 3)
     n = len(options)
-    theta, phi = options[i, option]
-    total = 0
-    for e in range(offsets[i], offsets[i + 1]):
-        j = neighbours[e]
-        theta_j, phi_j = _pose(options, choice, j, n)
-        if pair_gap_below(bodies, i, j, theta, phi, theta_j, phi_j, margin) < margin:
-            total += weight[edges[e]]
-    return total
-
-
-@nb.njit(cache=True)
-def _search(bodies, options, count, offsets, neighbours, edges, pairs, order, margin):
-    # Returns the option each robot takes; -1, the start, for those not asked or given up.
-    n = len(options)
-    ones = np.ones(pairs, dtype=np.int64)
-    weight = ones.copy()
-    count = count.copy()
-    choice = np.where(count > 0, 0, -1)
-    doubtful = np.ones(n, dtype=np.bool_)
-    while True:
-        _sweep(
-            bodies, options, count, choice, doubtful,
-            offsets, neighbours, edges, weight, order, margin,
-        )  # fmt: skip
-        # Give up the robot with most conflicts, the last of them in the order.
-        worst, most = -1, 0
-        for i in order:
-            if count[i] and doubtful[i]:
-                here = _conflict(
-                    i, choice[i], bodies, options, choice, offsets, neighbours, edges, ones, margin
-                )
-                if here and here >= most:
-                    worst, most = i, here
-        if worst < 0:
-            break
-        count[worst], choice[worst] = 0, -1
-        for e in range(offsets[worst], offsets[worst + 1]):
-            if neighbours[e] < n:
-                doubtful[neighbours[e]] = True
-    _hasten(bodies, options, choice, offsets, neighbours, edges, ones, order, margin)
-    return choice
-
-
-@nb.njit(cache=True)
-def _sweep(
-    bodies, options, count, choice, doubtful, offsets, neighbours, edges, weight, order, margin
-):
-    # Sweep over the robots in conflict until there are none or patience ends. Whoever
-    # is not doubtful is known to be clear.
-    n = len(options)
-    for _ in range(_SWEEPS):
-        clear = True
-        for i in order:
-            if not doubtful[i] or count[i] == 0:
+    clash = np.zeros((len(pairs), 3, 3), dtype=np.bool_)
+    for e in range(len(pairs)):
+        a, b = pairs[e]
+        for i in range(3):
+            if i != _STAYS and i >= count[a]:
                 continue
-            before = choice[i]
-            least = _conflict(
-                i, before, bodies, options, choice, offsets, neighbours, edges, weight, margin
-            )
-            if least == 0:
-                doubtful[i] = False
-                continue
-            clear = False
-            for option in range(count[i]):
-                here = _conflict(
-                    i, option, bodies, options, choice, offsets, neighbours, edges, weight, margin
+            for j in range(3):
+                if b < n and j != _STAYS and j >= count[b]:
+                    continue
+                if (i == _STAYS and (b >= n or j == _STAYS)) or (b >= n and j != _STAYS):
+                    continue  # two that stay where they are
+                theta, phi = options[b, j] if b < n else options[a, i]
+                gap = pair_gap_below(
+                    bodies, a, b, options[a, i, 0], options[a, i, 1], theta, phi, margin
                 )
-                if here < least or (here == least and option < choice[i]):
-                    least, choice[i] = here, option
-            doubtful[i] = least > 0
-            theta, phi = options[i, choice[i]]
-            for e in range(offsets[i], offsets[i + 1]):
-                j = neighbours[e]
-                theta_j, phi_j = _pose(options, choice, j, n)
-                if pair_gap_below(bodies, i, j, theta, phi, theta_j, phi_j, margin) < margin:
-                    weight[edges[e]] += 1
-                if j < n and choice[i] != before:
-                    doubtful[j] = True
-        if clear:
-            break
+                clash[e, i, j] = gap < margin
+    return clash
 
 
 @nb.njit(cache=True)
-def _hasten(bodies, options, choice, offsets, neighbours, edges, ones, order, margin):
-    # Let robots take a faster option where that is now clear, until nobody can. Times
-    # only fall, so this ends.
+def _follow(i, chosen, offsets, neighbours, clash, count, pose, trail):
+    # Set the pose of i and all that follows from it. Returns how many were set, they
+    # stand on the trail, and who was left without a pose, -1 if nobody was.
+    pose[i] = chosen
+    trail[0] = i
+    size, at = 1, 0
+    while at < size:
+        a = trail[at]
+        at += 1
+        for e in range(offsets[a], offsets[a + 1]):
+            b = neighbours[e]
+            if pose[b] != _OPEN:
+                if clash[e, pose[a], pose[b]]:
+                    return size, b
+                continue
+            left, possible = 0, _OPEN
+            for j in range(count[b]):
+                if not clash[e, pose[a], j]:
+                    left, possible = left + 1, j
+            if left == 0:
+                return size, b
+            if left < count[b]:
+                pose[b] = possible
+                trail[size] = b
+                size += 1
+    return size, -1
+
+
+@nb.njit(cache=True)
+def _settle(offsets, neighbours, clash, count, pose, trail, order):
+    # One pass of the algorithm; returns the robot to give up, -1 if all have a pose.
+    for i in range(len(pose)):
+        if pose[i] == _STAYS:
+            _, lost = _follow(i, _STAYS, offsets, neighbours, clash, count, pose, trail)
+            if lost >= 0:
+                return lost
+    for only_one in (True, False):
+        for i in order:
+            if pose[i] != _OPEN or (count[i] == 1) != only_one:
+                continue
+            for chosen in range(count[i]):
+                size, lost = _follow(i, chosen, offsets, neighbours, clash, count, pose, trail)
+                if lost < 0:
+                    break
+                for k in range(size):
+                    pose[trail[k]] = _OPEN
+            if pose[i] == _OPEN:
+                return i
+    return -1
+
+
+@nb.njit(cache=True)
+def _choose(offsets, neighbours, clash, count, order):
+    n, rows = len(count), len(offsets) - 1
+    stays = np.ones(rows, dtype=np.bool_)
+    for i in range(n):
+        stays[i] = count[i] == 0
+    pose, trail = np.empty(rows, dtype=np.int64), np.empty(rows, dtype=np.int64)
+    lost = 0
+    while lost >= 0:
+        for i in range(rows):
+            pose[i] = _STAYS if stays[i] else _OPEN
+        lost = _settle(offsets, neighbours, clash, count, pose, trail, order)
+        if lost >= 0:
+            stays[lost] = True
     changed = True
-    while changed:
+    while changed:  # ends: times only fall
         changed = False
         for i in order:
-            for option in range(choice[i]):
-                here = _conflict(
-                    i, option, bodies, options, choice, offsets, neighbours, edges, ones, margin
-                )
-                if here == 0:
-                    choice[i] = option
-                    changed = True
-                    break
+            if pose[i] != 1:
+                continue
+            clear = True
+            for e in range(offsets[i], offsets[i + 1]):
+                clear &= not clash[e, 0, pose[neighbours[e]]]
+            if clear:
+                pose[i], changed = 0, True
+    return pose[:n]

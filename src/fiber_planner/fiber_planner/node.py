@@ -8,17 +8,14 @@ from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.targets import assign
 from fiber_msgs_py import (
-    PlaneView,
     PlanStamp,
-    Reporter,
     Stage,
-    declare_settings,
     held,
-    run,
     targets,
     topics,
     trajectory,
 )
+from fiber_node import PlaneView, Reporter, declare_settings, run
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 

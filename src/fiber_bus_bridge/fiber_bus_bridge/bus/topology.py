@@ -45,20 +45,12 @@ def addresses_of(plane: FocalPlane) -> Addresses:
     ten-bit form for all its robots.
 
     Raises:
-        TopologyError: an address is outside 0..1023, or two robots share one; names them.
+        TopologyError: an address is outside 0..1023; names the robot.
     """
     outside = (plane.address < 0) | (plane.address > 1023)
     if outside.any():
         at = int(np.argmax(outside))
         raise TopologyError(f"robot {plane.ids[at]}: address {plane.address[at]} is not 0..1023")
-    order = np.lexsort((plane.address, plane.bus))
-    same = (np.diff(plane.bus[order]) == 0) & (np.diff(plane.address[order]) == 0)
-    if same.any():
-        first, second = order[np.argmax(same) + np.arange(2)]
-        raise TopologyError(
-            f"robots {plane.ids[first]} and {plane.ids[second]} share address "
-            f"{plane.address[first]} of bus {plane.bus[first]}"
-        )
     unfit = (plane.address < _FIRST_USABLE) | (plane.address > _LAST_USABLE)
     _, bus = np.unique(plane.bus, return_inverse=True)
     ten_bit = np.zeros(bus.max(initial=-1) + 1, dtype=bool)

@@ -5,9 +5,10 @@ from numba import njit
 
 from fiber_bus_bridge.firmware.memory import NOTHING
 from fiber_bus_bridge.wire.codes import Alert, Fault, RobotState
+from fiber_bus_bridge.wire.frames import frame_crc
 from fiber_bus_bridge.wire.orders import order_fault, read_segment, segment_counts
 
-__all__ = ["encoder", "halt", "order_refusal", "reboot", "settle", "start_order"]
+__all__ = ["encoder", "halt", "order_refusal", "reboot", "settle", "start_order", "stored_crc"]
 
 _UNCONFIGURED = int(RobotState.UNCONFIGURED)
 _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
@@ -101,10 +102,20 @@ def order_refusal(r, data, first, last):
 
 
 @njit(cache=True)
+def stored_crc(r):
+    """Return the checksum of the stored order as it is in memory now; 0 without one."""
+    if r.order_length == 0:
+        return 0
+    return frame_crc(r.address, r.ten_bit, r.order, 0, r.order_length - 2)
+
+
+@njit(cache=True)
 def start_order(r, t):
-    """Decode the stored order, once more checked, and begin to run it."""
+    """Decode the stored order and begin to run it, if it is still the one that was accepted."""
     order, widths = r.order, (r.velocity_bits, r.duration_bits)
-    if order_refusal(r, order, 0, r.order_length) != _NONE:
+    last = r.order_length - 2
+    crc = (np.int64(order[last]) << 8) | np.int64(order[last + 1])
+    if stored_crc(r) != crc:
         r.order_length = 0
         r.state = _FAULT
         r.fault = _MEMORY

@@ -10,11 +10,11 @@ from fiber_bus_bridge.firmware.drive import (
     reboot,
     settle,
     start_order,
+    stored_crc,
 )
 from fiber_bus_bridge.firmware.memory import NOTHING
 from fiber_bus_bridge.wire.codes import VERSION, Alert, Fault, Opcode, RobotState
 from fiber_bus_bridge.wire.commands import CONFIG_BYTES, CONFIG_FIELDS, command_fault
-from fiber_bus_bridge.wire.frames import frame_crc
 from fiber_bus_bridge.wire.replies import (
     IDENTITY_BYTES,
     STATUS_BYTES,
@@ -90,13 +90,9 @@ def answer(r, t, out):
         write_identity(r.address, r.ten_bit, r.serial, r.boot, reply)
         size = IDENTITY_BYTES
     else:
-        length = r.order_length
-        crc = 0
-        if length:
-            crc = frame_crc(r.address, r.ten_bit, r.order, 0, length - 2)
         position = (encoder(r, 0, t), encoder(r, 1, t))
         write_status(
-            r.address, r.ten_bit, r.state, r.sequence, crc,
+            r.address, r.ten_bit, r.state, r.sequence, stored_crc(r),
             r.boot, r.fault, r.alerts, position, reply,
         )  # fmt: skip
     for i in range(min(size, len(out))):

@@ -25,14 +25,15 @@ def hold_until_safe(
     pairs=None,
     tolerance_mm: float = 0.5e-3,
 ) -> tuple[SegmentMotion, np.ndarray, Certificate]:
-    """Hold as few robots as a greedy choice finds until the rest of a motion is certified.
+    """Hold as few robots as a greedy choice finds, so that the rest of a motion is certified.
 
     A held robot rests at its start for the whole motion. Robots that break a limit or
-    move although disabled are held first. Then, as long as a pair is unsafe, the moving
-    robot in most unsafe pairs is held, the lowest row among equals, until every unsafe
-    pair has lost a robot; the pairs of held robots are certified again. At the end each
-    held robot is tried once more, and moves again if everything stays certified. Two
-    resting robots that are too close cannot be helped: the certificate says so.
+    move although disabled are held first. Then, as long as pairs are unsafe, the moving
+    robot in most of them is held, the lowest row among equals, until each of them has
+    lost one; the pairs of held robots are certified again. At the end held robots are
+    tried once more, in order and until none can go, and move again if their own pairs
+    allow it. Two resting robots that are too close cannot be helped: the certificate
+    says so.
 
     Args:
         plane: the focal plane.
@@ -49,76 +50,99 @@ def hold_until_safe(
         pairs = certified_pairs(plane, motion, safety)
     search = _Search(plane, motion, safety, pairs, tolerance_mm)
     faulty = limits_broken(plane, search.profiles) | moved_disabled(plane, search.profiles)
-    to_hold = faulty
-    while to_hold.any() or (to_hold := search.cover()).any():
-        search.apply(search.held | to_hold)
-        to_hold = np.zeros(plane.n, dtype=bool)
+    search.hold(faulty)
+    search.hold_until_covered()
     if not search.unsafe.any():
-        for row in np.flatnonzero(search.held & ~faulty):
-            search.try_release(row)
-    return search.motion, search.held, search.certificate
+        while search.release(~faulty):
+            pass
+        search.hold_until_covered()  # those released may have made the whole motion longer
+    return search.motion, search.held, search.certificate()
 
 
 class _Search:
-    # The motion with some robots held, and what is known about the gaps of its pairs.
+    # A motion with some robots held, and what is known about the gaps of its pairs.
 
     def __init__(self, plane, motion, safety, pairs, tolerance_mm):
-        self.plane, self.wished, self.safety, self.tolerance = plane, motion, safety, tolerance_mm
+        self.plane, self.wished, self.safety = plane, motion, safety
+        self.tolerance_mm = tolerance_mm
         self.pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
-        self.bodies = bodies_of(plane)
-        self.moves = profiles_of(motion).fastest.any(axis=1)
+        self.bodies, self.profiles = bodies_of(plane), profiles_of(motion)
+        self.stop = self.profiles.stop.copy()
         self.held = np.zeros(plane.n, dtype=bool)
         self.minima = Minima.unknown(len(self.pairs))
-        self._certify(motion, np.ones(len(self.pairs), dtype=bool))
-
-    def _certify(self, motion, changed):
-        # Holding shortens the motion and so lowers what is required, releasing raises it:
-        # pairs nobody touched are looked at again only where their bound is too low.
-        self.motion, self.profiles = motion, profiles_of(motion)
-        self.required = self.safety.required_mm(self.plane, motion, self.pairs)
-        known = self.minima.lower >= np.minimum(
-            self.required, self.minima.best - 2 * self.tolerance
-        )
-        rows = np.flatnonzero(changed | ~known)
-        work = (self.bodies, self.profiles, self.pairs, rows, self.required, self.tolerance)
-        minimum_gaps(*work, False, self.minima)
-        self.unsafe = self.minima.lower < self.required
-
-    def apply(self, held):
-        changed = np.append(held != self.held, np.zeros(len(self.plane.obstacles), dtype=bool))
-        self.held = held
-        self._certify(self.wished.without(held), changed[self.pairs].any(axis=1))
-
-    def cover(self):
-        # greedy vertex cover of the unsafe pairs by robots that move
-        movable = np.append(self.moves & ~self.held, np.zeros(len(self.plane.obstacles), dtype=bool))
-        chosen = np.zeros(self.plane.n, dtype=bool)
-        open_pairs = self.pairs[self.unsafe]
-        open_pairs = open_pairs[movable[open_pairs].any(axis=1)]
-        while len(open_pairs):
-            times = np.bincount(open_pairs.ravel(), minlength=len(movable)) * movable
-            most = np.argmax(times)
-            chosen[most] = True
-            open_pairs = open_pairs[(open_pairs != most).all(axis=1)]
-        return chosen
-
-    def try_release(self, row):
-        before = (self.held, self.motion, self.profiles, self.required, self.unsafe, self.minima)
-        self.minima = Minima(*(column.copy() for column in self.minima))
-        held = self.held.copy()
-        held[row] = False
-        self.apply(held)
-        if self.unsafe.any():
-            self.held, self.motion, self.profiles, self.required, self.unsafe, self.minima = before
+        self.update()
 
     @property
+    def motion(self):
+        return self.wished.without(self.held)
+
+    def update(self):
+        # What is required changes with the makespan, so with every robot held or released.
+        # A pair is looked at only if a gap that low was not met and is not excluded.
+        self.required = self.safety.required_mm(self.plane, self.motion, self.pairs)
+        lower, best, _ = self.minima
+        self.prove(np.flatnonzero((lower < self.required) & (best >= self.required)))
+        self.unsafe = lower < self.required
+
+    def prove(self, rows):
+        known = (self.bodies, self.profiles, self.pairs, rows, self.required, self.tolerance_mm)
+        minimum_gaps(*known, False, self.minima)
+
+    def hold(self, robots):
+        # the robots, shape (n,), rest from now on; nothing is known about their pairs
+        self.held |= robots
+        self.profiles.stop[robots] = self.profiles.first[robots]
+        touched = self._of_bodies(robots)[self.pairs].any(axis=1)
+        self.minima.lower[touched], self.minima.best[touched] = -np.inf, np.inf
+        self.update()
+
+    def hold_until_covered(self):
+        while (chosen := self._cover()).any():
+            self.hold(chosen)
+
+    def _cover(self):
+        # greedy vertex cover of the unsafe pairs by robots that move
+        movable = self._of_bodies(self.profiles.fastest.any(axis=1) & ~self.held)
+        chosen = np.zeros(self.plane.n, dtype=bool)
+        uncovered = self.pairs[self.unsafe & movable[self.pairs].any(axis=1)]
+        while len(uncovered):
+            times = np.bincount(uncovered.ravel(), minlength=len(movable))
+            most = np.argmax(times * movable)
+            chosen[most] = True
+            uncovered = uncovered[(uncovered != most).all(axis=1)]
+        return chosen
+
+    def release(self, allowed):
+        # Let those go whose own pairs stay safe; returns whether there were any. No motion
+        # with robots held requires more than the wished one does.
+        held_before = self.held.copy()
+        self.required = self.safety.required_mm(self.plane, self.wished, self.pairs)
+        order = np.argsort(self.pairs, axis=None, kind="stable")
+        begin = np.searchsorted(self.pairs.ravel()[order], np.arange(self.plane.n + 1))
+        for robot in np.flatnonzero(self.held & allowed):
+            own = order[begin[robot] : begin[robot + 1]] // 2
+            before = [column[own] for column in self.minima]
+            self.profiles.stop[robot] = self.stop[robot]
+            self.prove(own)
+            if (self.minima.lower[own] >= self.required[own]).all():
+                self.held[robot] = False
+                continue
+            self.profiles.stop[robot] = self.profiles.first[robot]
+            for column, known in zip(self.minima, before):
+                column[own] = known
+        self.update()
+        return (held_before & ~self.held).any()
+
+    def _of_bodies(self, robots):
+        return np.append(robots, np.zeros(len(self.plane.obstacles), dtype=bool))
+
     def certificate(self):
         return certificate_of(
             self.plane,
             self.bodies,
-            self.profiles,
+            profiles_of(self.motion),
             self.pairs,
             self.required,
             self.minima,
-            self.tolerance,
+            self.tolerance_mm,
         )

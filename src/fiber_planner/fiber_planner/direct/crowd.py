@@ -31,6 +31,7 @@ class Crowd(NamedTuple):
         low: lower joint limits [rad], shape (n, 2).
         high: upper joint limits [rad], shape (n, 2).
         speed: highest joint speeds [rad/s], shape (n, 2).
+        fold: phi of the folded arm, as far as the limits let it [rad], shape (n,).
         movable: whether a robot may be moved, shape (b,).
         key: a number that depends on a robot's place only, for its draws, shape (n,).
         option: configurations that put a fibre on its target, fastest first [rad],
@@ -48,6 +49,7 @@ class Crowd(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     speed: np.ndarray
+    fold: np.ndarray
     movable: np.ndarray
     key: np.ndarray
     option: np.ndarray
@@ -86,6 +88,7 @@ def crowd_of(problem: Problem, seed: int = 0) -> Crowd:
         low=np.minimum(plane.limits[:, :, 0], problem.start),
         high=np.maximum(plane.limits[:, :, 1], problem.start),
         speed=plane.speeds,
+        fold=_fold(plane, problem.start),
         movable=movable,
         key=place_keys(plane, seed),
         option=option,
@@ -100,6 +103,14 @@ def _adjacency(pairs, rows):
     order = np.lexsort([b, a])
     offsets = np.searchsorted(a[order], np.arange(rows + 1))
     return offsets, np.ascontiguousarray(b[order]), edge[order]
+
+
+def _fold(plane, start):
+    # of +180 and -180 degrees, each moved into the limits, what folds best; then the nearer
+    low, high = plane.limits[:, 1].T
+    either = np.stack([np.clip(np.pi, low, high), np.clip(-np.pi, low, high)], axis=1)
+    away = np.round(np.pi - np.abs(either), 6) + 1e-9 * np.abs(either - start[:, 1:])
+    return either[np.arange(plane.n), away.argmin(axis=1)]
 
 
 def _options(problem):

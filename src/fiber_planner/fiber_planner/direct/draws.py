@@ -5,7 +5,7 @@ import math
 import numba as nb
 import numpy as np
 
-__all__ = ["least_intervals", "next_uniform", "seeded", "trapezoid", "via_profile", "window"]
+__all__ = ["fold_profile", "least_intervals", "next_uniform", "seeded", "trapezoid", "via_profile", "window"]
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -123,4 +123,41 @@ def via_profile(row, s, g, low, high, per_interval, spread, dwell, state):
             a0 = _whole(state, 0, a1 - max(1, first))
         if next_uniform(state) < 0.5:
             b1 = _whole(state, b0 + max(1, second), last)
+    trapezoid(row, s, v, g, a0, a1, b0, b1)
+
+
+@nb.njit(cache=True)
+def fold_profile(row, s, fold, g, per_interval, state):
+    """Draw a profile that goes from s to a folded arm, rests there, and ends in g.
+
+    Args:
+        row: joint angles on the grid [rad], shape (k + 1,), written.
+        s, g: first and last angle [rad], g within reach of s in k intervals.
+        fold: the angle of the folded arm [rad].
+        per_interval: farthest turn in one interval [rad].
+        state: of the generator.
+    """
+    last = len(row) - 1
+    if next_uniform(state) < 0.5:  # not all the way
+        fold += (0.5 * (s + g) - fold) * next_uniform(state)
+    v = fold
+    for _ in range(6):
+        first = max(1, least_intervals(v - s, per_interval))
+        second = max(1, least_intervals(g - v, per_interval))
+        if first + second <= last:
+            break
+        v = 0.5 * (v + 0.5 * (s + g))
+    if first + second > last:
+        window(row, s, g, per_interval, state)
+        return
+    room = last - first - second
+    a0 = _whole(state, 0, room // 2) if next_uniform(state) < 0.5 else 0
+    a1 = a0 + first
+    if next_uniform(state) < 0.5:
+        a1 += _whole(state, 0, room // 2 - a0)
+    left = last - second - a1
+    b1 = last - (_whole(state, 0, left) if next_uniform(state) < 0.5 else 0)
+    b0 = b1 - second
+    if next_uniform(state) < 0.5:
+        b0 -= _whole(state, 0, b0 - a1)
     trapezoid(row, s, v, g, a0, a1, b0, b1)

@@ -12,13 +12,22 @@ from fiber_planner.direct.crowd import Crowd, crowd_of
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.pieces import straight_pieces
 from fiber_planner.direct.reach import reachable
-from fiber_planner.direct.repair import Draft, measure, repair, restore, straighten
+from fiber_planner.direct.repair import (
+    Draft,
+    fold_first,
+    measure,
+    repair,
+    restore,
+    straighten,
+)
 from fiber_planner.goals import choose_goals
 from fiber_planner.protocol import PlannedMotion, Progress
 
 __all__ = ["DirectPlanner"]
 
 _STRETCHES = (1.0, 1.02, 1.05, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.0, 2.25, 2.5, 3.0)
+_FOLD_FROM = 1.4  # stretch at which arms are folded on their way
+_FOLDING = 0.7  # share of candidates that fold then
 _SWEEPS = 60  # at each makespan
 _DRAWS = 30
 _CERTIFIED_AT_MOST = 8  # rounds of certificate and repair
@@ -73,7 +82,7 @@ class _Search:
     def __post_init__(self):
         problem, parameters = self.problem, self.parameters
         self.crowd: Crowd = crowd_of(problem, parameters.seed)
-        self.spent, self.sweep = 0, 0
+        self.spent, self.sweep, self.folding = 0, 0, 0.0
         self.limit = parameters.effort * max(1, problem.plane.n)
 
     def run(self):
@@ -83,6 +92,10 @@ class _Search:
             if stretch > self.parameters.stretch:
                 break
             self._stretch_to(stretch)
+            if stretch >= _FOLD_FROM and self.folding < _FOLDING:
+                conflicts = self._fold_all()
+            if self.progress is not None:
+                self.progress(0.0, f"{conflicts} conflicts in {self.makespan_s:.2f} s of motion")
             conflicts = self._certified_repair()
             for _ in range(_GIVE_UP_ROUNDS):
                 if conflicts == 0 or stretch < _PATIENCE or not self._free_the_worst(self.walled):
@@ -93,8 +106,9 @@ class _Search:
         if conflicts:
             self._give_up()
         restore(
-            self.crowd, self.draft, self.step_s, self.reason == Reason.NOT_CONVERGED, self.sweep, 300
-        )
+            self.crowd, self.draft, self.step_s, self.folding,
+            self.reason == Reason.NOT_CONVERGED, self.sweep, 300,
+        )  # fmt: skip
         return self._finish()
 
     # -- the first draft
@@ -157,11 +171,19 @@ class _Search:
         self.makespan_s = stretch * self.alone_s
         self.step_s = self.makespan_s / self.parameters.intervals
 
+    def _fold_all(self):
+        # Everybody who has far to go folds first and unfolds last, as fast as possible.
+        crowd, draft = self.crowd, self.draft
+        self.folding = _FOLDING
+        draft.weight[:] = 1.0
+        fold_first(crowd, draft, self.step_s)
+        return measure(crowd, draft)
+
     # -- search
 
     def _repair(self, sweeps):
         conflicts, done, spent = repair(
-            self.crowd, self.draft, self.step_s, self.sweep, sweeps, _DRAWS,
+            self.crowd, self.draft, self.step_s, self.folding, self.sweep, sweeps, _DRAWS,
             self.limit - self.spent,
         )  # fmt: skip
         self.sweep += done

@@ -7,6 +7,7 @@ import numba as nb
 import numpy as np
 
 from fiber_planner.direct.draws import (
+    fold_profile,
     least_intervals,
     next_uniform,
     seeded,
@@ -16,7 +17,7 @@ from fiber_planner.direct.draws import (
 )
 from fiber_planner.direct.penetration import penetration
 
-__all__ = ["Draft", "measure", "repair", "restore", "straighten"]
+__all__ = ["Draft", "fold_first", "measure", "repair", "restore", "straighten"]
 
 _GROWTH = 1.3  # of the weight of a pair, for every sweep its conflict lasts
 _OTHER_OPTION = 0.3  # share of draws that end in another configuration on the target
@@ -80,7 +81,7 @@ def _adopt(crowd, draft, i, profile, depths):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _draw(crowd, draft, i, number, many, step_s, state, profile):
+def _draw(crowd, draft, i, number, many, step_s, folding, state, profile):
     # Write a candidate profile of robot i; return the option it ends in. Simple ones come
     # first: windows, then third angles close to the straight line, then anywhere.
     last = profile.shape[1] - 1
@@ -106,6 +107,7 @@ def _draw(crowd, draft, i, number, many, step_s, state, profile):
                 theta = end
             else:
                 phi = end
+    folds = next_uniform(state) < folding
     kind = next_uniform(state)
     progress = number / many
     for joint in range(2):
@@ -114,7 +116,9 @@ def _draw(crowd, draft, i, number, many, step_s, state, profile):
         per_interval = crowd.speed[i, joint] * step_s
         spread = math.pi * (0.15 + progress) * (0.2 + 0.8 * next_uniform(state))
         straight = progress < 0.3 or (kind < 0.3 and joint == 0) or (0.3 < kind < 0.5 and joint == 1)
-        if straight:
+        if folds and joint == 1:
+            fold_profile(profile[joint], s, crowd.fold[i], g, per_interval, state)
+        elif straight:
             window(profile[joint], s, g, per_interval, state)
         else:
             dwell = progress > 0.5 and next_uniform(state) < 0.5
@@ -126,7 +130,50 @@ def _draw(crowd, draft, i, number, many, step_s, state, profile):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def repair(crowd, draft, step_s, first, sweeps, draws, effort):
+def _redraw_leg(crowd, draft, i, step_s, folding, state, profile):
+    # Write a candidate that keeps one half of robot i's profile, or only its ends; then it
+    # passes the middle of the time folded (as far as it gets) and turned anyhow.
+    last = profile.shape[1] - 1
+    middle = last // 2
+    profile[:] = draft.q[i]
+    which = next_uniform(state)
+    first, second = which < 0.4 or which >= 0.8, which >= 0.4
+    turn = next_uniform(state) ** 2
+    for joint in range(2):
+        s, g = profile[joint, 0], profile[joint, last]
+        per_interval = crowd.speed[i, joint] * step_s
+        m = profile[joint, middle]
+        if first and second:
+            far, back = per_interval * middle, per_interval * (last - middle)
+            low = max(crowd.low[i, joint], max(s - far, g - back))
+            high = min(crowd.high[i, joint], min(s + far, g + back))
+            if joint == 0:
+                wanted = m + math.pi * turn * (2.0 * next_uniform(state) - 1.0)
+            else:
+                wanted = crowd.fold[i]
+                if next_uniform(state) >= folding:
+                    wanted += (0.5 * (s + g) - wanted) * next_uniform(state)
+            if low <= high:
+                m = min(max(wanted, low), high)
+        spread = math.pi * next_uniform(state)
+        for leg in range(2):
+            if leg == 0:
+                wanted_leg, row, begin, end = first, profile[joint, : middle + 1], s, m
+            else:
+                wanted_leg, row, begin, end = second, profile[joint, middle:], m, g
+            if not wanted_leg:
+                continue
+            if next_uniform(state) < 0.55:
+                window(row, begin, end, per_interval, state)
+            else:
+                via_profile(
+                    row, begin, end, crowd.low[i, joint], crowd.high[i, joint],
+                    per_interval, spread, next_uniform(state) < 0.5, state,
+                )  # fmt: skip
+
+
+@nb.njit(cache=True, error_model="numpy")
+def repair(crowd, draft, step_s, folding, first, sweeps, draws, effort):
     """Sweep over the robots in conflict until none is left or the effort is spent.
 
     Guided local search (Voudouris and Tsang, EJOR 113, 1999): a robot takes the first
@@ -138,6 +185,7 @@ def repair(crowd, draft, step_s, first, sweeps, draws, effort):
         crowd: the robots.
         draft: the plan, with its penetrations measured.
         step_s: length of a grid interval [s].
+        folding: share of the candidates that fold the arm on their way.
         first: number of the first sweep; other numbers give other draws.
         sweeps: most sweeps.
         draws: candidates per robot and sweep.
@@ -154,6 +202,7 @@ def repair(crowd, draft, step_s, first, sweeps, draws, effort):
     best_depths = np.empty(most)
     touched = np.zeros(n, dtype=np.bool_)
     spent = 0
+    keep_half = 0.3 if folding == 0.0 else 1.0
     for sweep in range(sweeps):
         touched[:] = False
         conflicts = 0
@@ -180,7 +229,11 @@ def repair(crowd, draft, step_s, first, sweeps, draws, effort):
             best_choice = draft.choice[i]
             state = seeded(crowd.key[i], 2 * (first + sweep) + 1)
             for number in range(draws):
-                choice = _draw(crowd, draft, i, number, draws, step_s, state, profile)
+                if number % 2 and next_uniform(state) < keep_half:
+                    choice = draft.choice[i]
+                    _redraw_leg(crowd, draft, i, step_s, folding, state, profile)
+                else:
+                    choice = _draw(crowd, draft, i, number, draws, step_s, folding, state, profile)
                 spent += 1
                 total = _weigh(crowd, draft, i, profile, best, depths)
                 if total < best:
@@ -200,6 +253,31 @@ def repair(crowd, draft, step_s, first, sweeps, draws, effort):
         if draft.depth[p] > 0.0:
             conflicts += 1
     return conflicts, sweeps, spent
+
+
+@nb.njit(cache=True)
+def fold_first(crowd, draft, step_s):
+    """Let every robot on its way fold its arm as fast as it can and unfold it at the end.
+
+    Args:
+        crowd: the robots.
+        draft: the plan; its penetrations have to be measured again.
+        step_s: length of a grid interval [s].
+    """
+    last = draft.q.shape[2] - 1
+    for i in range(len(crowd.start)):
+        s, g, v = draft.q[i, 1, 0], draft.q[i, 1, last], crowd.fold[i]
+        if draft.choice[i] < 0 or (s == g and draft.q[i, 0, 0] == draft.q[i, 0, last]):
+            continue
+        there = least_intervals(v - s, crowd.speed[i, 1] * step_s)
+        back = least_intervals(g - v, crowd.speed[i, 1] * step_s)
+        if there + back <= last:
+            trapezoid(draft.q[i, 1], s, v, g, 0, there, last - back, last)
+            s, g = draft.q[i, 0, 0], draft.q[i, 0, last]
+            turn = least_intervals(g - s, crowd.speed[i, 0] * step_s)
+            least = min(there, last - turn)
+            most = min(last, max(least + turn, last - back))
+            trapezoid(draft.q[i, 0], s, g, g, least, most, last, last)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -228,13 +306,14 @@ def straighten(crowd, draft, step_s):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def restore(crowd, draft, step_s, wish, first, draws):
+def restore(crowd, draft, step_s, folding, wish, first, draws):
     """Let robots that were given up go to their targets after all where that meets nobody.
 
     Args:
         crowd: the robots.
         draft: a plan without conflict.
         step_s: length of a grid interval [s].
+        folding: share of the candidates that fold the arm on their way.
         wish: robots to try, shape (n,).
         first: number of a sweep not made yet.
         draws: candidates per robot.
@@ -252,7 +331,7 @@ def restore(crowd, draft, step_s, wish, first, draws):
         draft.choice[i] = 0
         state = seeded(crowd.key[i], 2 * first + 1)
         for number in range(draws):
-            choice = _draw(crowd, draft, i, number, draws, step_s, state, profile)
+            choice = _draw(crowd, draft, i, number, draws, step_s, folding, state, profile)
             if _weigh(crowd, draft, i, profile, 0.0, depths) == 0.0:
                 _adopt(crowd, draft, i, profile, depths)
                 before = choice

@@ -1,6 +1,7 @@
 """Parameters of the decentralized navigation function, their defaults and ranges."""
 
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
@@ -13,6 +14,10 @@ _PAPER_SPEED = np.pi  # [rad/s] 30 rpm, the speed for which the paper chose 10 m
 _PAPER_STEP_S = 0.01
 _LEAST_HORIZON_S = 2.5  # the motion time the paper announces
 _HORIZON_RATIO = 3.0
+
+_FROM_PLANE = ("outer_mm", "inner_mm", "dt_s", "horizon_s")
+_MAY_BE_ZERO = ("lambda2", "margin_mm")
+_NUMBERS = ("lambda1", "tolerance_mm", *_MAY_BE_ZERO, *_FROM_PLANE)
 
 
 @dataclass(frozen=True)
@@ -57,14 +62,14 @@ class DnfParameters:
     adaptive: bool = True
 
     def __post_init__(self):
-        for name in ("lambda1", "outer_mm", "inner_mm", "dt_s", "tolerance_mm", "horizon_s"):
+        for name in _NUMBERS:
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise PlannerError(f"{name} is {value}, expected a positive number")
-        for name in ("lambda2", "margin_mm"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise PlannerError(f"{name} is {value}, expected zero or more")
+            if value is None and name in _FROM_PLANE:
+                continue
+            if not (isinstance(value, Real) and np.isfinite(value) and value >= 0):
+                raise PlannerError(f"{name} is {value}, expected a number of at least zero")
+            if value == 0 and name not in _MAY_BE_ZERO:
+                raise PlannerError(f"{name} is {value}, expected more than zero")
         for name, choices in (("sign", ("corrected", "printed")), ("attraction", ("joint", "tip"))):
             if getattr(self, name) not in choices:
                 raise PlannerError(f"{name} is {getattr(self, name)!r}, expected one of {choices}")
@@ -99,3 +104,4 @@ class DnfParameters:
         if self.horizon_s is not None:
             return float(self.horizon_s)
         return max(_LEAST_HORIZON_S, _HORIZON_RATIO * alone_s)
+

@@ -124,7 +124,8 @@ def longest_step(closing, bend, allowed):
     if allowed == 0.0:
         return -2.0 * closing / bend if closing < 0.0 else 0.0
     root = math.sqrt(closing * closing + 2.0 * bend * allowed)
-    return 2.0 * allowed / (closing + root) if closing > 0.0 else (root - closing) / bend
+    factor = 2.0 * allowed / (closing + root) if closing > 0.0 else (root - closing) / bend
+    return min(1.0, factor)
 
 
 @nb.njit(cache=True)

@@ -8,7 +8,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import joint_states, layout, topics
 from fiber_msgs_py.errors import MessageError
-from fiber_msgs_py.reporter import Reporter
+from fiber_node.reporter import Reporter
 
 __all__ = ["PlaneView"]
 
@@ -18,7 +18,7 @@ class PlaneView:
 
     Args:
         node: the node that listens.
-        report: told of messages refused.
+        report: told of messages refused, and how many robots are known.
     """
 
     def __init__(self, node: Node, report: Reporter):
@@ -32,12 +32,21 @@ class PlaneView:
             self._plane, self._units = layout.decode(message)
         except FiberError as error:
             self._report.refuse(f"layout refused: {error}")
+        self._tell()
 
     def _on_joint_states(self, message):
         try:
             self._states = joint_states.decode(message)
         except FiberError as error:
             self._report.refuse(f"joint states refused: {error}")
+        self._tell()
+
+    def _tell(self):
+        # so that whoever sends targets can know that this node will not refuse them for this
+        robots = self._plane.n if self.complete else 0
+        if self._report.counters.get("robots") != robots:
+            self._report.counters["robots"] = robots
+            self._report.publish()
 
     @property
     def complete(self) -> bool:

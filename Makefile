@@ -1,0 +1,110 @@
+# Everything a user needs: `make demo`, `make test`. `make help` lists the rest.
+#
+# Where ROS 2 Jazzy is sourced, its own python3, rclpy and colcon are used and no .venv is made:
+# `rosdep install --from-paths src --ignore-src` brings what is missing. Elsewhere .venv gets
+# the Jazzy wheels and everything else from requirements.lock.
+
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+MAKEFLAGS += --no-print-directory
+
+ifeq ($(ROS_DISTRO),jazzy)
+PYTHON := python3
+ENV_STAMP := build/.ros_checked
+else
+VENV := $(CURDIR)/.venv
+PYTHON := $(VENV)/bin/python
+ENV_STAMP := .venv/.installed
+export PATH := $(VENV)/bin:$(PATH)
+export AMENT_PREFIX_PATH := $(VENV)
+endif
+COLCON := $(PYTHON) -m colcon --log-level error
+QUIET := console_stderr- console_cohesion- console_direct- status- desktop_notification-
+
+# The graph stays on this machine, over Fast DDS, and logs beside the build.
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
+export FASTRTPS_DEFAULT_PROFILES_FILE := $(CURDIR)/src/fiber_bringup/config/fastdds.xml
+export ROS_LOG_DIR := $(CURDIR)/log/ros
+export PYTHONWARNINGS := ignore:::setuptools,ignore:::pkg_resources
+
+INSTALLED := source install/setup.bash
+OUT ?= out/demo
+OPTIONS = $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) \
+	$(if $(SEED),--seed $(SEED)) $(if $(PLANNER),--planner $(PLANNER)) \
+	$(if $(LAYOUT),--layout $(LAYOUT))
+
+.PHONY: help
+help: ## list the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /|/' | column -t -s '|'
+	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file.csv OUT=folder; demo TARGETS=file"
+
+.PHONY: venv
+venv: $(ENV_STAMP) ## make .venv from requirements.lock (PY=python3.12 chooses the Python)
+
+.venv/.installed: requirements.lock tools/make_venv.sh
+	@tools/make_venv.sh .venv requirements.lock $(PY)
+	@touch $@
+
+build/.ros_checked: tools/check_ros.py
+	@$(PYTHON) tools/check_ros.py
+	@mkdir -p build && touch $@
+
+.PHONY: build
+build: build/.built ## build the workspace into install/
+
+# The list of source files is an input too: a file that went away needs a build as well.
+build/.sources: FORCE
+	@mkdir -p build
+	@find src -type f -not -path '*/__pycache__/*' -not -path '*/test/*' \
+		-not -path '*/.*' -not -path '*.egg-info/*' | LC_ALL=C sort > $@.new
+	@if cmp -s $@.new $@; then rm $@.new; else mv $@.new $@; fi
+
+.PHONY: FORCE
+FORCE:
+
+src/%: ;
+
+build/.built: $(ENV_STAMP) build/.sources $(shell test -f build/.sources && cat build/.sources)
+	@echo "building the workspace"
+	@$(COLCON) build --event-handlers $(QUIET) || { cat log/latest_build/*/stderr.log; exit 1; }
+	@touch $@
+
+.PHONY: demo
+demo: build ## take 5000 simulated robots through one reconfiguration, into out/demo
+	@$(INSTALLED) && install/fiber_bringup/lib/fiber_bringup/demo $(OPTIONS) \
+		$(if $(TARGETS),--targets $(TARGETS)) --out $(OUT)
+
+.PHONY: bench
+bench: build ## plan one field with no ROS and print one JSON line, into OUT
+	@$(INSTALLED) && $(PYTHON) bench/plan_field.py $(OPTIONS) \
+		--out $(if $(filter-out out/demo,$(OUT)),$(OUT),out/bench)
+
+.PHONY: test
+test: build ## run every test of the packages and of test/, and count them
+	@rm -rf build/*/pytest.xml build/test
+	@failed=0; \
+	$(INSTALLED); \
+	$(COLCON) test --return-code-on-test-failure --event-handlers $(QUIET) || failed=1; \
+	$(COLCON) test-result --test-result-base build --verbose | grep -v '^Summary' || true; \
+	$(PYTHON) -m pytest test --junit-xml=build/test/pytest.xml || failed=1; \
+	$(PYTHON) test/check_counts.py build test/minimum_tests.toml || failed=1; \
+	exit $$failed
+
+.PHONY: lint
+lint: $(ENV_STAMP) ## check style and format
+	@$(PYTHON) -m ruff check . && $(PYTHON) -m ruff format --check .
+
+.PHONY: lock
+lock: ## resolve requirements.in into requirements.lock
+	@tools/lock.sh requirements.in requirements.lock $(PY)
+
+.PHONY: clean
+clean: ## remove everything made, except .venv
+	@rm -rf build install log out .pytest_cache .ruff_cache .hypothesis
+	@find src test bench examples -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+
+.PHONY: distclean
+distclean: clean ## remove .venv too
+	@rm -rf .venv

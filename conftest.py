@@ -1,0 +1,57 @@
+"""Every test process gets a ROS domain of its own, on loopback, before rclpy is imported."""
+
+import os
+import random
+import socket
+from pathlib import Path
+
+import pytest
+
+_ROOT = Path(__file__).parent
+_FIRST_PORT = 47_000
+_held = []
+
+
+def _claim_domain() -> int:
+    """Return a ROS domain id 1..101 that no other test process of this machine uses.
+
+    A bound port stands for the domain. The system frees it when the process ends,
+    however it ends.
+    """
+    for domain in random.sample(range(1, 102), 101):
+        claim = socket.socket()
+        try:
+            claim.bind(("127.0.0.1", _FIRST_PORT + domain))
+        except OSError:
+            claim.close()
+            continue
+        _held.append(claim)
+        return domain
+    raise RuntimeError("all 101 ROS domains are in use")
+
+
+os.environ |= {
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+    "FASTRTPS_DEFAULT_PROFILES_FILE": str(_ROOT / "src/fiber_bringup/config/fastdds.xml"),
+    "ROS_DOMAIN_ID": str(_claim_domain()),
+}
+os.environ.setdefault("ROS_LOG_DIR", str(_ROOT / "log/ros"))
+
+
+@pytest.fixture
+def domain() -> int:
+    """ROS domain id of this process."""
+    return int(os.environ["ROS_DOMAIN_ID"])
+
+
+@pytest.fixture(scope="session")
+def new_domain():
+    """Returns another ROS domain id at each call, all held until the process ends."""
+    return _claim_domain
+
+
+@pytest.fixture
+def other_domain() -> int:
+    """A second ROS domain id, held until the process ends."""
+    return _claim_domain()

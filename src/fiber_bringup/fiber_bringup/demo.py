@@ -1,0 +1,206 @@
+"""Take a simulated focal plane through one reconfiguration with the installed nodes.
+
+Makes a problem, starts bridge, planner and discretizer as processes of their own on this
+machine, moves the robots, and writes into the output folder: problem.npz, plan.npz (the
+motion decoded from the bytes that went over the buses), report.json, plane.png, and the
+nodes' logs.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fiber_bringup.client import PlaneClient, PlanEnd
+from fiber_bringup.display import ProgressDisplay, table
+from fiber_bringup.environment import own_domain, stay_on_this_machine
+from fiber_bringup.processes import Processes
+from fiber_bringup.reconfigure import summary, went_well
+from fiber_bringup.replay import Replay, settled_replay
+from fiber_core.clearance import Safety, certify
+from fiber_core.errors import FiberError
+from fiber_core.fields import random_problem
+from fiber_core.presets import PRESETS, preset
+from fiber_core.problem import Problem, save_plan, save_problem
+from fiber_core.report import plan_report
+from fiber_core.tables import read_layout, read_targets
+from fiber_core.targets import assign
+from fiber_viewer import before_and_after
+
+__all__ = ["main"]
+
+_SETTLE_S = 30.0  # for the last frames and encoder readings to come in
+_ORDER_BYTES = 4  # of a placement order without segments
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """What one reconfiguration left behind."""
+
+    ended: PlanEnd
+    told: Replay
+    wall_s: dict[str, float]
+
+
+def main(argv=None) -> int:
+    """Run the demonstration from the command line."""
+    options = _parser().parse_args(argv)
+    begin = time.monotonic()
+    options.out.mkdir(parents=True, exist_ok=True)
+    with ProgressDisplay() as display:
+        try:
+            problem = _problem(options)
+            save_problem(options.out / "problem.npz", problem)
+            display.say(
+                f"{problem.plane.name}: {problem.plane.n} robots, "
+                f"{problem.plane.enabled.sum()} enabled, {problem.asked.sum()} asked to move"
+            )
+            run = _reconfigure(problem, options, display)
+            display.say("checking the motion decoded from the bytes")
+            report = _report(problem, run)
+        except (FiberError, OSError) as error:
+            display.say(f"demo: {error}")
+            return 1
+        except KeyboardInterrupt:
+            display.say("demo: interrupted, all nodes were ended")
+            return 1
+    report["wall_s"]["all"] = time.monotonic() - begin
+    _write(options.out, problem, run, report)
+    print(_figures(report))
+    print()
+    print(summary(run.ended.of(problem.plane.ids[problem.asked])))
+    print("\nin", options.out)
+    for name in ("report.json", "problem.npz", "plan.npz", "plane.png"):
+        print("  ", name)
+    good = went_well(run.ended.of(problem.plane.ids[problem.asked])) and report["certified"]
+    return 0 if good else 1
+
+
+def _parser():
+    parser = argparse.ArgumentParser(
+        prog="demo", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--preset", choices=list(PRESETS), help="instrument, default desi")
+    parser.add_argument("--robots", type=int, help="how many; by default as the instrument has")
+    parser.add_argument("--layout", type=Path, help="table of robots instead (CSV, ECSV, FITS)")
+    parser.add_argument("--targets", type=Path, help="table id, x_mm, y_mm; by default random")
+    parser.add_argument("--seed", type=int, default=0, help="of random starts and targets")
+    parser.add_argument("--planner", default="dnf", help="planner by name, default dnf")
+    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="output folder")
+    parser.add_argument(
+        "--time-scale",
+        type=float,
+        default=1.0,
+        help="simulated seconds a second, 1 for real time, 0 for as fast as possible",
+    )
+    parser.add_argument("--timeout", type=float, default=600.0, help="of each wait [s]")
+    return parser
+
+
+def _problem(options) -> Problem:
+    if options.layout is not None:
+        plane = read_layout(options.layout, options.preset)
+    else:
+        plane = preset(options.preset or "desi", options.robots)
+    problem = random_problem(plane, np.random.default_rng(options.seed))
+    if options.targets is None:
+        return problem
+    ids, xy_mm = read_targets(options.targets)
+    asked_mm = assign(plane, problem.start, ids, xy_mm).asked_mm
+    return Problem(plane, problem.start, asked_mm)
+
+
+def _reconfigure(problem, options, display) -> _Run:
+    stay_on_this_machine()
+    os.environ["ROS_DOMAIN_ID"] = str(own_domain())
+    bridge = {
+        "problem": str((options.out / "problem.npz").resolve()),
+        "seed": options.seed,
+        "time_scale": options.time_scale,
+    }
+    times = [time.monotonic()]
+    with Processes(options.out) as processes:
+        processes.start("fiber_bus_bridge", "bridge", bridge)
+        processes.start("fiber_planner", "planner", {"planner": options.planner})
+        processes.start("fiber_discretizer", "discretizer", {})
+        with PlaneClient(on_progress=display, guard=processes.check) as client:
+            client.wait_for_graph(options.timeout)
+            before = client.units.to_counts(client.angles)
+            times.append(time.monotonic())
+            asked = problem.asked
+            stamp = client.send(problem.plane.ids[asked], problem.targets[asked])
+            client.wait_ready(stamp, options.timeout)
+            times.append(time.monotonic())
+            client.start(options.timeout)
+            times.append(time.monotonic())
+            ended = client.wait_end(stamp, options.timeout)
+            times.append(time.monotonic())
+            told = settled_replay(client, ended, before, _SETTLE_S)
+            heard = client.times[stamp]
+    graph, ready, start, move = np.diff(times)
+    plan = heard["planner"] - heard["sent"]
+    wall_s = {
+        "graph": graph, "plan": plan, "discretize": ready - plan, "start": start, "move": move
+    }  # fmt: skip
+    return _Run(ended, told, wall_s)
+
+
+def _report(problem, run) -> dict:
+    motion = run.told.motion.decoded()
+    certificate = certify(problem.plane, motion, Safety())
+    report = plan_report(problem, motion, certificate, run.ended.outcome, run.ended.reason)
+    ordered = run.told.started
+    motors = (motion.counts[ordered] > 0).sum(axis=1)
+    segment_bytes = run.told.motion.units.segment_bytes
+    return report | {
+        "margin_mm": Safety().margin_mm,
+        "ordered": int(ordered.sum()),
+        "bytes_mean": float(run.told.load_bytes[ordered].mean()) if ordered.any() else 0.0,
+        "bytes_bound": float((_ORDER_BYTES + segment_bytes * motors).mean() if len(motors) else 0),
+        "bus_time_s": run.told.bus_time_s,
+        "wall_s": run.wall_s,
+    }
+
+
+def _write(out, problem, run, report):
+    motion = run.told.motion.decoded()
+    save_plan(out / "plan.npz", motion, run.ended.outcome, run.ended.reason)
+    before_and_after(problem, motion, run.ended.outcome).savefig(out / "plane.png", dpi=110)
+    (out / "report.json").write_text(json.dumps(_plain(report), indent=2) + "\n")
+
+
+def _plain(value):
+    # JSON has no number for what is not finite
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _figures(report) -> str:
+    rows = [("", "value", "bound")]
+    rows += [("reached", report["reached"], report["asked"])]
+    rows += [(name, report[name], "") for name in ("held", "failed")]
+    rows += [
+        ("makespan s", f"{report['makespan_s']:.3f}", f"{report['lower_bound_s']:.3f}"),
+        ("least clearance mm", f"{report['min_clearance_mm']:.4f}", f"{report['margin_mm']:.4f}"),
+        ("segments a moving motor", f"{report['segments_mean']:.2f}", "1.00"),
+        ("segments at most", report["segments_max"], 1),
+        ("bytes an order", f"{report['bytes_mean']:.1f}", f"{report['bytes_bound']:.1f}"),
+        ("load, verify, go on the buses s", f"{report['bus_time_s']:.3f}", ""),
+        ("end error um, rms", f"{report['end_error_um_rms']:.2f}", ""),
+        ("end error um, at most", f"{report['end_error_um_max']:.2f}", ""),
+        ("certified", "yes" if report["certified"] else "NO", ""),
+    ]
+    rows += [
+        (f"wall time s, {name}", f"{value:.1f}", "") for name, value in report["wall_s"].items()
+    ]
+    return table(rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,103 @@
+"""The whole graph in one process, for scripts, notebooks and tests."""
+
+import signal
+import sys
+import threading
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, ShutdownException
+from rclpy.parameter import Parameter
+
+from fiber_bringup.environment import stay_on_this_machine
+from fiber_bus_bridge.node import BridgeNode
+from fiber_discretizer.node import DiscretizerNode
+from fiber_planner.node import PlannerNode
+
+__all__ = ["Graph", "main"]
+
+_THREADS = 4  # one a node, and one for the bridge's stop
+
+
+class Graph:
+    """Planner, discretizer and bridge, running from `with` to its end.
+
+    Each graph has a context of its own, so that one process can hold several in different
+    domains. An exception that escapes a node ends the graph and is raised at the end of
+    `with`.
+
+    Args:
+        planner: parameters of the planner node, by name.
+        discretizer: parameters of the discretizer node.
+        bridge: parameters of the bridge node.
+        domain: ROS domain; by default that of the environment.
+        args: command line for ROS, as ``["--ros-args", "-p", "bridge:robots:=61"]``.
+    """
+
+    def __init__(self, planner=None, discretizer=None, bridge=None, domain=None, args=()):
+        self._parameters = (
+            (BridgeNode, bridge or {}),
+            (PlannerNode, planner or {}),
+            (DiscretizerNode, discretizer or {}),
+        )
+        self._domain, self._args = domain, list(args)
+        self._error: BaseException | None = None
+        self.nodes: list = []
+
+    def __enter__(self) -> "Graph":
+        stay_on_this_machine()
+        self._context = Context()
+        rclpy.init(args=self._args, context=self._context, domain_id=self._domain)
+        try:
+            for node, parameters in self._parameters:
+                overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+                self.nodes.append(node(context=self._context, parameter_overrides=overrides))
+        except BaseException:
+            self._leave()
+            raise
+        self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
+        for node in self.nodes:
+            self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._spin, name="graph", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind, *_):
+        self._executor.shutdown()
+        self._thread.join()
+        self._leave()
+        if self._error is not None and kind is None:
+            raise self._error
+
+    @property
+    def running(self) -> bool:
+        """Whether all nodes are up."""
+        return self._thread.is_alive()
+
+    def wait(self) -> None:
+        """Wait until the graph ends by itself; an interrupt gets through."""
+        self._thread.join()
+
+    def _spin(self):
+        try:
+            self._executor.spin()
+        except (ExternalShutdownException, ShutdownException):
+            pass
+        except BaseException as error:
+            self._error = error
+
+    def _leave(self):
+        for node in self.nodes:
+            node.destroy_node()
+        self._context.try_shutdown()
+
+
+def main(args=None) -> int:
+    """Run the graph until it is interrupted."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with Graph(args=sys.argv[1:] if args is None else args) as graph:
+            graph.wait()
+    except KeyboardInterrupt:
+        pass
+    return 0

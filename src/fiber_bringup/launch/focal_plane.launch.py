@@ -1,0 +1,73 @@
+"""Planner, discretizer and bus bridge of one focal plane, on this machine.
+
+ros2 launch fiber_bringup focal_plane.launch.py preset:=desi robots:=500
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+
+def generate_launch_description():
+    config = PathJoinSubstitution([FindPackageShare("fiber_bringup"), "config"])
+    parameters = PathJoinSubstitution([config, "focal_plane.yaml"])
+    profile = PathJoinSubstitution([config, "fastdds.xml"])
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("preset", default_value="desi", description="instrument"),
+            DeclareLaunchArgument("robots", default_value="0", description="0: all it has"),
+            DeclareLaunchArgument("seed", default_value="0", description="of random starts"),
+            DeclareLaunchArgument("layout", default_value="", description="table of robots"),
+            DeclareLaunchArgument("problem", default_value="", description="problem.npz"),
+            DeclareLaunchArgument("planner", default_value="dnf", description="planner by name"),
+            DeclareLaunchArgument("time_scale", default_value="1.0", description="simulated s / s"),
+            # set in the environment, these win: a profile of another machine, another range
+            SetEnvironmentVariable(
+                "ROS_AUTOMATIC_DISCOVERY_RANGE",
+                EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
+            ),
+            SetEnvironmentVariable(
+                "FASTRTPS_DEFAULT_PROFILES_FILE",
+                EnvironmentVariable("FASTRTPS_DEFAULT_PROFILES_FILE", default_value=profile),
+            ),
+            Node(
+                package="fiber_bus_bridge",
+                executable="bridge",
+                name="bridge",
+                output="screen",
+                parameters=[
+                    parameters,
+                    {
+                        "preset": ParameterValue(LaunchConfiguration("preset"), value_type=str),
+                        "robots": ParameterValue(LaunchConfiguration("robots"), value_type=int),
+                        "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
+                        "layout": ParameterValue(LaunchConfiguration("layout"), value_type=str),
+                        "problem": ParameterValue(LaunchConfiguration("problem"), value_type=str),
+                        "time_scale": ParameterValue(
+                            LaunchConfiguration("time_scale"), value_type=float
+                        ),
+                    },
+                ],
+            ),
+            Node(
+                package="fiber_planner",
+                executable="planner",
+                name="planner",
+                output="screen",
+                parameters=[
+                    parameters,
+                    {"planner": ParameterValue(LaunchConfiguration("planner"), value_type=str)},
+                ],
+            ),
+            Node(
+                package="fiber_discretizer",
+                executable="discretizer",
+                name="discretizer",
+                output="screen",
+                parameters=[parameters],
+            ),
+        ]
+    )

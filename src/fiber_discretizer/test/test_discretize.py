@@ -1,0 +1,272 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fiber_core.clearance import Safety, certify, gaps, neighbour_pairs
+from fiber_core.errors import MotionError
+from fiber_core.motion import SampledMotion
+from fiber_core.outcomes import Reason
+from fiber_core.wire_units import WireUnits
+from fiber_discretizer import DiscretizeOptions, UnknownOption, discretize
+
+UNITS = WireUnits()
+SAFETY = Safety()
+END_RAD = 1e-6 / 6e-3  # 1 um at a 6 mm arm
+
+
+def eased(start, goal, seconds=2.0, samples=101):
+    """All joints from start to goal [rad], (n, 2), slow at both ends."""
+    start, goal = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
+    part = np.linspace(0.0, 1.0, samples)
+    part = part * part * (3 - 2 * part)
+    angles = start[:, :, None] + (goal - start)[:, :, None] * part
+    return SampledMotion(np.linspace(0.0, seconds, samples), angles)
+
+
+def hexagon(rings, pitch=10.4):
+    rows = np.arange(-rings, rings + 1)
+    sites = [(a + b / 2, np.sqrt(0.75) * b) for a in rows for b in rows if abs(a + b) <= rings]
+    return pitch * np.array(sites)
+
+
+def clear_configuration(plane, rng):
+    """Random joint angles [rad], (n, 2), all outlines 0.3 mm apart."""
+    pairs, angles = neighbour_pairs(plane), np.zeros((plane.n, 2))
+    again = np.arange(plane.n)
+    while len(again):
+        angles[again] = rng.uniform([-3.0, 0.5], [3.0, 3.1], (len(again), 2))
+        again = np.unique(pairs[gaps(plane, pairs, angles) < 0.3, 0])
+    return angles
+
+
+@pytest.fixture(scope="module")
+def crowd(plane_at):
+    """37 neighbours on random smooth moves, some of which meet."""
+    plane = plane_at(hexagon(3))
+    rng = np.random.default_rng(7)
+    start, goal = clear_configuration(plane, rng), clear_configuration(plane, rng)
+    return plane, eased(start, goal, seconds=4.0)
+
+
+def check(plane, trajectory, result, safety=SAFETY):
+    """What holds for every discretization that is certified."""
+    motion = result.wire.decoded()
+    goes = (result.reason == Reason.OK) & np.any(trajectory.start != trajectory.end, axis=1)
+    assert result.certificate.ok
+    assert certify(plane, motion, safety).ok
+    np.testing.assert_allclose(motion.end[goes], trajectory.end[goes], rtol=0, atol=END_RAD)
+    np.testing.assert_array_equal(motion.counts[~goes], 0)
+    assert motion.counts.max() <= 15
+
+
+def test_robots_far_apart_get_one_segment_a_motor(plane_at):
+    plane = plane_at(hexagon(1, pitch=60.0))
+    start = np.tile([-2.0, 0.3], (7, 1))
+    trajectory = eased(start, start + [3.0, 2.0])
+    result = discretize(plane, trajectory, UNITS, SAFETY)
+    check(plane, trajectory, result)
+    np.testing.assert_array_equal(result.reason, Reason.OK)
+    np.testing.assert_array_equal(result.wire.decoded().counts, 1)
+    assert result.rounds == 0
+
+
+@pytest.mark.parametrize("first_joint", [0, 1])
+def test_a_crowd_is_certified_and_everyone_goes_or_rests_with_a_reason(crowd, first_joint):
+    plane, trajectory = crowd
+    options = DiscretizeOptions(first_joint=first_joint)
+    result = discretize(plane, trajectory, UNITS, SAFETY, options=options)
+    check(plane, trajectory, result)
+    going = result.reason == Reason.OK
+    assert 0.5 * plane.n < going.sum() < plane.n
+    assert set(result.reason[~going]) == {Reason.UNSAFE}
+    assert result.wire.decoded().counts[going].max() > 1  # some had to bend around a neighbour
+
+
+@pytest.mark.parametrize("first_joint", [0, 1])
+def test_margin_of_the_second_motor_knows_the_new_profile_of_the_first(crowd, first_joint):
+    # Otherwise both motors would spend the same space and the first certificate fail.
+    plane, trajectory = crowd
+    options = DiscretizeOptions(first_joint=first_joint)
+    assert discretize(plane, trajectory, UNITS, SAFETY, options=options).rounds == 0
+
+
+def test_same_input_same_numbers(crowd):
+    plane, trajectory = crowd
+    one, two = (discretize(plane, trajectory, UNITS, SAFETY) for _ in range(2))
+    for name in ("start", "offsets", "ticks", "velocity"):
+        np.testing.assert_array_equal(getattr(one.wire, name), getattr(two.wire, name))
+    np.testing.assert_array_equal(one.reason, two.reason)
+
+
+def test_of_two_robots_on_crossing_paths_one_is_held(plane_at):
+    plane = plane_at([[0.0, 0.0], [10.0, 0.0]])
+    start, goal = [[-0.9, 0.0], [np.pi - 0.9, 0.0]], [[0.9, 0.0], [np.pi + 0.1, 0.0]]
+    trajectory = eased(start, goal)
+    result = discretize(plane, trajectory, UNITS, SAFETY)
+    check(plane, trajectory, result)
+    assert sorted(result.reason) == [Reason.OK, Reason.UNSAFE]
+    assert np.any(result.wire.decoded().counts)
+
+
+@pytest.mark.parametrize("order", [[0, 1], [1, 0]])
+def test_whoever_rests_out_of_the_way_is_held(plane_at, order):
+    # Robot 1 starts in the path of robot 0, robot 0 starts clear of that of robot 1.
+    plane = plane_at([[0.0, 0.0], [10.0, 0.0]]).permuted(order)
+    start = np.array([[-1.2, 0.0], [np.pi, 0.0]])[order]
+    goal = np.array([[0.9, 0.0], [np.pi + 1.2, 0.0]])[order]
+    trajectory = eased(start, goal)
+    result = discretize(plane, trajectory, UNITS, SAFETY)
+    check(plane, trajectory, result)
+    np.testing.assert_array_equal(result.reason[order], [Reason.UNSAFE, Reason.OK])
+
+
+@pytest.fixture
+def past_a_post(plane_at):
+    """A robot that folds to pass a fixed disc in its way."""
+    part = np.linspace(0.0, 1.0, 101)
+    angles = np.stack([[-1.5 + 3.0 * part, np.pi * np.sin(np.pi * part)]])
+    plane = plane_at([[0.0, 0.0]], obstacles=[[6.0, 0.0, 0.8]], speeds=[[4.0, 4.0]])
+    return plane, SampledMotion(2.5 * part, angles)
+
+
+def test_an_obstacle_is_kept_clear_of(past_a_post):
+    plane, trajectory = past_a_post
+    nothing_there = replace(plane, obstacles=np.zeros((0, 3)))
+    alone = discretize(nothing_there, trajectory, UNITS, SAFETY)
+    np.testing.assert_array_equal(alone.wire.decoded().counts, [[1, 0]])
+    result = discretize(plane, trajectory, UNITS, SAFETY)
+    check(plane, trajectory, result)
+    assert result.reason[0] == Reason.OK
+    assert result.wire.decoded().counts[0, 1] >= 2
+
+
+def test_motion_that_fails_its_certificate_is_done_again_with_less_margin(past_a_post):
+    plane, trajectory = past_a_post
+    at_once, patient = (
+        discretize(
+            plane, trajectory, UNITS, SAFETY, options=DiscretizeOptions(rule="printed", rounds=r)
+        )
+        for r in (0, 4)
+    )
+    check(plane, trajectory, at_once)
+    check(plane, trajectory, patient)
+    assert at_once.reason[0] == Reason.UNSAFE and at_once.rounds == 0
+    assert patient.reason[0] == Reason.OK and 0 < patient.rounds < 4
+
+
+BAD = {
+    "jump": lambda a: a[:, 0, 50:].__iadd__(1.0),
+    "too fast": lambda a: a[:, 1].__imul__(4.0),
+    "outside its limits": lambda a: a[:, 1].__isub__(np.linspace(0.0, 1.2, 101)),
+    "starts elsewhere": lambda a: a.__iadd__(0.01),
+}
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_a_bad_profile_is_refused_and_the_others_go(plane_at, fault):
+    plane = plane_at(hexagon(1, pitch=30.0))
+    start = np.tile([-0.5, 0.3], (7, 1))
+    good = eased(start, start + [1.0, 0.8])
+    angles = good.angles.copy()
+    BAD[fault](angles[3:4])
+    trajectory = SampledMotion(good.time_s, angles)
+    counts = UNITS.to_counts(start)
+    result = discretize(plane, trajectory, UNITS, SAFETY, start_counts=counts)
+    expected = np.where(np.arange(7) == 3, Reason.BAD_TRAJECTORY, Reason.OK)
+    np.testing.assert_array_equal(result.reason, expected)
+    check(plane, trajectory, result)
+    np.testing.assert_array_equal(result.wire.start, counts)
+
+
+def test_disabled_robots_stay_and_are_kept_clear_of(plane_at):
+    plane = plane_at([[0.0, 0.0], [10.0, 0.0]], enabled=[True, False])
+    start, goal = [[-0.9, 0.0], [np.pi, 0.0]], [[0.9, 0.0], [np.pi + 1.0, 0.0]]
+    result = discretize(plane, eased(start, goal), UNITS, SAFETY)
+    np.testing.assert_array_equal(result.reason, [Reason.UNSAFE, Reason.DISABLED])
+    assert result.certificate.ok and not result.wire.decoded().counts.any()
+
+
+def test_a_motor_slower_than_one_velocity_unit_is_refused(plane_at):
+    plane = plane_at([[0.0, 0.0]], speeds=[[np.pi, 1e-4]])
+    trajectory = eased([[0.0, 1.0]], [[1.0, 1.00005]])
+    assert discretize(plane, trajectory, UNITS, SAFETY).reason[0] == Reason.BAD_TRAJECTORY
+
+
+def test_robots_that_need_more_segments_than_an_order_has_are_held(plane_at):
+    plane = plane_at(hexagon(1, pitch=30.0))
+    start = np.tile([-0.5, 0.3], (7, 1))
+    goal = start.copy()
+    goal[:3] += [1.0, 0.8]
+    options = DiscretizeOptions(cap_rad=1e-6)
+    result = discretize(plane, eased(start, goal), UNITS, SAFETY, options=options)
+    np.testing.assert_array_equal(result.reason[:3], Reason.TOO_MANY_SEGMENTS)
+    np.testing.assert_array_equal(result.reason[3:], Reason.OK)
+    assert result.certificate.ok and not result.wire.decoded().counts.any()
+
+
+def test_robots_that_touch_already_rest_and_the_certificate_says_so(plane_at):
+    plane = plane_at([[0.0, 0.0], [10.0, 0.0], [50.0, 0.0]])
+    start = [[0.0, 0.0], [np.pi, 0.0], [0.0, 0.0]]
+    trajectory = eased(start, np.add(start, [[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]]))
+    result = discretize(plane, trajectory, UNITS, SAFETY)
+    assert not result.certificate.ok
+    np.testing.assert_array_equal(result.certificate.unsafe_robots, [True, True, False])
+    np.testing.assert_array_equal(result.wire.decoded().counts[:2], 0)
+    np.testing.assert_array_equal(result.reason, [Reason.UNSAFE, Reason.UNSAFE, Reason.OK])
+
+
+def test_motion_begins_where_the_robots_are(plane_at):
+    plane = plane_at([[0.0, 0.0]])
+    trajectory = eased([[0.0, 1.0]], [[1.0, 2.0]])
+    counts = UNITS.to_counts(trajectory.start) + [[300, -300]]  # 0.5 mrad
+    result = discretize(plane, trajectory, UNITS, SAFETY, start_counts=counts)
+    check(plane, trajectory, result)
+    np.testing.assert_array_equal(result.wire.start, counts)
+
+
+def test_start_at_a_limit_is_not_rounded_across_it(plane_at):
+    limit = UNITS.to_angles(1_000_000) - 0.1 * UNITS.quantum_rad
+    plane = plane_at([[0.0, 0.0]], limits=[[[-3.0, 3.0], [0.0, limit]]])
+    trajectory = eased([[0.0, limit]], [[1.0, 0.5]])
+    result = discretize(plane, trajectory, UNITS, SAFETY)
+    check(plane, trajectory, result)
+    assert result.reason[0] == Reason.OK and result.wire.start[0, 1] == 999_999
+
+
+def test_a_move_longer_than_the_longest_segment(plane_at):
+    plane = plane_at([[0.0, 0.0]])
+    trajectory = eased([[-3.0, 0.3]], [[3.0, 0.3]], seconds=30.0)
+    result = discretize(plane, trajectory, UNITS, SAFETY)
+    check(plane, trajectory, result)
+    assert result.wire.decoded().counts[0, 0] == int(np.ceil(30.0 / (1023 * UNITS.tick_s)))
+
+
+def test_nothing_to_move(plane_at):
+    plane = plane_at(hexagon(1))
+    rest = SampledMotion([0.0], np.tile([[[0.0], [np.pi]]], (7, 1, 1)))
+    result = discretize(plane, rest, UNITS, SAFETY)
+    assert result.certificate.ok and not result.reason.any()
+    assert not result.wire.decoded().counts.any()
+
+
+def test_a_trajectory_that_does_not_fit_raises(plane_at):
+    plane = plane_at(hexagon(1))
+    with pytest.raises(MotionError, match="2 robots for a plane of 7"):
+        discretize(plane, eased(np.zeros((2, 2)), np.ones((2, 2))), UNITS, SAFETY)
+    early = SampledMotion([-1.0, 1.0], np.zeros((7, 2, 2)))
+    with pytest.raises(MotionError, match="-1.0 s, before time zero"):
+        discretize(plane, early, UNITS, SAFETY)
+
+
+@pytest.mark.parametrize("option", [{"method": "x"}, {"rule": "x"}, {"first_joint": 2}])
+def test_unknown_options_are_refused_by_name(option):
+    with pytest.raises(UnknownOption, match=next(iter(option))):
+        DiscretizeOptions(**option)
+
+
+def test_progress_rises_to_one(crowd):
+    plane, trajectory = crowd
+    told = []
+    discretize(plane, trajectory, UNITS, SAFETY, progress=lambda part, _: told.append(part))
+    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 1.0

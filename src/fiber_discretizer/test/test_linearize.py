@@ -1,0 +1,115 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fiber_discretizer import LINEARIZERS, Polylines, UnknownOption, linearize
+
+NOISE_RAD = 1e-9
+
+
+def tube(seed, samples, kind):
+    """A random profile, its sample times, and a margin of the kind named."""
+    rng = np.random.default_rng(seed)
+    time_s = np.cumsum(rng.uniform(0.002, 0.02, samples))
+    steps = rng.normal(0.0, 0.03, samples) * (rng.random(samples) < 0.7)
+    profile = np.cumsum(steps)
+    margin = {
+        "wide": np.full(samples, 10.0),
+        "unbounded": np.full(samples, np.inf),
+        "zero": np.zeros(samples),
+        "opens late": np.where(np.arange(samples) < 2 * samples // 3, 0.0, 1.0),
+        "pinched": np.where(rng.random(samples) < 0.1, 0.0, 0.3),
+        "random": rng.uniform(0.0, 0.2, samples),
+    }.get(kind)
+    if kind == "noise at the margin":
+        profile = 0.3 * np.sin(4 * time_s) + 0.01 * rng.choice([-1.0, 1.0], samples)
+        margin = np.full(samples, 0.02)
+    return time_s, profile, margin
+
+
+KINDS = ("wide", "unbounded", "zero", "opens late", "pinched", "random", "noise at the margin")
+tubes = st.builds(tube, st.integers(0, 2**32 - 1), st.integers(1, 80), st.sampled_from(KINDS))
+
+
+@pytest.mark.parametrize("method", LINEARIZERS)
+@given(one=tubes)
+def test_path_is_inside_its_tube_everywhere_and_meets_both_ends(method, one):
+    time_s, profile, margin = one
+    path = linearize(time_s, profile[None], margin[None], method)
+    dense = np.unique(np.concatenate([np.linspace(time_s[0], time_s[-1], 401), time_s]))
+    wanted, allowed = np.interp(dense, time_s, profile), np.interp(dense, time_s, margin)
+    assert np.all(np.abs(path(dense)[0] - wanted) <= allowed + 2 * NOISE_RAD)
+    assert path.angles[0] == profile[0] and path.angles[-1] == profile[-1]
+    assert path.time_s[0] == time_s[0] and np.all(np.diff(path.time_s) > 0)
+    assert 0 <= path.counts[0] < len(time_s)
+
+
+@pytest.mark.parametrize("method", LINEARIZERS)
+@given(one=tubes)
+def test_path_is_never_faster_than_its_profile(method, one):
+    time_s, profile, margin = one
+    path = linearize(time_s, profile[None], margin[None], method)
+    speeds = np.abs(np.diff(path.angles) / np.diff(path.time_s))
+    fastest = np.abs(np.diff(profile) / np.diff(time_s)).max(initial=0.0)
+    assert np.all(speeds <= fastest * (1 + 1e-9))
+
+
+@given(one=tubes, scale=st.floats(1.0, 10.0))
+def test_path_in_a_tube_is_in_every_wider_tube(one, scale):
+    time_s, profile, margin = one
+    wide = scale * margin + 0.01
+    path = linearize(time_s, profile[None], wide[None])(time_s)[0]
+    assert np.all(np.abs(path - profile) <= wide + NOISE_RAD)
+
+
+@given(one=tubes)
+def test_zero_margin_keeps_the_profile(one):
+    time_s, profile, _ = one
+    path = linearize(time_s, profile[None], np.zeros((1, len(time_s))))
+    np.testing.assert_allclose(path(time_s)[0], profile, rtol=0, atol=NOISE_RAD)
+
+
+def test_number_of_lines_of_known_shapes():
+    time_s = np.linspace(0.0, 1.0, 101)
+    straight = 0.7 * time_s
+    vee = np.abs(time_s - 0.37)
+    move_then_rest = np.minimum(time_s, 0.5)
+    rest_then_move = np.maximum(time_s, 0.5)
+    nothing = np.full(101, 0.2)
+    profiles = np.stack([straight, vee, move_then_rest, rest_then_move, nothing])
+    paths = linearize(time_s, profiles, np.zeros_like(profiles))
+    np.testing.assert_array_equal(paths.counts, [1, 2, 1, 2, 0])
+    assert paths.time_s[paths.offsets[1] + 1] == pytest.approx(0.37)
+
+
+def test_cut_is_where_the_line_leaves_the_margin_by_most():
+    time_s = np.arange(5.0)
+    profile = np.array([[0.0, 2.0, 3.0, 1.0, 0.0]])
+    margin = np.array([[0.0, 0.0, 2.5, 0.0, 0.0]])  # sample 2 is the farthest, 1 violates most
+    path = linearize(time_s, profile, margin)
+    assert 1.0 in path.time_s and 2.0 not in path.time_s
+
+
+def test_many_profiles_at_once_are_each_as_alone():
+    rng = np.random.default_rng(3)
+    time_s = np.linspace(0.0, 2.5, 120)
+    profiles = np.cumsum(rng.normal(0, 0.02, (200, 120)), axis=1)
+    margins = rng.uniform(0.0, 0.1, profiles.shape)
+    together = linearize(time_s, profiles, margins)
+    for i in (0, 57, 199):
+        alone = linearize(time_s, profiles[i : i + 1], margins[i : i + 1])
+        mine = slice(together.offsets[i], together.offsets[i + 1])
+        np.testing.assert_array_equal(together.time_s[mine], alone.time_s)
+        np.testing.assert_array_equal(together.angles[mine], alone.angles)
+
+
+def test_polylines_rest_outside_their_knots():
+    lines = Polylines([0, 2, 3], [1.0, 2.0, 5.0], [0.0, 4.0, 7.0])
+    expected = [[0.0, 0.0, 1.0, 4.0, 4.0], [7.0] * 5]
+    np.testing.assert_array_equal(lines([0.0, 1.0, 1.25, 2.0, 9.0]), expected)
+
+
+def test_unknown_method_is_refused_by_name():
+    with pytest.raises(UnknownOption, match="'best'.*paper"):
+        linearize([0.0], [[0.0]], [[0.0]], method="best")

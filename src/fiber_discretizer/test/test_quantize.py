@@ -1,0 +1,194 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_discretizer import Polylines, Rounding, Segments, quantize
+
+UNITS = WireUnits()
+SPEED = np.pi
+ANYWHERE = 10**9
+
+
+def random_paths(seed, profiles, pieces, fastest=1.0):
+    """Piecewise-linear profiles of `pieces` lines, no faster than `fastest` of the limit."""
+    rng = np.random.default_rng(seed)
+    steps = rng.uniform(0.05, 1.2, (profiles, pieces))
+    speeds = fastest * SPEED * rng.uniform(-1.0, 1.0, (profiles, pieces))
+    zero = np.zeros((profiles, 1))
+    time_s = np.concatenate([zero, np.cumsum(steps, axis=1)], axis=1)
+    angles = np.concatenate([zero, np.cumsum(speeds * steps, axis=1)], axis=1)
+    return Polylines(np.arange(profiles + 1) * (pieces + 1), time_s.ravel(), angles.ravel())
+
+
+def rounded(paths, units=UNITS, slack=0.05, limits=(-ANYWHERE, ANYWHERE), start=0, **rounding):
+    p = len(paths.counts)
+    start = np.broadcast_to(start, (p,))
+    goal = np.clip(start + units.to_counts(paths.angles[paths.offsets[1:] - 1]), *limits)
+    return goal, quantize(
+        paths,
+        start,
+        goal,
+        np.tile(limits, (p, 1)),
+        np.full(p, SPEED),
+        np.full(p, slack),
+        units,
+        Rounding(**rounding),
+    )
+
+
+def travel(segments):
+    running = np.concatenate([[0], np.cumsum(segments.ticks * segments.velocity)])
+    return running[segments.offsets[1:]] - running[segments.offsets[:-1]]
+
+
+def check_fields(segments, units=UNITS):
+    assert np.all((segments.ticks >= 1) & (segments.ticks <= units.max_ticks))
+    assert np.all(np.abs(segments.velocity) * units.velocity_rad_s <= SPEED)
+    ends = segments.offsets[1:][segments.counts > 0] - 1
+    assert np.all(segments.velocity[ends] != 0)  # nobody is sent a rest at the end
+
+
+@pytest.mark.parametrize("pieces", [1, 2, 3, 6])
+def test_end_error_of_thousands_of_profiles(pieces):
+    paths = random_paths(pieces, 4000, pieces)
+    goal, segments = rounded(paths)
+    check_fields(segments)
+    error_um = (travel(segments) - goal) * UNITS.quantum_rad * 6e3  # at a 6 mm arm
+    assert np.abs(error_um).max() <= 1.2
+    assert np.sqrt(np.mean(error_um**2)) <= 0.1
+    assert segments.counts.mean() <= pieces + 0.05
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
+def test_motion_stays_beside_its_profile(seed, pieces):
+    paths = random_paths(seed, 5, pieces)
+    slack = 0.01
+    _, segments = rounded(paths, slack=slack)
+    drawn = segments.polylines(np.zeros(5, dtype=int), UNITS)
+    times = np.linspace(0.0, paths.time_s.max() + 0.1, 500)
+    # break times move by half a tick and the end by up to one; velocities by half a unit;
+    # the search may shift the last segment by the slack, twice
+    bound = 2 * SPEED * UNITS.tick_s + UNITS.max_ticks * UNITS.quantum_rad + 2 * slack
+    assert np.abs(drawn(times) - paths(times)).max() <= bound
+
+
+def test_profile_at_exactly_the_speed_limit_takes_longer_and_arrives():
+    seconds = np.linspace(0.1, 3.9, 500)
+    paths = Polylines(
+        np.arange(501) * 2,
+        np.stack([0 * seconds, seconds], axis=1).ravel(),
+        np.stack([0 * seconds, SPEED * seconds], axis=1).ravel(),
+    )
+    goal, segments = rounded(paths)
+    check_fields(segments)
+    assert np.abs(travel(segments) - goal).max() * UNITS.quantum_rad * 6e3 <= 1.2
+    last = segments.polylines(np.zeros(500, dtype=int), UNITS)
+    lasts = last.time_s[last.offsets[1:] - 1]
+    assert np.all(lasts >= seconds - 1e-9)
+    assert np.all(lasts <= seconds + 12 * UNITS.tick_s)
+
+
+def test_too_fast_profiles_are_slowed_down_not_cut_short():
+    paths = random_paths(5, 500, 4, fastest=1.5)
+    goal, segments = rounded(paths)
+    check_fields(segments)
+    assert np.abs(travel(segments) - goal).max() * UNITS.quantum_rad * 6e3 <= 1.2
+
+
+@pytest.mark.parametrize("duration_bits", [3, 5, 10])
+def test_segments_longer_than_their_field_are_split(duration_bits):
+    units = WireUnits(duration_bits=duration_bits)
+    paths = random_paths(8, 200, 2)
+    long = Polylines(paths.offsets, 10 * paths.time_s, paths.angles)
+    goal, segments = rounded(long, units)
+    check_fields(segments, units)
+    assert segments.counts.max() > 2
+    assert np.abs(travel(segments) - goal).max() * units.quantum_rad * 6e3 <= 1.2
+
+
+def test_limits_are_never_left_even_by_rounding():
+    time_s, angles = [0.0, 1.003, 1.707, 2.5], [0.1, 1.0, 0.3, 1.0]
+    limit = UNITS.to_counts(1.0)
+    starts = UNITS.to_counts(0.1) + np.arange(300)
+    paths = Polylines(np.arange(301) * 4, np.tile(time_s, 300), np.tile(angles, 300))
+    segments = quantize(
+        paths,
+        starts,
+        np.full(300, limit),
+        np.tile([0, limit], (300, 1)),
+        np.full(300, SPEED),
+        np.full(300, 0.05),
+        UNITS,
+    )
+    highest = segments.polylines(starts, UNITS).angles.max()
+    assert highest <= UNITS.to_angles(limit)
+    assert np.abs(starts + travel(segments) - limit).max() <= 130
+
+
+def test_rests_and_nothing():
+    first_rest = Polylines([0, 3], [0.0, 0.4, 0.8], [0.0, 0.0, 0.1])
+    _, segments = rounded(first_rest)
+    np.testing.assert_array_equal(segments.velocity == 0, [True, False])
+    assert segments.ticks[0] == 100
+    begins_late = Polylines([0, 2], [0.4, 0.8], [0.0, 0.1])
+    _, same = rounded(begins_late)
+    np.testing.assert_array_equal(same.ticks, segments.ticks)
+    last_rest = Polylines([0, 3, 4], [0.0, 0.4, 0.8, 0.0], [0.0, 0.1, 0.1, 0.0])
+    _, segments = rounded(last_rest)
+    np.testing.assert_array_equal(segments.counts, [1, 0])
+
+
+def test_breaks_within_one_tick_leave_no_empty_segments():
+    time_s = np.array([0.0, 0.0005, 0.001, 0.0015, 0.5])
+    paths = Polylines([0, 5], time_s, [0.0, 0.0003, -0.0002, 0.0004, 0.2])
+    goal, segments = rounded(paths)
+    check_fields(segments)
+    assert segments.counts[0] == 1
+    assert abs(travel(segments)[0] - goal[0]) <= 60
+
+
+def test_tiny_moves_arrive():
+    sizes = np.arange(1, 400)
+    ends = UNITS.to_angles(sizes)
+    paths = Polylines(
+        np.arange(len(sizes) + 1) * 2,
+        np.tile([0.0, 2.0], len(sizes)),
+        np.stack([0 * ends, ends], axis=1).ravel(),
+    )
+    goal, segments = rounded(paths, sooner_ticks=2000)
+    assert np.abs(travel(segments) - goal).max() <= 6
+
+
+def test_polylines_decode_the_same_motion_as_the_wire():
+    paths = random_paths(11, 10, 3)
+    _, segments = rounded(paths, start=1234)
+    start = np.full((5, 2), 1234)
+    wire = WireMotion(UNITS, start, segments.offsets, segments.ticks, segments.velocity)
+    np.testing.assert_array_equal(wire.end.ravel(), 1234 + travel(segments))
+    lines, motion = segments.polylines(start.ravel(), UNITS), wire.decoded()
+    for t in (0.0, 0.333, 1.0, 2.2, 9.0):
+        np.testing.assert_allclose(lines([t])[:, 0], motion(t).ravel(), rtol=0, atol=1e-12)
+
+
+@given(st.data())
+def test_replacing_profiles_changes_them_and_no_others(data):
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+
+    def some(count):
+        offsets = np.concatenate([[0], np.cumsum(rng.integers(0, 4, count))])
+        values = rng.integers(1, 99, (2, offsets[-1]))
+        return Segments(offsets, *values)
+
+    def rows_of(segments):
+        cut = segments.offsets[1:-1]
+        return [x.tolist() for x in np.split(segments.ticks * 100 + segments.velocity, cut)]
+
+    mine, rows = some(7), np.flatnonzero(rng.random(7) < 0.5)
+    other = some(len(rows))
+    expected = rows_of(mine)
+    for row, profile in zip(rows, rows_of(other)):
+        expected[row] = profile
+    assert rows_of(mine.replaced(rows, other)) == expected
+    assert all(rows_of(mine.without(rows))[row] == [] for row in rows)

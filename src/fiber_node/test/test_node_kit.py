@@ -1,0 +1,146 @@
+"""What nodes share, on real nodes in a domain of their own."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import rclpy
+from fiber_core.errors import FiberError
+from fiber_core.presets import preset
+from fiber_core.wire_units import WireUnits
+from fiber_msgs_py import (
+    Level,
+    MessageError,
+    PlanStamp,
+    diagnostics,
+    joint_states,
+    layout,
+    progress,
+    topics,
+)
+from fiber_node import PlaneView, Reporter, declare_settings, run
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class _Settings:
+    gain: float = 2.0
+    horizon_s: float | None = None
+    method: str = "plain"
+    table: tuple = ()
+
+    def __post_init__(self):
+        if self.gain <= 0:
+            raise FiberError(f"gain is {self.gain}, expected a positive number")
+
+
+@pytest.fixture
+def graph():
+    context = Context()
+    rclpy.init(context=context)
+    executor = SingleThreadedExecutor(context=context)
+    nodes = []
+
+    def node(name, **parameters):
+        overrides = [Parameter(key, value=value) for key, value in parameters.items()]
+        made = Node(name, context=context, parameter_overrides=overrides)
+        nodes.append(made)
+        executor.add_node(made)
+        return made
+
+    def until(holds, turns=2000):
+        for _ in range(turns):
+            if holds():
+                return
+            executor.spin_once(timeout_sec=0.01)
+        pytest.fail("waited in vain")
+
+    node.until = until
+    yield node
+    executor.shutdown()
+    for made in nodes:
+        made.destroy_node()
+    context.try_shutdown()
+
+
+def test_settings_are_declared_with_their_defaults(graph):
+    node = graph("plain")
+    assert declare_settings(node, _Settings, "core") == _Settings()
+    assert node.get_parameter("core.gain").value == 2.0
+    assert node.get_parameter("core.horizon_s").value is None
+    assert not node.has_parameter("core.table")
+
+
+def test_settings_take_what_was_set_and_refuse_what_the_core_refuses(graph):
+    assert declare_settings(graph("set", gain=3.0, horizon_s=9.5), _Settings) == _Settings(3.0, 9.5)
+    with pytest.raises(FiberError, match="gain is -1.0"):
+        declare_settings(graph("wrong", gain=-1.0), _Settings)
+
+
+def test_a_refusal_reaches_the_diagnostics_at_once(graph):
+    heard = []
+    topics.DIAGNOSTICS.subscription(graph("listener"), heard.append)
+    node = graph("speaker")
+    report = Reporter(node, "planner", lambda: [diagnostics.Status("bus 1", Level.WARN, "noisy")])
+    graph.until(lambda: heard)
+    heard.clear()
+    report.refuse("robot 7: target is 9 mm away")
+    graph.until(lambda: any("robot 7" in s.text for m in heard for s in diagnostics.decode(m)))
+    own, more = diagnostics.decode(heard[-1])
+    assert (own.name, own.level, own.values["refused"]) == ("planner", Level.ERROR, "1")
+    assert (more.name, more.level) == ("bus 1", Level.WARN)
+
+
+def test_progress_names_stage_and_plan(graph):
+    heard = []
+    topics.PROGRESS.subscription(graph("listener"), heard.append)
+    node = graph("speaker")
+    report = Reporter(node, "discretizer")
+    graph.until(lambda: node.count_subscribers(topics.PROGRESS.name) == 1)
+    graph.until(lambda: heard or report.progress(PlanStamp(5), 0.5, "half") is not None)
+    told = progress.decode(heard[0])
+    assert (told.stage, told.fraction, told.text, told.stamp.ns) == ("discretizer", 0.5, "half", 5)
+
+
+def test_the_view_is_complete_only_with_joint_states_of_the_same_robots(graph):
+    plane, node, source = preset("desi", robots=7), graph("view"), graph("source")
+    view = PlaneView(node, Reporter(node, "planner"))
+    with pytest.raises(MessageError, match="layout: not heard"):
+        _ = view.plane
+    layouts, states = topics.LAYOUT.publisher(source), topics.JOINT_STATES.publisher(source)
+    still = np.zeros((7, 2))
+    states.publish(joint_states.encode(plane.ids[:3], still[:3], still[:3], 1))
+    layouts.publish(layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(1)))
+    graph.until(lambda: view._plane is not None and view._states is not None)
+    assert not view.complete
+    turning = still.copy()
+    turning[4, 1] = 0.1
+    states.publish(joint_states.encode(plane.ids, still + 0.5, turning, 2))
+    graph.until(lambda: view.complete)
+    assert view.moving
+    np.testing.assert_array_equal(view.angles, still + 0.5)
+    np.testing.assert_array_equal(view.plane.ids, plane.ids)
+
+
+def test_a_malformed_layout_is_refused_and_the_old_one_stays(graph):
+    plane, node, source = preset("desi", robots=7), graph("view"), graph("source")
+    report = Reporter(node, "planner")
+    view = PlaneView(node, report)
+    layouts = topics.LAYOUT.publisher(source)
+    good = layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(1))
+    layouts.publish(good)
+    graph.until(lambda: view._plane is not None)
+    good.header.frame_id = "map"
+    layouts.publish(good)
+    graph.until(lambda: report.counters["refused"] == 1)
+    assert view._plane.n == 7
+
+
+def test_settings_a_core_refuses_end_the_process_with_code_2():
+    def make():
+        raise FiberError("gain is -1.0")
+
+    assert run(make, args=[]) == 2

@@ -1,0 +1,81 @@
+"""What the tests of this package share: small planes, fields and dense looks at motions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fiber_core.fields import random_problem
+from fiber_core.presets import preset
+from hypothesis import settings
+
+settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
+settings.load_profile("repeatable")
+
+
+def row_of_robots(places, **columns):
+    """DESI-like robots (arms 3 + 3 mm, D = 4 mm, d = 2 mm, 180 deg/s) at given places [mm]."""
+    plane = preset("desi", len(places))
+    columns = {"speeds": np.full((plane.n, 2), np.pi)} | columns
+    return replace(plane, centers=np.array(places, dtype=float), **columns)
+
+
+def field(name, robots, seed, disabled=0.0):
+    """A random problem on a preset, some of its robots disabled."""
+    rng = np.random.default_rng(seed)
+    plane = preset(name, robots)
+    return random_problem(plane.with_enabled(rng.random(robots) >= disabled), rng)
+
+
+def dense(motion, sub=10):
+    """Angles at all samples of a motion and at `sub - 1` instants between, (n, 2, t)."""
+    before, after = motion.angles[..., :-1, None], motion.angles[..., 1:, None]
+    between = before + np.arange(sub) / sub * (after - before)
+    flat = between.reshape(motion.n, 2, -1)
+    return np.concatenate([flat, motion.angles[..., -1:]], axis=-1)
+
+
+def tips_of(plane, angles):
+    """Tips at many instants [mm]: x and y, both shape (n, t), from angles (n, 2, t)."""
+    theta, both = angles[:, 0], angles[:, 0] + angles[:, 1]
+    (x, y), (arm1, arm2) = plane.centers.T[..., None], plane.arms.T[..., None]
+    return (
+        x + arm1 * np.cos(theta) + arm2 * np.cos(both),
+        y + arm1 * np.sin(theta) + arm2 * np.sin(both),
+    )
+
+
+def least_tip_distance(plane, angles):
+    """Least distance of any two tips over all instants of angles (n, 2, t) [mm]."""
+    x, y = tips_of(plane, angles)
+    least = np.inf
+    for i in range(plane.n - 1):
+        near = np.linalg.norm(plane.centers[i + 1 :] - plane.centers[i], axis=1)
+        others = i + 1 + np.flatnonzero(near < 2 * plane.arms.sum(axis=1).max() + least)
+        if len(others):
+            least = min(least, np.hypot(x[others] - x[i], y[others] - y[i]).min())
+    return least
+
+
+@pytest.fixture
+def robots():
+    return row_of_robots
+
+
+@pytest.fixture
+def random_field():
+    return field
+
+
+@pytest.fixture
+def densely():
+    return dense
+
+
+@pytest.fixture
+def closest_tips():
+    return least_tip_distance
+
+
+@pytest.fixture
+def tips_at():
+    return tips_of

@@ -1,0 +1,295 @@
+"""The house: who may import whom, and what every package must ship to be installed.
+
+An arrow means "may import, and whatever that may import in turn". Rooms are modules;
+the longest name in `ARROWS` that a module starts with is the room it is in.
+"""
+
+import ast
+import configparser
+import re
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src"
+PACKAGES = sorted(path.parent.name for path in SOURCE.glob("*/package.xml"))
+
+STOCK_MESSAGES = {
+    "builtin_interfaces",
+    "diagnostic_msgs",
+    "geometry_msgs",
+    "sensor_msgs",
+    "std_msgs",
+    "std_srvs",
+    "trajectory_msgs",
+}
+NODES = {"fiber_planner.node", "fiber_discretizer.node", "fiber_bus_bridge.node"}
+ROS = {"rclpy", "rcl_interfaces"}
+ARROWS = {
+    "fiber_core": {"numpy", "numba", "scipy", "astropy"},
+    "fiber_msgs_py": {"fiber_core", "rclpy.qos"} | STOCK_MESSAGES,
+    "fiber_node": {"fiber_core", "fiber_msgs_py"} | ROS,
+    "fiber_planner": {"fiber_core"},
+    "fiber_planner.node": {"fiber_planner", "fiber_node"} | ROS,
+    "fiber_discretizer": {"fiber_core"},
+    "fiber_discretizer.node": {"fiber_discretizer", "fiber_node"} | ROS,
+    "fiber_bus_bridge": {"fiber_core"},
+    "fiber_bus_bridge.node": {"fiber_bus_bridge", "fiber_node"} | ROS,
+    "fiber_viewer": {"fiber_core", "matplotlib"},
+    "fiber_viewer.node": {"fiber_viewer", "fiber_node"} | ROS,
+    "fiber_bringup": {"fiber_viewer", "fiber_viewer.node", "ament_index_python", "rich"} | NODES,
+    "bench": {"fiber_planner", "fiber_discretizer", "fiber_bus_bridge", "fiber_viewer"},
+}
+# import name -> rosdep key or package name, where they differ
+KEYS = {
+    name: f"python3-{name}" for name in ("numpy", "numba", "scipy", "astropy", "matplotlib", "rich")
+} | {"pytest": "python3-pytest", "hypothesis": "python3-hypothesis"}
+UNDECLARED = {"fastcrc"}  # has no rosdep key; only tests may use it
+
+
+def starts(module: str, prefix: str) -> bool:
+    return module == prefix or module.startswith(prefix + ".")
+
+
+def room_of(module: str) -> str | None:
+    return max((room for room in ARROWS if starts(module, room)), key=len, default=None)
+
+
+def reachable(room: str) -> set[str]:
+    """Every module name prefix a room may import."""
+    seen, todo = set(), [room]
+    while todo:
+        name = todo.pop()
+        if name not in seen:
+            seen.add(name)
+            todo += ARROWS.get(name, ())
+    return seen
+
+
+def may_import(room: str, target: str) -> bool:
+    if target.split(".")[0] in sys.stdlib_module_names:
+        return True
+    target_room = room_of(target)
+    if target_room is not None:
+        return target_room in reachable(room)
+    return any(starts(target, allowed) for allowed in reachable(room))
+
+
+def imports(source: str, module: str, is_package: bool, modules: set[str]) -> list[str]:
+    """Absolute names of all modules a source imports; `modules` are those of the project."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parents = module.split(".")
+                parents = parents[: len(parents) - node.level + is_package]
+                base = ".".join([*parents, *base.split(".")] if base else parents)
+            for alias in node.names:
+                inside = f"{base}.{alias.name}"
+                found.append(inside if inside in modules else base)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+            found += [arg.value for arg in node.args[:1] if isinstance(arg, ast.Constant)]
+    return found
+
+
+def project_modules() -> dict[str, Path]:
+    """Dotted name -> file of every module of the packages and of bench/."""
+    found = {}
+    for folder in [*(SOURCE / package / package for package in PACKAGES), ROOT / "bench"]:
+        for path in folder.rglob("*.py"):
+            parts = path.relative_to(folder.parent).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+MODULES = project_modules()
+
+
+def imports_of(module: str) -> list[str]:
+    path = MODULES[module]
+    return imports(path.read_text(), module, path.name == "__init__.py", set(MODULES))
+
+
+def forbidden(module: str, targets: list[str]) -> list[str]:
+    room = room_of(module)
+    return [f"{module} -> {t}" for t in targets if not may_import(room, t)]
+
+
+def test_no_arrow_but_those_of_the_house():
+    assert {"fiber_core.kinematics", "fiber_msgs_py.table"} <= set(MODULES)
+    wrong = [arrow for module in MODULES for arrow in forbidden(module, imports_of(module))]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("fiber_core.kinematics", "import rclpy"),
+        ("fiber_core.kinematics", "def f():\n    from fiber_planner import dnf"),
+        ("fiber_core", "from importlib import import_module\nimport_module('sensor_msgs.msg')"),
+        ("fiber_planner.dnf", "import fiber_discretizer.margin"),
+        ("fiber_planner.dnf", "from fiber_msgs_py import targets"),
+        ("fiber_planner.dnf", "from . import node"),
+        ("fiber_planner", "from fiber_planner import node"),
+        ("fiber_planner.node", "from fiber_discretizer.node import main"),
+        ("fiber_planner.node", "import fiber_bringup"),
+        ("fiber_msgs_py.table", "from rclpy.node import Node"),
+        ("fiber_msgs_py.table", "from fiber_bus_bridge.wire import Frames"),
+        ("fiber_bus_bridge.wire.frames", "from ...fiber_planner import dnf"),
+        ("fiber_viewer.snapshot", "import fiber_planner"),
+        ("bench.plan_field", "import fiber_msgs_py.topics"),
+        ("fiber_core.kinematics", "import pandas"),
+    ],
+)
+def test_a_planted_import_is_caught(module, source):
+    known = set(MODULES) | {"fiber_planner.node"}
+    targets = imports(source, module, module in PACKAGES, known)
+    assert forbidden(module, [t for t in targets if t != "importlib"])
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("fiber_core.motion", "import numpy as np\nfrom fiber_core.errors import MotionError"),
+        ("fiber_planner.node", "import rclpy\nfrom fiber_planner import dnf"),
+        ("fiber_planner.node", "from std_srvs.srv import Trigger"),
+        ("fiber_bus_bridge.wire", "from .frames import Frames\nimport numba"),
+        ("fiber_bringup.graph", "from fiber_planner.node import main\nimport fiber_core"),
+    ],
+)
+def test_an_arrow_of_the_house_is_let_through(module, source):
+    is_package = module == "fiber_bus_bridge.wire"
+    assert not forbidden(module, imports(source, module, is_package, set(MODULES)))
+
+
+def manifest(package: str) -> ElementTree.Element:
+    return ElementTree.parse(SOURCE / package / "package.xml").getroot()
+
+
+def depends(package: str, *kinds: str) -> set[str]:
+    return {element.text for kind in kinds for element in manifest(package).iter(kind)}
+
+
+def key_of(target: str) -> str:
+    return KEYS.get(target.split(".")[0], target.split(".")[0])
+
+
+def outside(targets, package: str) -> set[str]:
+    own = {package, *sys.stdlib_module_names}
+    return {t.split(".")[0] for t in targets} - own
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_package_xml_names_what_is_imported_and_nothing_else(package):
+    used = set()
+    for module in MODULES:
+        if starts(module, package):
+            used |= outside(imports_of(module), package)
+    for path in (SOURCE / package).glob("launch/*.launch.py"):
+        used |= outside(imports(path.read_text(), "launch", False, set(MODULES)), package)
+        used |= set(re.findall(r"package=\"(\w+)\"", path.read_text()))
+    wanted, declared = {key_of(name) for name in used}, depends(package, "depend", "exec_depend")
+    assert wanted - declared == set(), "imported, not in package.xml"
+    assert declared - wanted == set(), "in package.xml, not imported"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_package_xml_names_what_tests_import(package):
+    used = set()
+    for path in (SOURCE / package / "test").rglob("*.py"):
+        used |= outside(imports(path.read_text(), "test", False, set(MODULES)), package)
+    declared = depends(package, "depend", "exec_depend", "test_depend")
+    siblings = {path.stem for path in (SOURCE / package / "test").rglob("*.py")}
+    assert {key_of(name) for name in used - UNDECLARED - siblings} - declared == set()
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_ships_what_ros_looks_for(package):
+    folder, root = SOURCE / package, manifest(package)
+    assert root.get("format") == "3" and root.findtext("name") == package
+    assert root.findtext("export/build_type") == "ament_python"
+    assert (folder / "resource" / package).is_file() and (folder / "README.md").is_file()
+    config = configparser.ConfigParser()
+    config.read(folder / "setup.cfg")
+    assert config["install"]["install_scripts"] == f"$base/lib/{package}"
+    setup = setup_arguments(package)
+    assert setup["name"] == package and setup["version"] == root.findtext("version")
+    # with tests_require colcon finds no tests and says nothing
+    assert "pytest" in setup["extras_require"]["test"] and "tests_require" not in setup
+
+
+def setup_arguments(package: str) -> dict:
+    """Keyword arguments of setup(), where they are plain values."""
+    tree = ast.parse((SOURCE / package / "setup.py").read_text())
+    call = next(
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "setup"
+    )
+    found = {}
+    for keyword in call.keywords:
+        try:
+            found[keyword.arg] = ast.literal_eval(keyword.value)
+        except ValueError:
+            found[keyword.arg] = None
+    return found
+
+
+def executables(package: str) -> dict[str, str]:
+    scripts = (setup_arguments(package).get("entry_points") or {}).get("console_scripts", [])
+    return dict(re.split(r"\s*=\s*", script) for script in scripts)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_executable_has_a_function_behind_it(package):
+    for name, target in executables(package).items():
+        module, function = target.split(":")
+        assert module in MODULES, f"{name} = {target}"
+        body = ast.parse(MODULES[module].read_text()).body
+        assert any(getattr(node, "name", None) == function for node in body), f"{name} = {target}"
+
+
+def launch_files() -> list[Path]:
+    return sorted(SOURCE.glob("*/launch/*.launch.py"))
+
+
+def launched(source: str) -> list[tuple[str, str]]:
+    """Package and executable of every Node a launch file starts."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] == "Node":
+            arguments = {k.arg: k.value for k in node.keywords}
+            found.append(tuple(ast.literal_eval(arguments[k]) for k in ("package", "executable")))
+    return found
+
+
+def test_launch_files_start_executables_that_exist():
+    files = launch_files()
+    assert files
+    for path in files:
+        source = path.read_text()
+        functions = [n.name for n in ast.parse(source).body if isinstance(n, ast.FunctionDef)]
+        assert "generate_launch_description" in functions, path.name
+        for package, executable in launched(source):
+            if package in PACKAGES:
+                assert executable in executables(package), f"{path.name}: {package} {executable}"
+
+
+def test_the_launch_check_sees_packages_and_executables():
+    source = 'LaunchDescription([Node(package="fiber_planner", executable="plan", name="x")])'
+    assert launched(source) == [("fiber_planner", "plan")]
+    assert "plan" not in executables("fiber_planner") and "planner" in executables("fiber_planner")
+
+
+def test_every_suite_is_counted():
+    text = (ROOT / "test" / "minimum_tests.toml").read_text()
+    counted = set(re.findall(r"^(\w+) = [1-9]\d*$", text, re.MULTILINE))
+    assert counted == {*PACKAGES, "test"}
+    for package in PACKAGES:
+        assert any((SOURCE / package / "test").glob("test_*.py")), f"{package} has no tests"

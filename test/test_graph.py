@@ -1,0 +1,251 @@
+"""The whole graph in one process, asked through its topics and services only."""
+
+import numpy as np
+import pytest
+
+from fiber_bringup.client import PlaneClient
+from fiber_bringup.errors import PlaneRefusal
+from fiber_bringup.graph import Graph
+from fiber_bringup.replay import settled_replay
+from fiber_core.clearance import Safety, certify
+from fiber_core.fields import random_field
+from fiber_core.kinematics import forward
+from fiber_core.outcomes import Outcome, Reason
+from fiber_msgs_py import PlanStamp, targets, topics
+from fiber_msgs_py.table import encode_table
+
+pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
+
+WAIT_S = 300.0
+TOLERANCE_MM = 0.1  # the bridge's default
+
+
+@pytest.fixture(scope="module")
+def fast(problem_file, new_domain):
+    """A graph whose robots move as fast as can be computed, and a client of it."""
+    domain = new_domain()
+    bridge = {"problem": problem_file, "time_scale": 0.0}
+    with Graph(bridge=bridge, domain=domain) as graph, PlaneClient(domain) as client:
+        client.wait_for_graph(WAIT_S)
+        yield client
+        assert graph.running, "a node has died"
+
+
+@pytest.fixture
+def client(fast):
+    """The client, with no orders left over from the test before."""
+    yield fast
+    fast.call(topics.CLEAR, WAIT_S)
+
+
+def new_targets(client, seed):
+    """Random targets that can all be taken from where the robots are."""
+    rng = np.random.default_rng(seed)
+    drawn = random_field(client.plane, rng, start=client.angles).problem
+    return client.plane.ids[drawn.asked], drawn.targets[drawn.asked]
+
+
+def check_good_plan(client, seed):
+    """Take the plane to new targets and return what became of it."""
+    before = client.units.to_counts(client.angles)
+    ids, xy_mm = new_targets(client, seed)
+    ended = client.reconfigure(ids, xy_mm, WAIT_S)
+    told = settled_replay(client, ended, before, WAIT_S)
+    assert told.started.any() and (ended.of(ids).outcome == Outcome.REACHED).mean() > 0.5
+    return ended, told
+
+
+def test_every_robot_ends_once_and_its_encoders_agree(client, problem):
+    plane, before = client.plane, client.angles
+    # the disabled are asked as well, three others are not
+    asked_mm = np.where(problem.asked[:, None], problem.targets, forward(plane, before)[1])
+    ids, xy_mm = plane.ids[:-3], asked_mm[:-3]
+    ended = client.reconfigure(ids, xy_mm, WAIT_S)
+    told = settled_replay(client, ended, client.units.to_counts(before), WAIT_S)
+
+    assert np.array_equal(ended.ids, plane.ids)
+    error_mm = np.hypot(*(forward(plane, client.angles)[1] - asked_mm).T)[:-3]
+    of_asked = ended.of(ids)
+    np.testing.assert_allclose(of_asked.error_mm, error_mm, atol=1e-6)
+    reached = of_asked.outcome == Outcome.REACHED
+    assert reached.mean() > 0.7
+    assert np.all(error_mm[reached] <= TOLERANCE_MM)
+    assert np.all((of_asked.reason == Reason.OK) == reached)
+    disabled = ~plane.enabled[:-3]
+    assert np.all(of_asked.reason[disabled] == Reason.DISABLED)
+    assert np.all(of_asked.outcome[~reached] == Outcome.HELD)
+    assert np.all(ended.reason[-3:] == Reason.NO_TARGET)
+
+    # what moved is what the bytes started, and the bytes are safe
+    assert np.array_equal(client.angles[~told.started], before[~told.started])
+    assert np.all(client.angles[told.started] != before[told.started], axis=1).any()
+    assert not told.started[~plane.enabled].any()
+    assert certify(plane, told.motion.decoded(), Safety()).ok
+
+
+def test_the_stamp_of_the_targets_is_on_every_message(client):
+    derived = {
+        topic.name: client.hear(topic)
+        for topic in (
+            topics.HELD_BY_PLANNER,
+            topics.TRAJECTORY,
+            topics.HELD_BY_DISCRETIZER,
+            topics.SEGMENTS,
+            topics.FRAMES,
+            topics.OUTCOME,
+        )
+    }
+    client.wait_for_graph(WAIT_S)
+    old = {name: len(heard) for name, heard in derived.items()}
+    ended, _ = check_good_plan(client, 1)
+    client.until(
+        lambda: all(len(heard) > old[name] for name, heard in derived.items()), WAIT_S, "a topic"
+    )
+    for name, heard in derived.items():
+        stamps = {
+            PlanStamp.of(message) for message in heard if PlanStamp.of(message) >= ended.stamp
+        }
+        assert stamps == {ended.stamp}, name
+    assert {"sent", "planner", "discretizer", "bridge", "ended"} <= set(client.times[ended.stamp])
+
+
+def test_home_folds(client):
+    ended = client.home(WAIT_S)
+    client.until(lambda: not client.moving, WAIT_S)
+    folded = ended.outcome == Outcome.REACHED
+    client.until(
+        lambda: np.allclose(client.angles[folded, 1], client.plane.limits[folded, 1, 1], atol=1e-2),
+        WAIT_S,
+        "encoders at their upper limit",
+    )
+    assert folded.sum() > client.plane.n / 2
+    check_good_plan(client, 2)
+
+
+def table_of(stamp, ids, x, y):
+    rows = np.zeros(len(ids), dtype=[("id", "<u4"), ("x", "<f8"), ("y", "<f8")])
+    rows["id"], rows["x"], rows["y"] = ids, x, y
+    return encode_table(rows, stamp)
+
+
+def without_x(stamp):
+    message = table_of(stamp, [1, 2], [0.0, 0.0], [0.0, 0.0])
+    message.fields = [field for field in message.fields if field.name != "x"]
+    return message
+
+
+def cut_short(stamp):
+    message = table_of(stamp, [1, 2], [0.0, 0.0], [0.0, 0.0])
+    message.data = message.data[:-3]
+    return message
+
+
+def in_another_frame(stamp):
+    message = table_of(stamp, [1], [0.0], [0.0])
+    message.header.frame_id = "map"
+    return message
+
+
+BAD_TABLES = {
+    "missing field": (without_x, "x is missing"),
+    "wrong size": (cut_short, "size of data is 37 bytes, expected 40"),
+    "another frame": (in_another_frame, "frame_id 'map'"),
+    "nan": (lambda s: table_of(s, [1, 7], [0.0, np.nan], [0.0, 0.0]), "robot 7: x nan"),
+    "unknown": (lambda s: table_of(s, [1, 4242], [0.0, 0.25], [0.0, 0.5]), r"robot 4242.*\[250.0"),
+    "twice": (lambda s: table_of(s, [5, 5], [0.0, 0.0], [0.0, 0.0]), "robot 5: id 5"),
+    "stale": (lambda s: table_of(PlanStamp(1), [1], [0.0], [0.0]), "dropped: plan .* is not older"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_TABLES)
+def test_a_bad_table_is_refused_and_nothing_moves(client, name):
+    make, said = BAD_TABLES[name]
+    check_good_plan(client, 3)
+    before, ends = client.angles, set(client.ends)
+    trajectories = client.hear(topics.TRAJECTORY)
+    stamp = PlanStamp(client.node.get_clock().now().nanoseconds)
+    bad = client.publish(make(stamp))
+    with pytest.raises(PlaneRefusal, match=said):
+        client.wait_ready(bad, WAIT_S)
+    with pytest.raises(PlaneRefusal, match="cannot start while IDLE"):
+        client.start(WAIT_S)
+    assert np.array_equal(client.angles, before) and not client.moving
+    assert set(client.ends) == ends
+    ended, _ = check_good_plan(client, 4)
+    assert bad not in {PlanStamp.of(message) for message in trajectories} | set(client.ends)
+    assert ended.stamp in client.ends
+
+
+def test_the_client_itself_refuses_to_send_a_bad_table(client):
+    with pytest.raises(targets.MessageError, match="robot 7: x, y .* nan"):
+        client.send([1, 7], [[0.0, 0.0], [np.nan, 0.0]])
+
+
+def test_in_the_middle_of_a_motion(problem_file, new_domain):
+    domain = new_domain()
+    bridge = {"problem": problem_file, "time_scale": 1.0}
+    with Graph(bridge=bridge, domain=domain) as graph, PlaneClient(domain) as client:
+        client.wait_for_graph(WAIT_S)
+        before = client.angles
+        ids, xy_mm = new_targets(client, 5)
+        stamp = client.send(ids, xy_mm)
+        client.wait_ready(stamp, WAIT_S)
+        client.start(WAIT_S)
+        client.until(lambda: client.moving, WAIT_S, "motion")
+
+        # targets, and every call but stop, are refused
+        with pytest.raises(PlaneRefusal, match="moving"):
+            client.wait_ready(client.send(ids, xy_mm), WAIT_S)
+        for service in (topics.START, topics.HOME, topics.CLEAR, topics.CONFIGURE):
+            with pytest.raises(PlaneRefusal, match="while MOVING: wait for the end, or stop"):
+                client.call(service, WAIT_S)
+        assert stamp not in client.ends, "the motion was over before it could be disturbed"
+
+        client.call(topics.STOP, WAIT_S)
+        ended = client.wait_end(stamp, WAIT_S)
+        client.until(lambda: not client.moving, WAIT_S, "rest")
+        stopped = ended.reason == Reason.STOPPED
+        assert stopped.any() and not ended.count(Outcome.FAILED)
+        told = settled_replay(client, ended, client.units.to_counts(before), WAIT_S)
+        ordered = told.motion.decoded().end
+        there = client.angles
+        travel = np.abs(ordered - before)[stopped]
+        gone = np.abs(there - before)[stopped]
+        assert np.all(gone <= travel.max()) and np.any(gone > 1e-3)
+        assert np.all(np.any(there[stopped] != ordered[stopped], axis=1))
+
+        with pytest.raises(PlaneRefusal, match="while STOPPED: clear first"):
+            client.start(WAIT_S)
+        client.call(topics.CLEAR, WAIT_S)
+        assert np.array_equal(client.angles, there)
+        check_good_plan(client, 6)
+        assert graph.running
+
+
+def test_two_domains_do_not_see_each_other_and_send_the_same_bytes(
+    problem, problem_file, new_domain
+):
+    domains = [new_domain(), new_domain()]
+    bridge = {"problem": problem_file, "time_scale": 0.0}
+    ids, xy_mm = problem.plane.ids[problem.asked], problem.targets[problem.asked]
+    with (
+        Graph(bridge=bridge, domain=domains[0]),
+        Graph(bridge=bridge, domain=domains[1]),
+        PlaneClient(domains[0]) as one,
+        PlaneClient(domains[1]) as other,
+    ):
+        one.wait_for_graph(WAIT_S)
+        other.wait_for_graph(WAIT_S)
+        before = one.units.to_counts(one.angles)
+        first = one.reconfigure(ids, xy_mm, WAIT_S)
+        told = settled_replay(one, first, before, WAIT_S)
+        assert told.started.any()
+        # the other plane stands where it stood, and a plan of its own is the first it hears of
+        assert np.array_equal(other.units.to_counts(other.angles), before)
+        second = other.reconfigure(ids, xy_mm, WAIT_S)
+        told_again = settled_replay(other, second, before, WAIT_S)
+        assert set(one.ends) == set(one.frames) == {first.stamp}
+        assert set(other.ends) == set(other.frames) == {second.stamp}
+    for name in ("offsets", "ticks", "velocity"):
+        assert np.array_equal(getattr(told.motion, name), getattr(told_again.motion, name)), name
+    assert np.array_equal(first.outcome, second.outcome)

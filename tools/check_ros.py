@@ -1,0 +1,17 @@
+"""Say what a sourced ROS 2 Jazzy still lacks to build and run the workspace."""
+
+import sys
+from importlib.util import find_spec
+
+NEEDED = (
+    "rclpy sensor_msgs trajectory_msgs diagnostic_msgs std_srvs colcon_core "
+    "numpy numba scipy astropy matplotlib rich pytest hypothesis"
+)
+
+missing = [name for name in NEEDED.split() if find_spec(name) is None]
+if missing:
+    sys.exit(
+        f"ROS 2 Jazzy is sourced, but {sys.executable} lacks {', '.join(missing)}:\n"
+        "  rosdep install --from-paths src --ignore-src\n"
+        "or, to use the wheels in .venv instead: env -u ROS_DISTRO make ..."
+    )

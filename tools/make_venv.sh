@@ -1,0 +1,9 @@
+#!/usr/bin/env bash
+# Make an environment with exactly the packages of a lock file: make_venv.sh FOLDER LOCK [PYTHON]
+set -eu
+folder=$1 lock=$2
+python=$("$(dirname "$0")/find_python.sh" "${3-}")
+echo "making $folder with $("$python" --version): $(wc -l <"$lock") packages, a minute or two"
+"$python" -m venv --clear "$folder"
+# The lock is complete: nothing is resolved, so nothing can drift.
+"$folder/bin/python" -m pip install --quiet --no-deps --disable-pip-version-check -r "$lock"
