@@ -69,6 +69,10 @@ src/%: ;
 build/.built: $(ENV_STAMP) build/.sources $(shell test -f build/.sources && cat build/.sources)
 	@echo "building the workspace"
 	@$(COLCON) build --event-handlers $(QUIET) || { cat log/latest_build/*/stderr.log; exit 1; }
+	@# compiled loops are cached a file each, and do not notice that what they call has changed
+	@find src install -name '*.nb[ic]' -delete
+	@echo "compiling the loops, once"
+	@$(INSTALLED) && $(PYTHON) tools/compile_loops.py
 	@touch $@
 
 .PHONY: demo

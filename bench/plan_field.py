@@ -75,7 +75,7 @@ def carry_out(problem: Problem, planner: str, seed: int = 0) -> Run:
     """
     plane, safety, watch = problem.plane, Safety(), _Watch()
     units = WireUnits.for_plane(plane)
-    counts = units.to_counts(problem.start)
+    counts = units.encoder_counts(plane, problem.start)
     start, asked = units.to_angles(counts), problem.asked
     given = assign(plane, start, plane.ids[asked], problem.targets[asked])
     accepted = Problem(plane, start, given.targets)

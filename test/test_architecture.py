@@ -46,7 +46,7 @@ ARROWS = {
 # import name -> rosdep key or package name, where they differ
 KEYS = {
     name: f"python3-{name}" for name in ("numpy", "numba", "scipy", "astropy", "matplotlib", "rich")
-} | {"pytest": "python3-pytest", "hypothesis": "python3-hypothesis"}
+} | {"pytest": "python3-pytest", "hypothesis": "python3-hypothesis", "yaml": "python3-yaml"}
 UNDECLARED = {"fastcrc"}  # has no rosdep key; only tests may use it
 
 

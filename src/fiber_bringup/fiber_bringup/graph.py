@@ -17,6 +17,7 @@ from fiber_planner.node import PlannerNode
 __all__ = ["Graph", "main"]
 
 _THREADS = 4  # one a node, and one for the bridge's stop
+_LOOK_S = 0.1  # how long a quiet graph takes at most to see that it shall end
 
 
 class Graph:
@@ -58,13 +59,17 @@ class Graph:
         self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
         for node in self.nodes:
             self._executor.add_node(node)
+        self._ending = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="graph", daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, kind, *_):
-        self._executor.shutdown()
+        # the executor may not go before its loop: callbacks at work still wake it
+        self._ending.set()
+        self._executor.wake()
         self._thread.join()
+        self._executor.shutdown()
         self._leave()
         if self._error is not None and kind is None:
             raise self._error
@@ -80,7 +85,8 @@ class Graph:
 
     def _spin(self):
         try:
-            self._executor.spin()
+            while not self._ending.is_set():
+                self._executor.spin_once(timeout_sec=_LOOK_S)
         except (ExternalShutdownException, ShutdownException):
             pass
         except BaseException as error:

@@ -8,7 +8,7 @@ import numpy as np
 from fiber_bringup.client import PlaneClient, PlanEnd
 from fiber_bus_bridge.wire import CALL_PREFIX, Addresses, Frames, Opcode, decode_load
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import Outcome, Reason
+from fiber_core.outcomes import Outcome
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import FrameLog
 
@@ -98,14 +98,14 @@ def settled_replay(client: PlaneClient, ended: PlanEnd, counts, timeout_s: float
 
     Args:
         client: has followed the plan.
-        ended: what became of it; robots that failed or were stopped explain nothing.
+        ended: what became of it, to its end without a stop; failed robots may be anywhere.
         counts: encoders before the plan [quanta], shape (n, 2).
         timeout_s: for the last frames and readings to come in [s].
 
     Raises:
         WaitError: they did not; names the first robot that is elsewhere.
     """
-    obeyed = (ended.outcome != Outcome.FAILED) & (ended.reason != Reason.STOPPED)
+    obeyed = ended.outcome != Outcome.FAILED
     told = None
 
     def elsewhere():

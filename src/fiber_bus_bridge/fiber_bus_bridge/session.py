@@ -93,7 +93,7 @@ class Session:
         self.plane, self.units, self.config = plane, units, config or SessionConfig()
         self.link = Link(backend, addresses_of(plane))
         self.state = SessionState.UNCONFIGURED
-        self.counts = units.to_counts(believed)
+        self.counts = units.encoder_counts(plane, believed)
         self.known = np.zeros(plane.n, dtype=bool)
         self.robot_state = np.zeros(plane.n, dtype=np.int64)
         self.robot_fault = np.zeros(plane.n, dtype=np.int64)
@@ -109,8 +109,7 @@ class Session:
         self._plan: Plan | None = None
         self._uploader = Uploader(plane, units, safety, self.link, neighbour_pairs(plane))
         # inside the limits, so that what a robot accepts is inside them too
-        low, high = np.moveaxis(plane.limits / units.quantum_rad, -1, 0)
-        self._limits = np.stack([np.ceil(low), np.floor(high)], axis=-1).astype(np.int64)
+        self._limits = units.range_counts(plane)
         speed = np.floor(plane.speeds / units.velocity_rad_s).astype(np.int64)
         self._speed = np.minimum(speed, units.max_velocity)
 

@@ -79,7 +79,7 @@ def simulated_buses(
         addresses_of(plane),
         plane.ids,
         units.quantum_prad,
-        units.to_counts(start),
+        units.encoder_counts(plane, start),
         clock_ppm=rng.uniform(-config.clock_ppm, config.clock_ppm, plane.n),
         start_skew_s=rng.uniform(0.0, config.start_skew_s, plane.n),
     )

@@ -15,9 +15,11 @@ def lower_bound_s(problem: Problem) -> float:
     """Time the slowest robot would need if it were alone [s].
 
     Each robot takes the elbow and turn that is fastest for it, both joints at full
-    speed, collisions ignored; robots without a reachable target do not count.
+    speed, collisions ignored; disabled robots and those without a reachable target
+    do not count.
     """
-    angles, valid = kinematics.inverse(problem.plane, problem.targets)
+    movable = np.where(problem.plane.enabled[:, None], problem.targets, np.nan)
+    angles, valid = kinematics.inverse(problem.plane, movable)
     travel = np.abs(angles - problem.start[:, None]) / problem.plane.speeds[:, None]
     alone = np.where(valid, travel.max(axis=2), np.inf).min(axis=1, initial=np.inf)
     return float(alone[np.isfinite(alone)].max(initial=0.0))
@@ -66,9 +68,9 @@ def plan_report(
         "lower_bound_s": bound,
         "makespan_ratio": motion.makespan_s / bound if bound else None,
         "certified": bool(certificate.ok),
-        "min_clearance_mm": certificate.min_gap_mm,
+        "min_clearance_mm": certificate.min_gap_mm if certificate.min_pair else None,
         "min_clearance_ids": _names(plane, certificate.min_pair),
-        "min_clearance_time_s": certificate.min_time_s,
+        "min_clearance_time_s": certificate.min_time_s if certificate.min_pair else None,
         "segments_mean": float(segments.mean()) if len(segments) else 0.0,
         "segments_max": int(segments.max(initial=0)),
         "segments_bound": 1.0,

@@ -103,6 +103,24 @@ class WireUnits:
         """Angles [rad] of positions in quanta; same shape."""
         return np.asarray(counts) * self.quantum_rad
 
+    def range_counts(self, plane: FocalPlane) -> np.ndarray:
+        """Lowest and highest positions inside the joint limits [quanta], shape (n, 2, 2)."""
+        low, high = np.moveaxis(plane.limits, -1, 0) / self.quantum_rad
+        return np.stack([np.ceil(low), np.floor(high)], axis=-1).astype(np.int64)
+
+    def encoder_counts(self, plane: FocalPlane, angles) -> np.ndarray:
+        """What the encoders of robots at some angles read [quanta], shape (n, 2).
+
+        Rounding takes no joint across its stop; one that is beyond it stays there.
+
+        Args:
+            plane: the focal plane.
+            angles: joint angles [rad], shape (n, 2).
+        """
+        nearest = self.to_counts(angles)
+        inside = np.clip(nearest, *np.moveaxis(self.range_counts(plane), -1, 0))
+        return np.where(np.abs(nearest - inside) <= 1, inside, nearest)
+
 
 @dataclass(frozen=True, eq=False)
 class WireMotion:

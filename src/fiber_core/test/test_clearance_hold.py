@@ -145,6 +145,18 @@ def test_robots_that_break_their_limits_or_are_disabled_are_held():
     assert certificate.ok and not certificate.limits_broken.any()
 
 
+def test_a_robot_that_breaks_its_limits_stays_held_when_a_neighbour_is_released():
+    for seed in range(3):
+        plane, wished = _crowd(seed)
+        limits = plane.limits.copy()
+        bad = np.random.default_rng(seed).random(plane.n) < 0.3
+        limits[bad] = 0.0
+        plane = replace(plane, limits=limits)
+        _, held, certificate = hold_until_safe(plane, wished, Safety())
+        assert certificate.ok
+        assert held[bad & _moving(wished)].all()
+
+
 def test_resting_robots_too_close_at_the_start_are_reported_and_the_rest_is_made_safe():
     # 0 and 1 overlap where they stand; 2 and 3 would meet.
     plane, wished = _sweeps(

@@ -62,6 +62,19 @@ def test_the_disabled_and_the_idle_stay_where_they_touch_nobody(name):
     check(plane, field, 0.3, plane.enabled & ~idle)
 
 
+def test_targets_from_where_the_robots_are():
+    plane = preset("desi", 200).with_enabled(np.arange(200) % 7 != 0)
+    first = random_field(plane, np.random.default_rng(1))
+    second = random_field(plane, np.random.default_rng(2), start=first.goal)
+    assert np.array_equal(second.problem.start, first.goal)
+    check(plane, second, DEFAULT_GAP_MM, plane.enabled)
+    lost = first.goal.copy()
+    lost[9, 1] = np.nan
+    with pytest.raises(FieldError, match="robot 9: its start") as caught:
+        random_field(plane, np.random.default_rng(2), start=lost)
+    assert caught.value.ids.tolist() == [9]
+
+
 def test_real_planes(real_planes):
     for plane in (
         read_layout(real_planes / "desi_2021-06-25.csv"),

@@ -102,3 +102,15 @@ def test_the_extremes_of_the_fields_fit():
     motion = WireMotion(units, **{**GOOD, **extreme})
     assert np.array_equal(motion.end, [[8191, 0], [-8191 * 1023, 0]])
     assert units.segment_bytes == 3
+
+
+def test_a_robot_on_its_stop_reads_a_position_inside_its_range():
+    plane = preset("desi", robots=7)
+    units = WireUnits.for_plane(plane)
+    for side in (0, 1):
+        counts = units.encoder_counts(plane, plane.limits[:, :, side])
+        angles = units.to_angles(counts)
+        assert (angles >= plane.limits[..., 0]).all() and (angles <= plane.limits[..., 1]).all()
+        assert np.abs(angles - plane.limits[:, :, side]).max() < units.quantum_rad
+    beyond = plane.limits[:, :, 1] + 0.01
+    np.testing.assert_array_equal(units.encoder_counts(plane, beyond), units.to_counts(beyond))

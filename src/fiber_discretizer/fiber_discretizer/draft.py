@@ -7,7 +7,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer.free_space import FreeSpace
-from fiber_discretizer.intake import peak_speeds, range_counts
+from fiber_discretizer.intake import peak_speeds
 from fiber_discretizer.linearize import linearize
 from fiber_discretizer.margin import joint_margins, tip_distances_mm
 from fiber_discretizer.options import DiscretizeOptions
@@ -45,7 +45,7 @@ class Draft:
     ):
         self.plane, self.units, self.safety, self.options = plane, units, safety, options
         self._time_s, self._planned = trajectory.time_s, trajectory.angles.copy()
-        self._start, self._ranges = start_counts, range_counts(plane, units)
+        self._start, self._ranges = start_counts, units.range_counts(plane)
         self._segments = Segments.none(2 * plane.n)
         pairs, required_mm = _requirements(plane, trajectory, safety)
         self.free_space = FreeSpace(plane, pairs, required_mm, self._planned)

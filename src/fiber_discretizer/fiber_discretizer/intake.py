@@ -10,7 +10,7 @@ from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireUnits
 
-__all__ = ["check_trajectory", "peak_speeds", "range_counts", "starting_counts"]
+__all__ = ["check_trajectory", "peak_speeds", "starting_counts"]
 
 _START_NOISE_RAD = 1e-9  # as the certificate: a joint that starts farther out cannot pass it
 _PROFILE_NOISE_RAD = 1e-6  # rounding brings the rest of a profile inside
@@ -71,12 +71,6 @@ def _peak_speeds(steps, angles):
     return peak
 
 
-def range_counts(plane: FocalPlane, units: WireUnits) -> np.ndarray:
-    """Return the lowest and highest position inside the joint limits [quanta], shape (n, 2, 2)."""
-    low, high = np.moveaxis(plane.limits, -1, 0) / units.quantum_rad
-    return np.stack([np.ceil(low), np.floor(high)], axis=-1).astype(np.int64)
-
-
 def starting_counts(
     plane: FocalPlane, trajectory: SampledMotion, units: WireUnits, given=None
 ) -> np.ndarray:
@@ -100,6 +94,4 @@ def starting_counts(
         raise MotionError(f"the trajectory begins at {trajectory.time_s[0]} s, before time zero")
     if given is not None:
         return frozen_array(given, int, (plane.n, 2), "start_counts", MotionError)
-    nearest = units.to_counts(trajectory.start)
-    inside = np.clip(nearest, *np.moveaxis(range_counts(plane, units), -1, 0))
-    return np.where(np.abs(nearest - inside) <= 1, inside, nearest)
+    return units.encoder_counts(plane, trajectory.start)

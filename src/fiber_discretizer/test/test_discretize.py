@@ -8,7 +8,7 @@ from fiber_core.errors import MotionError
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer import DiscretizeOptions, UnknownOption, discretize
+from fiber_discretizer import DiscretizeOptions, UnknownOption, discretize, draft, joint_margins
 
 UNITS = WireUnits()
 SAFETY = Safety()
@@ -83,12 +83,21 @@ def test_a_crowd_is_certified_and_everyone_goes_or_rests_with_a_reason(crowd, fi
     assert result.wire.decoded().counts[going].max() > 1  # some had to bend around a neighbour
 
 
-@pytest.mark.parametrize("first_joint", [0, 1])
-def test_margin_of_the_second_motor_knows_the_new_profile_of_the_first(crowd, first_joint):
-    # Otherwise both motors would spend the same space and the first certificate fail.
-    plane, trajectory = crowd
-    options = DiscretizeOptions(first_joint=first_joint)
-    assert discretize(plane, trajectory, UNITS, SAFETY, options=options).rounds == 0
+def test_margin_of_the_second_motor_knows_the_new_profile_of_the_first(plane_at, monkeypatch):
+    plane = plane_at([[0.0, 0.0], [30.0, 0.0]])
+    trajectory = eased([[0.0, 0.5], [0.0, 0.5]], [[1.0, 2.5], [1.0, 2.5]])
+    seen = []
+
+    def spy(plane, joint, pairs, free, phi, robots, cap):
+        seen.append((joint, phi.copy()))
+        return joint_margins(plane, joint, pairs, free, phi, robots, cap)
+
+    monkeypatch.setattr(draft, "joint_margins", spy)
+    discretize(plane, trajectory, UNITS, SAFETY, options=DiscretizeOptions(first_joint=1))
+    (first, planned), (second, new) = seen
+    assert (first, second) == (1, 0)
+    np.testing.assert_array_equal(planned, trajectory.angles[:, 1])
+    np.testing.assert_allclose(new, [np.linspace(0.5, 2.5, 101)] * 2, atol=1e-9)
 
 
 def test_same_input_same_numbers(crowd):

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
 from fiber_core import kinematics
 from fiber_core.clearance import neighbour_pairs, sampled_gaps
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner import lower_bound_s, make_planner
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 NAMES = ("dnf", "dnf_arms")
 DT = 0.01
@@ -155,9 +156,7 @@ def test_same_problem_same_plan(name, random_field):
 def test_numbering_the_robots_otherwise_numbers_the_plan_otherwise(name, random_field):
     problem = random_field("pfs", 60, seed=8)
     order = np.random.default_rng(0).permutation(problem.plane.n)
-    shuffled = Problem(
-        problem.plane.permuted(order), problem.start[order], problem.targets[order]
-    )
+    shuffled = Problem(problem.plane.permuted(order), problem.start[order], problem.targets[order])
     plan, other = make_planner(name).plan(problem), make_planner(name).plan(shuffled)
     assert np.array_equal(plan.reason[order], other.reason)
     assert plan.motion.angles.shape == other.motion.angles.shape

@@ -4,15 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from fiber_core import kinematics
+from fiber_core.clearance import neighbour_pairs, sampled_gaps
 from fiber_core.presets import preset
 from fiber_planner.dnf import DnfParameters
 from fiber_planner.dnf.arms import ArmNeighbours
 from fiber_planner.dnf.law import Law, Swarm, attraction, repulsion
 from fiber_planner.dnf.step import longest_step, places
-from fiber_planner.dnf.tips import TipNeighbours
-from hypothesis import given
-from hypothesis import strategies as st
+from fiber_planner.dnf.tips import SHARE, TipNeighbours
 
 SMALL = 1e-6  # [rad] step of the finite differences
 
@@ -118,3 +120,53 @@ def test_no_part_of_the_longest_step_uses_more_than_allowed(closing, bend, allow
     longer = min(1.0, factor * 1.01 + 1e-6)
     if factor < 1.0 and allowed > 0:  # and it is the longest
         assert longer * closing + 0.5 * longer * longer * bend > allowed
+
+
+def moved_alone(angles, turn, i):
+    """Angles while robot i alone makes its turn, shape (n, 2, 20)."""
+    path = np.repeat(np.array(angles)[..., None], 20, axis=-1)
+    path[i] += turn[i][:, None] * np.linspace(0, 1, 20)
+    return path
+
+
+@pytest.mark.parametrize("reach", [0.3, 1.0])
+def test_one_robots_turn_uses_up_no_more_than_its_share_of_a_distance(reach, random_field, tips_at):
+    # turns so long that their arc counts as much as their chord
+    problem = random_field("pfs", 40, seed=4)
+    plane, start = problem.plane, problem.start
+    law = Law.of(plane, DnfParameters())
+    neighbours = TipNeighbours(plane, law)
+    _, _, contacts = neighbours.push(start, *kinematics.forward(plane, start))
+    tightest = 1.0
+    for seed in range(8):
+        turn = np.random.default_rng(seed).uniform(-reach, reach, start.shape)
+        factor = neighbours.shorten(turn, contacts)
+        for i in range(plane.n):
+            x, y = tips_at(plane, moved_alone(start, factor[:, None] * turn, i))
+            apart = np.delete(np.hypot(x - x[i], y - y[i]), i, axis=0)
+            left = (apart - law.inner) / (apart[:, :1] - law.inner)
+            assert left.min() > 1 - SHARE - 1e-9
+            tightest = min(tightest, left.min())
+    assert tightest < 0.7  # and it is not all caution
+
+
+@pytest.mark.parametrize("name", ["desi", "desi_outlines", "sdss_v"])
+@pytest.mark.parametrize("reach", [0.3, 1.0])
+def test_one_robots_turn_uses_up_no_more_than_its_share_of_a_gap(name, reach, random_field):
+    problem = random_field(name, 30, seed=5)
+    plane, start = problem.plane, problem.start
+    law = Law.of(plane, DnfParameters(dt_s=2 * reach / plane.speeds.min()))
+    neighbours = ArmNeighbours(plane, start, start, law, margin_mm=0.1)
+    _, _, contacts = neighbours.push(start, *kinematics.forward(plane, start))
+    pairs = neighbour_pairs(plane)
+    tightest = 1.0
+    for seed in range(4):
+        turn = np.random.default_rng(seed).uniform(-reach, reach, start.shape)
+        factor = neighbours.shorten(turn, contacts)
+        for i in range(plane.n):
+            with_i = pairs[(pairs == i).any(axis=1)]
+            gaps = sampled_gaps(plane, with_i, moved_alone(start, factor[:, None] * turn, i))
+            left = (gaps - 0.1) / (gaps[:, :1] - 0.1)
+            assert left.min() > 1 - SHARE - 1e-9
+            tightest = min(tightest, left.min())
+    assert tightest < 0.7

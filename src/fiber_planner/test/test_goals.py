@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fiber_core import kinematics
 from fiber_core.clearance import gaps, neighbour_pairs
 from fiber_core.fields import random_problem
@@ -124,9 +125,7 @@ def test_starts_that_already_overlap_do_not_block_each_other_for_ever(robots):
 def test_the_choice_does_not_depend_on_how_robots_are_numbered(random_field):
     problem = random_field("moons", 150, seed=5)
     order = np.random.default_rng(0).permutation(150)
-    shuffled = Problem(
-        problem.plane.permuted(order), problem.start[order], problem.targets[order]
-    )
+    shuffled = Problem(problem.plane.permuted(order), problem.start[order], problem.targets[order])
     goal, reason = choose_goals(problem, MARGIN)
     goal2, reason2 = choose_goals(shuffled, MARGIN)
     assert np.array_equal(reason[order], reason2)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_planner import DnfParameters, PlannedMotion, PlannerError, make_planner, planners

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiber_core.clearance.bodies import Bodies, bodies_of
-from fiber_core.clearance.minimum import Minima, Profiles, minimum_gaps, profiles_of
+from fiber_core.clearance.minimum import FINEST_MM, Minima, minimum_gaps
 from fiber_core.clearance.neighbours import neighbour_pairs
+from fiber_core.clearance.profiles import Profiles, profiles_of
 from fiber_core.clearance.safety import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -92,7 +93,8 @@ def certify(
         safety: gap asked for and timing errors to survive.
         pairs: rows a < b to examine, shape (p, 2); by default all that could ever
             come closer than the largest required gap (at least 1 mm).
-        tolerance_mm: how closely gaps below their required value are resolved [mm].
+        tolerance_mm: how closely gaps below their required value and the smallest of all
+            are resolved, 1e-6 at the finest [mm].
     """
     if pairs is None:
         pairs = certified_pairs(plane, motion, safety)
@@ -148,6 +150,8 @@ def moved_disabled(plane: FocalPlane, profiles: Profiles) -> np.ndarray:
 
 
 def _resolve_smallest(bodies, profiles, pairs, required, minima, tolerance_mm):
+    tolerance_mm = max(tolerance_mm, FINEST_MM)
+
     # Only a pair whose bound is not clear of the smallest gap met can hold the smallest.
     def open_rows():
         level = np.maximum(required, minima.best.min(initial=np.inf) + tolerance_mm)

@@ -10,7 +10,8 @@ from fiber_core.clearance.certificate import (
     limits_broken,
     moved_disabled,
 )
-from fiber_core.clearance.minimum import Minima, minimum_gaps, profiles_of
+from fiber_core.clearance.minimum import Minima, minimum_gaps
+from fiber_core.clearance.profiles import profiles_of
 from fiber_core.clearance.safety import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -53,8 +54,9 @@ def hold_until_safe(
     search.hold(faulty)
     search.hold_until_covered()
     if not search.unsafe.any():
-        while search.release(~faulty):
-            pass
+        candidates = ~faulty
+        while candidates.any():
+            candidates = search.release(candidates) & ~faulty
         search.hold_until_covered()  # those released may have made the whole motion longer
     return search.motion, search.held, search.certificate()
 
@@ -113,9 +115,9 @@ class _Search:
         return chosen
 
     def release(self, allowed):
-        # Let those go whose own pairs stay safe; returns whether there were any. No motion
-        # with robots held requires more than the wished one does.
+        # Let those go whose own pairs stay safe; returns the neighbours of those who went.
         held_before = self.held.copy()
+        # No motion with robots held requires more than the wished one does.
         self.required = self.safety.required_mm(self.plane, self.wished, self.pairs)
         order = np.argsort(self.pairs, axis=None, kind="stable")
         begin = np.searchsorted(self.pairs.ravel()[order], np.arange(self.plane.n + 1))
@@ -131,7 +133,10 @@ class _Search:
             for column, known in zip(self.minima, before):
                 column[own] = known
         self.update()
-        return (held_before & ~self.held).any()
+        released = self._of_bodies(held_before & ~self.held)
+        beside = np.zeros(len(released), dtype=bool)
+        beside[self.pairs[released[self.pairs].any(axis=1)]] = True
+        return beside[: self.plane.n]
 
     def _of_bodies(self, robots):
         return np.append(robots, np.zeros(len(self.plane.obstacles), dtype=bool))

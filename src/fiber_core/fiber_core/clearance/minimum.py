@@ -7,41 +7,11 @@ import numba as nb
 import numpy as np
 
 from fiber_core.clearance.pair_gaps import table_gap
-from fiber_core.motion import SegmentMotion
 
-__all__ = ["Minima", "Profiles", "minimum_gaps", "profiles_of"]
+__all__ = ["FINEST_MM", "Minima", "minimum_gaps"]
 
+FINEST_MM = 1e-6  # no gap is resolved further than this
 _ROUNDING_MM = 1e-9  # far above the rounding of a gap, far below anything that matters
-
-
-class Profiles(NamedTuple):
-    """A SegmentMotion with the instant and the angle at which each segment begins.
-
-    A robot is made to rest by ``stop[i] = first[i]``.
-
-    Args:
-        start: joint angles at time zero [rad], shape (n, 2).
-        first: first segment of each joint, shape (n, 2).
-        stop: the one after its last segment, shape (n, 2).
-        begins_s: when each segment begins [s], shape (m,).
-        ends_s: when it ends [s], shape (m,).
-        angle: joint angle at its begin [rad], shape (m,).
-        velocity: joint speed in it [rad/s], shape (m,).
-        low: lowest angle of each joint [rad], shape (n, 2).
-        high: highest angle of each joint [rad], shape (n, 2).
-        fastest: highest speed of each joint [rad/s], shape (n, 2).
-    """
-
-    start: np.ndarray
-    first: np.ndarray
-    stop: np.ndarray
-    begins_s: np.ndarray
-    ends_s: np.ndarray
-    angle: np.ndarray
-    velocity: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    fastest: np.ndarray
 
 
 class Minima(NamedTuple):
@@ -63,33 +33,6 @@ class Minima(NamedTuple):
         return cls(np.full(p, -np.inf), np.full(p, np.inf), np.zeros(p))
 
 
-def profiles_of(motion: SegmentMotion) -> Profiles:
-    """Return the instant and angle at which each segment of a motion begins."""
-    first, stop = motion.offsets[:-1].reshape(-1, 2), motion.offsets[1:].reshape(-1, 2)
-    segments = _unrolled(motion.start, first, stop, motion.duration_s, motion.velocity_rad_s)
-    return Profiles(motion.start.copy(), first.copy(), stop.copy(), *segments)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _unrolled(start, first, stop, duration, velocity):
-    m = len(duration)
-    begins, ends, angles = np.empty(m), np.empty(m), np.empty(m)
-    low, high = start.copy(), start.copy()
-    fastest = np.zeros(start.shape)
-    for i in range(len(start)):
-        for joint in range(2):
-            time, angle = 0.0, start[i, joint]
-            for k in range(first[i, joint], stop[i, joint]):
-                begins[k], angles[k] = time, angle
-                time += duration[k]
-                angle += velocity[k] * duration[k]
-                ends[k] = time
-                low[i, joint] = min(low[i, joint], angle)
-                high[i, joint] = max(high[i, joint], angle)
-                fastest[i, joint] = max(fastest[i, joint], abs(velocity[k]))
-    return begins, ends, angles, velocity.copy(), low, high, fastest
-
-
 @nb.njit(cache=True, error_model="numpy")
 def _speed(arm1, phi_reach, theta_reach, w_theta, w_phi):
     # No vertex of a body moves faster [mm/s]. The phi link is bounded in two ways: elbow
@@ -109,6 +52,39 @@ def _lowest(g0, g1, way):
 
 
 @nb.njit(cache=True, error_model="numpy")
+def _cut(start, first, stop, begins, ends, angle, velocity, a, b, t, q, w):
+    # Cut the motion of bodies a and b into pieces on which all four joint speeds are
+    # constant: begin t[k], angles q[k] there, speeds w[k]. Returns their number; one row
+    # more holds the end. An obstacle has no joints: its row is beyond those of the robots.
+    robots = len(start)
+    cursor, last = np.zeros(4, dtype=np.int64), np.zeros(4, dtype=np.int64)
+    q[0] = 0.0
+    for j in range(4):
+        body, joint = (a, j) if j < 2 else (b, j - 2)
+        if body < robots:
+            q[0, j] = start[body, joint]
+            cursor[j], last[j] = first[body, joint], stop[body, joint]
+    t[0] = 0.0
+    k = 0
+    while (cursor < last).any():
+        t[k + 1] = np.inf
+        for j in range(4):
+            w[k, j] = 0.0
+            if cursor[j] < last[j]:
+                w[k, j] = velocity[cursor[j]]
+                t[k + 1] = min(t[k + 1], ends[cursor[j]])
+        for j in range(4):
+            q[k + 1, j] = q[k, j]
+            if cursor[j] < last[j]:
+                m = cursor[j]
+                q[k + 1, j] = angle[m] + w[k, j] * (t[k + 1] - begins[m])
+                if ends[m] <= t[k + 1]:
+                    cursor[j] += 1
+        k += 1
+    return k
+
+
+@nb.njit(cache=True, error_model="numpy")
 def minimum_gaps(bodies, profiles, pairs, rows, level, tolerance, resolve, minima):
     """Bracket the smallest gap of some pairs until it is proven or resolved.
 
@@ -121,93 +97,68 @@ def minimum_gaps(bodies, profiles, pairs, rows, level, tolerance, resolve, minim
         pairs: rows a, b of bodies, shape (p, 2).
         rows: pairs to work on, shape (r,).
         level: gap of each pair that is enough to know [mm], shape (p,).
-        tolerance: how closely a gap below its level is resolved [mm].
+        tolerance: how closely a gap below its level is resolved, 1e-6 at the finest [mm].
         resolve: whether to go on with a pair after a gap below its level was met.
         minima: filled in at the rows.
     """
     # Fields are read once: each reading of a tuple's array costs two atomic operations.
     table, arm1 = bodies.table, bodies.arm1
     phi_reach, theta_reach = bodies.phi_reach, bodies.theta_reach
-    start, first, last = profiles.start, profiles.first, profiles.stop
-    begins, ends, angle, velocity = (
-        profiles.begins_s, profiles.ends_s, profiles.angle, profiles.velocity
-    )  # fmt: skip
-    robots = len(start)
+    start, first, stop = profiles.start, profiles.first, profiles.stop
+    begins, ends = profiles.begins_s, profiles.ends_s
+    angle, velocity = profiles.angle, profiles.velocity
+    tolerance = max(tolerance, FINEST_MM)
     longest = 0
-    for i in range(robots):
+    for i in range(len(start)):
         for joint in range(2):
-            longest = max(longest, last[i, joint] - first[i, joint])
-    # the pieces of a pair's motion on which all four speeds are constant
+            longest = max(longest, stop[i, joint] - first[i, joint])
     piece_t = np.empty(4 * longest + 1)
     piece_q, piece_w = np.empty((4 * longest + 1, 4)), np.empty((4 * longest + 1, 4))
-    cursor, stop = np.empty(4, dtype=np.int64), np.empty(4, dtype=np.int64)
-    q, w = np.empty(4), np.empty(4)
     for row in rows:
         a, b = pairs[row]
-        for j in range(4):
-            body, joint = (a, j) if j < 2 else (b, j - 2)
-            q[j], cursor[j], stop[j] = 0.0, 0, 0
-            if body < robots:
-                q[j] = start[body, joint]
-                cursor[j], stop[j] = first[body, joint], last[body, joint]
-        t, pieces = 0.0, 0
+        pieces = _cut(
+            start, first, stop, begins, ends, angle, velocity, a, b, piece_t, piece_q, piece_w
+        )
+        q = piece_q[0]
         gap = table_gap(table, a, b, q[0], q[1], q[2], q[3], np.inf)
-        best, when, lower = gap, t, gap
+        best, when, lower = gap, 0.0, gap
         enough = level[row] + _ROUNDING_MM
         queue = [(np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0)]
-        while True:
-            until = np.inf
-            for j in range(4):
-                w[j] = 0.0
-                if cursor[j] < stop[j]:
-                    w[j] = velocity[cursor[j]]
-                    until = min(until, ends[cursor[j]])
-            if until == np.inf:
-                break
-            piece_t[pieces] = t
-            for j in range(4):
-                piece_q[pieces, j], piece_w[pieces, j] = q[j], w[j]
-                if cursor[j] < stop[j]:
-                    k = cursor[j]
-                    q[j] = angle[k] + w[j] * (until - begins[k])
-                    if ends[k] <= until:
-                        cursor[j] += 1
+        for k in range(pieces):
+            w = piece_w[k]
             speed = _speed(arm1[a], phi_reach[a], theta_reach[a], w[0], w[1])
             speed += _speed(arm1[b], phi_reach[b], theta_reach[b], w[2], w[3])
-            if speed > 0.0:
-                way = speed * (until - t)
-                cutoff = enough + way
-                after = table_gap(table, a, b, q[0], q[1], q[2], q[3], cutoff)
-                if after < min(best, cutoff):
-                    best, when = after, until
-                bound = _lowest(gap, after, way)
-                if bound >= enough:
-                    lower = min(lower, bound)
-                else:
-                    heapq.heappush(queue, (bound, t, gap, until, after, speed, pieces))
-                gap = after
-                pieces += 1
-            t = until
+            if speed == 0.0:
+                continue
+            t0, t1, q, before = piece_t[k], piece_t[k + 1], piece_q[k + 1], gap
+            way = speed * (t1 - t0)
+            gap = table_gap(table, a, b, q[0], q[1], q[2], q[3], enough + way)
+            if gap < min(best, enough + way):
+                best, when = gap, t1
+            bound = _lowest(before, gap, way)
+            if bound >= enough:
+                lower = min(lower, bound)
+            else:
+                heapq.heappush(queue, (bound, t0, before, t1, gap, speed, k))
         while queue[0][0] < min(enough, best - tolerance) and (resolve or best >= enough):
             _, t0, g0, t1, g1, speed, k = heapq.heappop(queue)
             t = 0.5 * (t0 + t1)
-            for j in range(4):
-                q[j] = piece_q[k, j] + piece_w[k, j] * (t - piece_t[k])
             way = speed * (t - t0)
-            cutoff = enough + way
-            gap = table_gap(table, a, b, q[0], q[1], q[2], q[3], cutoff)
-            if gap < min(best, cutoff):
+            q, w, passed = piece_q[k], piece_w[k], t - piece_t[k]
+            gap = table_gap(
+                table, a, b,
+                q[0] + w[0] * passed, q[1] + w[1] * passed,
+                q[2] + w[2] * passed, q[3] + w[3] * passed,
+                enough + way,
+            )  # fmt: skip
+            if gap < min(best, enough + way):
                 best, when = gap, t
-            bound = _lowest(g0, gap, way)
-            if bound >= enough:
-                lower = min(lower, bound)
-            else:
-                heapq.heappush(queue, (bound, t0, g0, t, gap, speed, k))
-            bound = _lowest(gap, g1, way)
-            if bound >= enough:
-                lower = min(lower, bound)
-            else:
-                heapq.heappush(queue, (bound, t, gap, t1, g1, speed, k))
+            for u0, h0, u1, h1 in ((t0, g0, t, gap), (t, gap, t1, g1)):
+                bound = _lowest(h0, h1, way)
+                if bound >= enough:
+                    lower = min(lower, bound)
+                else:
+                    heapq.heappush(queue, (bound, u0, h0, u1, h1, speed, k))
         minima.lower[row] = min(min(lower, best), queue[0][0]) - _ROUNDING_MM
         minima.best[row] = best
         minima.time_s[row] = when

@@ -12,6 +12,7 @@ from fiber_core.problem import Problem
 __all__ = ["Crowd", "crowd_of", "place_keys"]
 
 _MOST_OPTIONS = 6
+_FOLDED_RAD = np.deg2rad(135.0)
 _ON_TARGET_MM = 1e-3  # a fibre this near to its target stays where it is
 
 
@@ -31,7 +32,8 @@ class Crowd(NamedTuple):
         low: lower joint limits [rad], shape (n, 2).
         high: upper joint limits [rad], shape (n, 2).
         speed: highest joint speeds [rad/s], shape (n, 2).
-        fold: phi of the folded arm, as far as the limits let it [rad], shape (n,).
+        fold: phi of the folded arm, turned clockwise and counter-clockwise; where only one
+            way folds it, twice the same [rad], shape (n, 2).
         movable: whether a robot may be moved, shape (b,).
         key: a number that depends on a robot's place only, for its draws, shape (n,).
         option: configurations that put a fibre on its target, fastest first [rad],
@@ -88,7 +90,7 @@ def crowd_of(problem: Problem, seed: int = 0) -> Crowd:
         low=np.minimum(plane.limits[:, :, 0], problem.start),
         high=np.maximum(plane.limits[:, :, 1], problem.start),
         speed=plane.speeds,
-        fold=_fold(plane, problem.start),
+        fold=_fold(plane),
         movable=movable,
         key=place_keys(plane, seed),
         option=option,
@@ -105,12 +107,13 @@ def _adjacency(pairs, rows):
     return offsets, np.ascontiguousarray(b[order]), edge[order]
 
 
-def _fold(plane, start):
-    # of +180 and -180 degrees, each moved into the limits, what folds best; then the nearer
+def _fold(plane):
+    # -180 and +180 degrees, each moved into the limits; what hardly folds is no fold
     low, high = plane.limits[:, 1].T
-    either = np.stack([np.clip(np.pi, low, high), np.clip(-np.pi, low, high)], axis=1)
-    away = np.round(np.pi - np.abs(either), 6) + 1e-9 * np.abs(either - start[:, 1:])
-    return either[np.arange(plane.n), away.argmin(axis=1)]
+    either = np.stack([np.clip(-np.pi, low, high), np.clip(np.pi, low, high)], axis=1)
+    flat = np.abs(either) < _FOLDED_RAD
+    best = np.take_along_axis(either, np.abs(either).argmax(axis=1)[:, None], axis=1)
+    return np.where(flat, best, either)
 
 
 def _options(problem):

@@ -10,6 +10,7 @@ from fiber_core.clearance import pair_gap_below
 __all__ = ["penetration"]
 
 _FINE_MM = 0.3  # least relative displacement between two looks at a pair
+_DEEPEST = 4.0  # intervals that the greatest depth counts for
 _FAR_MM = 2.0  # gaps beyond required + this need not be known exactly
 
 
@@ -25,7 +26,11 @@ def _stride(lever, i, q, k):
 
 @nb.njit(cache=True, error_model="numpy")
 def penetration(bodies, lever, a, b, qa, qb, required, limit):
-    """Return the integral of max(0, required - gap) over a move [mm x intervals].
+    """Return how much two robots are in each other's way during a move; 0 where they are not.
+
+    It is the integral of max(0, required - gap) [mm x intervals] plus some intervals of
+    its largest value: without that, the cheapest way past each other would be the
+    fastest way through each other.
 
     The pair is looked at again only after the two may have closed in by what was left
     between them (conservative advancement), but not before they are displaced by a
@@ -42,7 +47,7 @@ def penetration(bodies, lever, a, b, qa, qb, required, limit):
     """
     last = qa.shape[1] - 1
     k, w = 0, 0.0  # at the part w of interval k
-    total = 0.0
+    total = deepest = 0.0
     while True:
         if k == last:
             theta_a, phi_a, theta_b, phi_b = qa[0, k], qa[1, k], qb[0, k], qb[1, k]
@@ -56,15 +61,16 @@ def penetration(bodies, lever, a, b, qa, qb, required, limit):
             - required
         )
         if k == last:
-            return total + max(0.0, -slack)
+            return total + max(0.0, -slack) + _DEEPEST * max(deepest, -slack)
         if slack < 0.0:
             stride = _stride(lever, a, qa, k) + _stride(lever, b, qb, k)
             step = 1.0 - w
             if stride > 0.0:
                 step = min(step, max(-slack, _FINE_MM) / stride)
             total -= slack * step
-            if total > limit:
-                return total
+            deepest = max(deepest, -slack)
+            if total + _DEEPEST * deepest > limit:
+                return total + _DEEPEST * deepest
             w += step
             if w >= 1.0 - 1e-9:
                 k, w = k + 1, 0.0

@@ -25,14 +25,16 @@ from fiber_planner.protocol import PlannedMotion, Progress
 
 __all__ = ["DirectPlanner"]
 
-_STRETCHES = (1.0, 1.02, 1.05, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.0, 2.25, 2.5, 3.0)
+_STRETCHES = (1.0, 1.02, 1.05, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.0)
+_LONGER = 1.4  # from there on
 _FOLD_FROM = 1.4  # stretch at which arms are folded on their way
 _FOLDING = 0.7  # share of candidates that fold then
 _SWEEPS = 60  # at each makespan
-_DRAWS = 30
+_DRAWS = 100
 _CERTIFIED_AT_MOST = 8  # rounds of certificate and repair
 _PATIENCE = 1.1  # stretch at which robots stuck beside what cannot move are given up
 _GIVE_UP_ROUNDS = 12
+_SMALL_PLANE = 100  # the effort granted to a plane of fewer robots
 _EPS_MM = 1e-6
 _MORE_MM = 0.005  # asked for beyond what the certificate misses
 
@@ -83,14 +85,12 @@ class _Search:
         problem, parameters = self.problem, self.parameters
         self.crowd: Crowd = crowd_of(problem, parameters.seed)
         self.spent, self.sweep, self.folding = 0, 0, 0.0
-        self.limit = parameters.effort * max(1, problem.plane.n)
+        self.limit = parameters.effort * max(_SMALL_PLANE, problem.plane.n)
 
     def run(self):
         self._begin()
         conflicts = measure(self.crowd, self.draft)
-        for stretch in _STRETCHES:
-            if stretch > self.parameters.stretch:
-                break
+        for stretch in self._stretches():
             self._stretch_to(stretch)
             if stretch >= _FOLD_FROM and self.folding < _FOLDING:
                 conflicts = self._fold_all()
@@ -143,14 +143,26 @@ class _Search:
         q[:n, :, -1] = end
         pairs = len(crowd.pairs)
         self.draft = Draft(
-            q, choice.astype(np.int64), np.zeros(pairs), np.ones(pairs), np.zeros(pairs)
-        )
+            q, choice.astype(np.int64), np.zeros(pairs), np.ones(pairs), np.zeros(pairs),
+            np.zeros((n, 2), dtype=np.int64),
+        )  # fmt: skip
         if self.alone_s == 0.0:  # nobody has to move; leave time to get out of the way
             self.alone_s = float((0.1 / plane.speeds).max(initial=0.0))
         self._stretch_to(1.0)
         self._require()
         beside = crowd.pairs[~crowd.movable[crowd.pairs].all(axis=1)]
         self.walled = crowd.movable & np.isin(np.arange(len(crowd.movable)), beside)
+
+    def _stretches(self):
+        # The makespans to try, in units of the time alone: at least long enough to fold,
+        # go, and unfold, however short the way is.
+        plane = self.problem.plane
+        fold_s = float((np.minimum(np.pi, np.diff(plane.limits[:, 1])[:, 0]) / plane.speeds[:, 1]).max(initial=0.0))
+        most = max(self.parameters.stretch, 1.0 + 2.0 * fold_s / max(self.alone_s, 1e-9))
+        tried = [stretch for stretch in _STRETCHES if stretch <= most]
+        while tried[-1] * _LONGER <= most:
+            tried.append(tried[-1] * _LONGER)
+        return tried
 
     def _require(self):
         # What safety asks at full speed and the allowance on top; less where the start
@@ -198,10 +210,12 @@ class _Search:
             if conflicts:
                 return conflicts
             straighten(self.crowd, self.draft, self.step_s)
-            if not self._short().any():
+            short = self._short()
+            if not short.any():
                 return 0
-            conflicts = measure(self.crowd, self.draft)
-        return conflicts
+            measure(self.crowd, self.draft)
+            self.draft.depth[short] = np.maximum(self.draft.depth[short], _MORE_MM)
+        return short.sum()
 
     def _short(self):
         # pairs the certificate does not confirm, those too close from the start left out

@@ -20,6 +20,7 @@ from fiber_planner.direct.penetration import penetration
 __all__ = ["Draft", "fold_first", "measure", "repair", "restore", "straighten"]
 
 _GROWTH = 1.3  # of the weight of a pair, for every sweep its conflict lasts
+_KEEP_HALF = 0.3  # share of the odd draws that change half a profile
 _OTHER_OPTION = 0.3  # share of draws that end in another configuration on the target
 
 
@@ -32,6 +33,8 @@ class Draft(NamedTuple):
         required: gap each pair must keep [mm], shape (p,).
         weight: what the search makes of each pair's conflict, shape (p,).
         depth: penetration of each pair [mm x intervals], shape (p,).
+        legs: grid times between which an arm is folded, 0, 0 where it is not planned so,
+            shape (n, 2).
     """
 
     q: np.ndarray
@@ -39,6 +42,7 @@ class Draft(NamedTuple):
     required: np.ndarray
     weight: np.ndarray
     depth: np.ndarray
+    legs: np.ndarray
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -53,6 +57,23 @@ def measure(crowd, draft):
         if draft.depth[p] > 0.0:
             conflicts += 1
     return conflicts
+
+
+@nb.njit(cache=True)
+def _most_neighbours(crowd):
+    most = 0
+    for i in range(len(crowd.offsets) - 1):
+        most = max(most, crowd.offsets[i + 1] - crowd.offsets[i])
+    return most
+
+
+@nb.njit(cache=True)
+def _conflicts(draft):
+    count = 0
+    for p in range(len(draft.depth)):
+        if draft.depth[p] > 0.0:
+            count += 1
+    return count
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -73,11 +94,24 @@ def _weigh(crowd, draft, i, profile, best, depths):
     return total
 
 
+@nb.njit(cache=True)
+def _copy(source, target):
+    # loops: numba compiles an assignment of slices for seconds
+    for joint in range(2):
+        for k in range(source.shape[1]):
+            target[joint, k] = source[joint, k]
+
+
 @nb.njit(cache=True, error_model="numpy")
 def _adopt(crowd, draft, i, profile, depths):
-    draft.q[i] = profile
+    _copy(profile, draft.q[i])
     for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
         draft.depth[crowd.pair[e]] = depths[e - crowd.offsets[i]]
+
+
+@nb.njit(cache=True)
+def _nearer(fold, phi):
+    return fold[0] if abs(fold[0] - phi) <= abs(fold[1] - phi) else fold[1]
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -117,7 +151,7 @@ def _draw(crowd, draft, i, number, many, step_s, folding, state, profile):
         spread = math.pi * (0.15 + progress) * (0.2 + 0.8 * next_uniform(state))
         straight = progress < 0.3 or (kind < 0.3 and joint == 0) or (0.3 < kind < 0.5 and joint == 1)
         if folds and joint == 1:
-            fold_profile(profile[joint], s, crowd.fold[i], g, per_interval, state)
+            fold_profile(profile[joint], s, _nearer(crowd.fold[i], s), g, per_interval, state)
         elif straight:
             window(profile[joint], s, g, per_interval, state)
         else:
@@ -135,7 +169,7 @@ def _redraw_leg(crowd, draft, i, step_s, folding, state, profile):
     # passes the middle of the time folded (as far as it gets) and turned anyhow.
     last = profile.shape[1] - 1
     middle = last // 2
-    profile[:] = draft.q[i]
+    _copy(draft.q[i], profile)
     which = next_uniform(state)
     first, second = which < 0.4 or which >= 0.8, which >= 0.4
     turn = next_uniform(state) ** 2
@@ -150,7 +184,7 @@ def _redraw_leg(crowd, draft, i, step_s, folding, state, profile):
             if joint == 0:
                 wanted = m + math.pi * turn * (2.0 * next_uniform(state) - 1.0)
             else:
-                wanted = crowd.fold[i]
+                wanted = _nearer(crowd.fold[i], m)
                 if next_uniform(state) >= folding:
                     wanted += (0.5 * (s + g) - wanted) * next_uniform(state)
             if low <= high:
@@ -172,6 +206,116 @@ def _redraw_leg(crowd, draft, i, step_s, folding, state, profile):
                 )  # fmt: skip
 
 
+@nb.njit(cache=True)
+def _least(a, b, step):
+    return max(2, least_intervals(a - b, step))
+
+
+@nb.njit(cache=True)
+def _draw_leg(row, s, g, low, high, per_interval, spread, state):
+    if next_uniform(state) < 0.6:
+        window(row, s, g, per_interval, state)
+    else:
+        dwell = next_uniform(state) < 0.5
+        via_profile(row, s, g, low, high, per_interval, spread, dwell, state)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _draw_folded(crowd, draft, i, step_s, state, profile, legs):
+    # Write a candidate of robot i in three parts: from the start to a folded arm turned
+    # anyhow, turning folded, from there to the goal. Often one of the outer parts is kept.
+    # Returns the option it ends in, -2 if the parts do not fit together.
+    last = profile.shape[1] - 1
+    _copy(draft.q[i], profile)
+    t1, t2 = draft.legs[i]
+    which = next_uniform(state)
+    first, second = which < 0.55, which >= 0.45
+    if t1 == 0:
+        first = second = True
+    choice = draft.choice[i]
+    turn_step, bend_step = crowd.speed[i, 0] * step_s, crowd.speed[i, 1] * step_s
+    theta, phi = profile[0, last], profile[1, last]
+    if second and choice >= 0 and crowd.options[i] > 1 and next_uniform(state) < _OTHER_OPTION:
+        choice = int(next_uniform(state) * crowd.options[i])
+        theta, phi = crowd.option[i, choice]
+    v1, v2 = profile[1, t1], profile[1, t2]
+    theta1, theta2 = profile[0, t1], profile[0, t2]
+    if first:
+        v1 = _nearer(crowd.fold[i], crowd.start[i, 1])
+        if next_uniform(state) < 0.2:
+            v1 = crowd.fold[i, int(2 * next_uniform(state))]
+    if second:
+        v2 = _nearer(crowd.fold[i], phi)
+        if next_uniform(state) < 0.2:
+            v2 = v1
+    there = max(2, least_intervals(v1 - crowd.start[i, 1], bend_step))
+    back = max(2, least_intervals(phi - v2, bend_step))
+    if second:
+        room = last - back - 1 - (there if first else t1)
+        if room < 0:
+            return -2
+        t2 = last - back - int(next_uniform(state) ** 2 * (room + 1))
+    if first:
+        room = t2 - 1 - there
+        if room < 0:
+            return -2
+        t1 = there + int(next_uniform(state) ** 2 * (room + 1))
+    spread = 2.0 * math.pi * next_uniform(state) ** 3
+    if second:
+        theta2 = theta + spread * (2.0 * next_uniform(state) - 1.0)
+        reach = turn_step * (last - t2)
+        theta2 = min(max(theta2, theta - reach), theta + reach)
+    if first:
+        theta1 = crowd.start[i, 0] + spread * (2.0 * next_uniform(state) - 1.0)
+        reach = turn_step * t1
+        theta1 = min(max(theta1, crowd.start[i, 0] - reach), crowd.start[i, 0] + reach)
+        between = turn_step * (t2 - t1)
+        theta1 = min(max(theta1, theta2 - between), theta2 + between)
+        theta1 = min(max(theta1, crowd.low[i, 0]), crowd.high[i, 0])
+        if abs(theta1 - crowd.start[i, 0]) > reach * (1.0 + 1e-9):
+            if not second:
+                return -2
+            theta1 = crowd.start[i, 0] + math.copysign(reach, theta1 - crowd.start[i, 0])
+    if second:
+        between = turn_step * (t2 - t1)
+        reach = turn_step * (last - t2)
+        theta2 = min(max(theta2, theta1 - between), theta1 + between)
+        theta2 = min(max(theta2, crowd.low[i, 0]), crowd.high[i, 0])
+        if abs(theta2 - theta) > reach * (1.0 + 1e-9):
+            return -2
+    if abs(theta2 - theta1) > turn_step * (t2 - t1) * (1.0 + 1e-9):
+        return -2
+    if abs(v2 - v1) > bend_step * (t2 - t1) * (1.0 + 1e-9):
+        return -2
+    # often a robot waits before it folds, or is unfolded early: both joints together
+    wait = early = 0
+    if next_uniform(state) < 0.5:
+        wait = int(next_uniform(state) * (t1 - max(there, _least(theta1, crowd.start[i, 0], turn_step)) + 1))
+    if next_uniform(state) < 0.5:
+        early = int(
+            next_uniform(state) * (last - t2 - max(back, _least(theta2, theta, turn_step)) + 1)
+        )
+    for joint in range(2):
+        low, high = crowd.low[i, joint], crowd.high[i, joint]
+        step = turn_step if joint == 0 else bend_step
+        m1, m2 = (theta1, theta2) if joint == 0 else (v1, v2)
+        wide = math.pi * next_uniform(state)
+        if first:
+            s = crowd.start[i, joint]
+            _draw_leg(profile[joint, wait : t1 + 1], s, m1, low, high, step, wide, state)
+            for k in range(wait):
+                profile[joint, k] = s
+        if second:
+            g = theta if joint == 0 else phi
+            _draw_leg(profile[joint, t2 : last - early + 1], m2, g, low, high, step, wide, state)
+            for k in range(last - early + 1, last + 1):
+                profile[joint, k] = g
+        for k in range(t1 + 1, t2):
+            profile[joint, k] = m1 + (m2 - m1) * ((k - t1) / (t2 - t1))
+    legs[0], legs[1] = t1, t2
+    return choice
+
+
 @nb.njit(cache=True, error_model="numpy")
 def repair(crowd, draft, step_s, folding, first, sweeps, draws, effort):
     """Sweep over the robots in conflict until none is left or the effort is spent.
@@ -179,7 +323,7 @@ def repair(crowd, draft, step_s, folding, first, sweeps, draws, effort):
     Guided local search (Voudouris and Tsang, EJOR 113, 1999): a robot takes the first
     candidate that clears it of all its neighbours, else the one of least weighted
     penetration; after each sweep the weight of every pair still in conflict grows.
-    Robots go in an order that depends on their places and the sweep only.
+    Sweeps go forth and back over the rows.
 
     Args:
         crowd: the robots.
@@ -197,29 +341,19 @@ def repair(crowd, draft, step_s, folding, first, sweeps, draws, effort):
     n = len(crowd.start)
     profile = np.empty((2, draft.q.shape[2]))
     best_profile = np.empty_like(profile)
-    most = np.diff(crowd.offsets).max()
-    depths = np.empty(most)
-    best_depths = np.empty(most)
-    touched = np.zeros(n, dtype=np.bool_)
+    depths = np.empty(_most_neighbours(crowd))
+    best_depths = np.empty_like(depths)
     spent = 0
-    keep_half = 0.3 if folding == 0.0 else 1.0
+    legs = np.zeros(2, dtype=np.int64)
+    best_legs = np.zeros(2, dtype=np.int64)
     for sweep in range(sweeps):
-        touched[:] = False
-        conflicts = 0
-        for p in range(len(crowd.pairs)):
-            if draft.depth[p] > 0.0:
-                conflicts += 1
-                for side in range(2):
-                    if crowd.movable[crowd.pairs[p, side]]:
-                        touched[crowd.pairs[p, side]] = True
+        conflicts = _conflicts(draft)
         if conflicts == 0 or spent >= effort:
             return conflicts, sweep, spent
-        robots = np.flatnonzero(touched)
-        order = np.empty(len(robots), dtype=np.uint64)
-        for m in range(len(robots)):
-            order[m] = seeded(crowd.key[robots[m]], 2 * (first + sweep))[0]
-        for m in np.argsort(order):
-            i = robots[m]
+        for visit in range(n):
+            i = visit if (first + sweep) % 2 == 0 else n - 1 - visit
+            if not crowd.movable[i]:
+                continue
             best = 0.0
             for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
                 best += draft.weight[crowd.pair[e]] * draft.depth[crowd.pair[e]]
@@ -229,7 +363,12 @@ def repair(crowd, draft, step_s, folding, first, sweeps, draws, effort):
             best_choice = draft.choice[i]
             state = seeded(crowd.key[i], 2 * (first + sweep) + 1)
             for number in range(draws):
-                if number % 2 and next_uniform(state) < keep_half:
+                legs[0] = legs[1] = 0
+                if next_uniform(state) < folding:
+                    choice = _draw_folded(crowd, draft, i, step_s, state, profile, legs)
+                    if choice == -2:
+                        continue
+                elif number % 2 and next_uniform(state) < _KEEP_HALF:
                     choice = draft.choice[i]
                     _redraw_leg(crowd, draft, i, step_s, folding, state, profile)
                 else:
@@ -238,21 +377,20 @@ def repair(crowd, draft, step_s, folding, first, sweeps, draws, effort):
                 total = _weigh(crowd, draft, i, profile, best, depths)
                 if total < best:
                     found, best, best_choice = True, total, choice
-                    best_profile[:] = profile
-                    best_depths[:] = depths
+                    best_legs[0], best_legs[1] = legs[0], legs[1]
+                    _copy(profile, best_profile)
+                    for e in range(len(depths)):
+                        best_depths[e] = depths[e]
                     if total == 0.0:
                         break
             if found:
                 _adopt(crowd, draft, i, best_profile, best_depths)
                 draft.choice[i] = best_choice
+                draft.legs[i, 0], draft.legs[i, 1] = best_legs[0], best_legs[1]
         for p in range(len(crowd.pairs)):
             if draft.depth[p] > 0.0:
                 draft.weight[p] *= _GROWTH
-    conflicts = 0
-    for p in range(len(crowd.pairs)):
-        if draft.depth[p] > 0.0:
-            conflicts += 1
-    return conflicts, sweeps, spent
+    return _conflicts(draft), sweeps, spent
 
 
 @nb.njit(cache=True)
@@ -266,18 +404,24 @@ def fold_first(crowd, draft, step_s):
     """
     last = draft.q.shape[2] - 1
     for i in range(len(crowd.start)):
-        s, g, v = draft.q[i, 1, 0], draft.q[i, 1, last], crowd.fold[i]
+        draft.legs[i, 0] = draft.legs[i, 1] = 0
+        s, g = draft.q[i, 1, 0], draft.q[i, 1, last]
+        v1, v2 = _nearer(crowd.fold[i], s), _nearer(crowd.fold[i], g)
         if draft.choice[i] < 0 or (s == g and draft.q[i, 0, 0] == draft.q[i, 0, last]):
             continue
-        there = least_intervals(v - s, crowd.speed[i, 1] * step_s)
-        back = least_intervals(g - v, crowd.speed[i, 1] * step_s)
-        if there + back <= last:
-            trapezoid(draft.q[i, 1], s, v, g, 0, there, last - back, last)
-            s, g = draft.q[i, 0, 0], draft.q[i, 0, last]
-            turn = least_intervals(g - s, crowd.speed[i, 0] * step_s)
-            least = min(there, last - turn)
-            most = min(last, max(least + turn, last - back))
-            trapezoid(draft.q[i, 0], s, g, g, least, most, last, last)
+        there = max(2, least_intervals(v1 - s, crowd.speed[i, 1] * step_s))
+        back = max(2, least_intervals(g - v2, crowd.speed[i, 1] * step_s))
+        between = least_intervals(v2 - v1, crowd.speed[i, 1] * step_s)
+        if there + back + max(1, between) > last:
+            continue
+        draft.legs[i, 0], draft.legs[i, 1] = there, last - back
+        trapezoid(draft.q[i, 1, : last - back + 1], s, v1, v2, 0, there, there, last - back)
+        trapezoid(draft.q[i, 1, last - back :], v2, g, g, 0, back, back, back)
+        s, g = draft.q[i, 0, 0], draft.q[i, 0, last]
+        turn = least_intervals(g - s, crowd.speed[i, 0] * step_s)
+        begin = min(there, max(0, (last - turn) // 2))
+        end = max(begin + max(1, turn), last - back)
+        trapezoid(draft.q[i, 0], s, g, g, begin, end, last, last)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -286,7 +430,7 @@ def straighten(crowd, draft, step_s):
     n = len(crowd.start)
     last = draft.q.shape[2] - 1
     profile = np.empty((2, last + 1))
-    depths = np.empty(np.diff(crowd.offsets).max())
+    depths = np.empty(_most_neighbours(crowd))
     count = 0
     for i in range(n):
         if not crowd.movable[i]:
@@ -301,6 +445,7 @@ def straighten(crowd, draft, step_s):
                 straight = straight and abs(draft.q[i, joint, k] - profile[joint, k]) < 1e-9
         if not straight and _weigh(crowd, draft, i, profile, 0.0, depths) == 0.0:
             _adopt(crowd, draft, i, profile, depths)
+            draft.legs[i, 0] = draft.legs[i, 1] = 0
             count += 1
     return count
 
@@ -322,11 +467,11 @@ def restore(crowd, draft, step_s, folding, wish, first, draws):
         Number of robots restored.
     """
     profile = np.empty((2, draft.q.shape[2]))
-    depths = np.empty(np.diff(crowd.offsets).max())
+    depths = np.empty(_most_neighbours(crowd))
     count = 0
-    for i in np.flatnonzero(wish):
+    for i in range(len(wish)):
         before = draft.choice[i]
-        if before >= 0 or crowd.options[i] == 0:
+        if not wish[i] or before >= 0 or crowd.options[i] == 0:
             continue
         draft.choice[i] = 0
         state = seeded(crowd.key[i], 2 * first + 1)
@@ -334,6 +479,7 @@ def restore(crowd, draft, step_s, folding, wish, first, draws):
             choice = _draw(crowd, draft, i, number, draws, step_s, folding, state, profile)
             if _weigh(crowd, draft, i, profile, 0.0, depths) == 0.0:
                 _adopt(crowd, draft, i, profile, depths)
+                draft.legs[i, 0] = draft.legs[i, 1] = 0
                 before = choice
                 count += 1
                 break

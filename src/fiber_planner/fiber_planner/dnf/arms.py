@@ -181,16 +181,30 @@ def _contacts(
             q_disc = theta_discs[b] if q_theta else phi_discs[b]
             x, y = p_disc[0] - q_disc[0], p_disc[1] - q_disc[1]
             far = p_disc[2] + q_disc[2] + radii + beyond
-            if x * x + y * y >= far * far:
+            square = x * x + y * y
+            if square >= far * far:
                 continue
             p = theta[a] if p_theta else phi[a]
             q = theta[b] if q_theta else phi[b]
+            if _apart_along(p, p_count, q, q_count, x, y) > (radii + beyond) * math.sqrt(square):
+                continue
             ax, ay, bx, by = _nearest(p, p_count, q, q_count)
             nx, ny = ax - bx, ay - by
             apart = math.sqrt(nx * nx + ny * ny)
             if apart - radii < beyond and apart > 0.0:
                 contacts[e, c] = apart - radii, nx / apart, ny / apart, ax, ay, bx, by
     return contacts
+
+
+@nb.njit(cache=True)
+def _apart_along(p, p_count, q, q_count, x, y):
+    # how far hull p lies beyond hull q along (x, y), times the length of that vector
+    low, high = np.inf, -np.inf
+    for v in range(p_count):
+        low = min(low, x * p[v, 0] + y * p[v, 1])
+    for w in range(q_count):
+        high = max(high, x * q[w, 0] + y * q[w, 1])
+    return low - high
 
 
 @nb.njit(cache=True)

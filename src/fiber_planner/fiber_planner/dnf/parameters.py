@@ -104,4 +104,3 @@ class DnfParameters:
         if self.horizon_s is not None:
             return float(self.horizon_s)
         return max(_LEAST_HORIZON_S, _HORIZON_RATIO * alone_s)
-

@@ -1,0 +1,102 @@
+"""Launch file, parameter file and nodes agree, checked without running any of it."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from fiber_bringup.graph import Graph
+
+SHARE = Path(__file__).parents[1]
+TREE = ast.parse((SHARE / "launch" / "focal_plane.launch.py").read_text())
+
+
+def calls(name):
+    return [
+        node
+        for node in ast.walk(TREE)
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == name
+    ]
+
+
+def keywords(call):
+    return {keyword.arg: keyword.value for keyword in call.keywords}
+
+
+def nodes():
+    """Name of each node started, and names and types of parameters set from arguments."""
+    found = {}
+    for call in calls("Node"):
+        given = keywords(call)
+        typed = {}
+        for entry in given["parameters"].elts:
+            if isinstance(entry, ast.Dict):
+                for key, value in zip(entry.keys, entry.values):
+                    assert ast.unparse(value.args[0]) == f"LaunchConfiguration('{key.value}')"
+                    typed[key.value] = ast.unparse(keywords(value)["value_type"])
+        found[ast.literal_eval(given["name"])] = typed
+    return found
+
+
+@pytest.fixture(scope="module")
+def declared(new_domain):
+    """Parameters of every node, with their values, as the nodes declare them."""
+    with Graph(bridge={"robots": 7}, domain=new_domain()) as graph:
+        return {
+            node.get_name(): {
+                name: parameter.value
+                for name, parameter in node.get_parameters_by_prefix("").items()
+            }
+            for node in graph.nodes
+        }
+
+
+def test_every_argument_is_declared_and_used():
+    arguments = {call.args[0].value for call in calls("DeclareLaunchArgument")}
+    assert arguments == {name for typed in nodes().values() for name in typed}
+    assert {"preset", "robots", "seed", "layout", "problem", "planner", "time_scale"} == arguments
+
+
+def test_arguments_have_the_type_of_the_parameter_they_set(declared):
+    defaults = {
+        call.args[0].value: keywords(call)["default_value"].value
+        for call in calls("DeclareLaunchArgument")
+    }
+    for node, typed in nodes().items():
+        for name, kind in typed.items():
+            value = declared[node][name]
+            assert type(value).__name__ == kind, name
+            if name != "robots":
+                assert type(value)(defaults[name]) == value, name
+
+
+def test_the_parameter_file_holds_the_defaults_of_parameters_that_exist(declared):
+    content = yaml.safe_load((SHARE / "config" / "focal_plane.yaml").read_text())
+    assert set(content) == set(declared) == set(nodes())
+    for node, entry in content.items():
+        assert entry["ros__parameters"]
+        for name, value in entry["ros__parameters"].items():
+            assert declared[node][name] == value and type(declared[node][name]) is type(value), name
+            assert name not in nodes()[node], f"{name} is set by the launch file anyway"
+
+
+def test_files_the_launch_file_names_are_shipped():
+    named = set(re.findall(r'"([\w.]+\.(?:yaml|xml|rviz))"', ast.unparse(TREE).replace("'", '"')))
+    assert named == {"focal_plane.yaml", "fastdds.xml"}
+    for name in named:
+        assert (SHARE / "config" / name).is_file()
+    assert 'glob("config/*")' in (SHARE / "setup.py").read_text()
+
+
+def test_discovery_stays_on_this_machine_by_default():
+    for call in calls("SetEnvironmentVariable"):
+        inner = call.args[1]
+        assert ast.unparse(inner.func) == "EnvironmentVariable"
+        assert inner.args[0].value == call.args[0].value
+    values = {
+        c.args[0].value: keywords(c.args[1])["default_value"]
+        for c in calls("SetEnvironmentVariable")
+    }
+    assert values["ROS_AUTOMATIC_DISCOVERY_RANGE"].value == "LOCALHOST"

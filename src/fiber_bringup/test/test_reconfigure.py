@@ -1,0 +1,80 @@
+"""What the command says and how it ends, given what became of the robots."""
+
+import io
+
+import numpy as np
+import pytest
+
+from fiber_bringup.client import PlanEnd
+from fiber_bringup.display import ProgressDisplay, table
+from fiber_bringup.reconfigure import main, summary, went_well
+from fiber_core.outcomes import Outcome, Reason
+from fiber_msgs_py import PlanStamp, Progress
+
+STAMP = PlanStamp(7)
+
+
+def end_of(*pairs):
+    outcome, reason = np.array(pairs).T
+    n = len(pairs)
+    return PlanEnd(STAMP, np.arange(10, 10 + n), outcome, reason, np.linspace(0, 1, n))
+
+
+GOOD = (Outcome.REACHED, Reason.OK)
+
+
+@pytest.mark.parametrize(
+    ("pair", "well"),
+    [
+        (GOOD, True),
+        ((Outcome.HELD, Reason.UNREACHABLE), True),
+        ((Outcome.HELD, Reason.UNSAFE), True),
+        ((Outcome.HELD, Reason.STOPPED), False),
+        ((Outcome.HELD, Reason.NOT_PLANNED), False),
+        ((Outcome.FAILED, Reason.OFF_TARGET), False),
+    ],
+)
+def test_one_robot_decides_how_it_went(pair, well):
+    assert went_well(end_of(GOOD, pair, GOOD)) is well
+
+
+def test_robots_are_found_by_id_in_any_order():
+    ended = end_of(GOOD, (Outcome.HELD, Reason.DISABLED), (Outcome.FAILED, Reason.REFUSED))
+    some = ended.of([12, 10])
+    assert some.ids.tolist() == [12, 10]
+    assert some.reason.tolist() == [Reason.REFUSED, Reason.OK]
+    assert some.error_mm.tolist() == [1.0, 0.0]
+
+
+def test_the_summary_counts_all_and_names_the_first_missed():
+    missed = [(Outcome.HELD, Reason.UNSAFE)] * 7
+    text = summary(end_of(GOOD, GOOD, *missed))
+    lines = [line.split() for line in text.splitlines()]
+    assert ["reached", "ok", "2"] in lines and ["held", "unsafe", "7"] in lines
+    assert ["asked", "9"] in lines and ["12", "held", "unsafe", "0.250"] in lines
+    assert "and 2 more" in text and ["17", "held", "unsafe", "0.875"] not in lines
+
+
+def test_a_table_aligns_numbers_to_the_right():
+    assert table([("name", "n"), ("a", 7), ("b", 123)]) == "name  n\na       7\nb     123"
+
+
+def test_progress_is_a_few_lines_where_there_is_no_terminal():
+    stream = io.StringIO()
+    with ProgressDisplay(stream) as display:
+        for step in range(101):
+            display(Progress("planner", step / 100, f"step {step}", STAMP))
+        display(Progress("bridge", 0.0, "moving", STAMP))
+    lines = stream.getvalue().splitlines()
+    assert 4 <= len(lines) <= 7
+    assert lines[-2].split() == ["planner", "100", "%", "step", "100"]
+    assert lines[-1].startswith("bridge")
+
+
+def test_help_says_what_targets_may_be(capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["--help"])
+    assert left.value.code == 0
+    text = capsys.readouterr().out
+    for word in ("random[:SEED]", "problem.npz", "id, x_mm, y_mm", "--home-first", "Exit code"):
+        assert word in text

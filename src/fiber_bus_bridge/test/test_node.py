@@ -1,0 +1,214 @@
+"""The bridge node alone: a test sends the orders and calls the services."""
+
+import numpy as np
+import pytest
+
+from fiber_bus_bridge import BridgeError
+from fiber_bus_bridge.node import BridgeNode
+from fiber_bus_bridge.wire import Opcode
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.presets import preset
+from fiber_core.problem import Problem, save_problem
+from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_msgs_py import (
+    MessageError,
+    PlanStamp,
+    Stage,
+    diagnostics,
+    frames,
+    held,
+    joint_states,
+    layout,
+    outcome,
+    segments,
+    targets,
+    topics,
+)
+from fiber_node import Peer
+
+pytestmark = pytest.mark.timeout(600)
+
+WAIT_S = 300.0  # the first motion compiles
+PLANE = preset("desi", 7)
+UNITS = WireUnits.for_plane(PLANE)
+# folded, where arms are clear of each other whatever theta is
+START = np.stack([np.linspace(-1.0, 1.0, 7), np.full(7, 3.1)], axis=1)
+COUNTS = UNITS.to_counts(START)
+TICKS, VELOCITY = 50, 700
+
+
+def turning(ids=PLANE.ids, ticks=TICKS):
+    """Orders that turn every theta by the same angle."""
+    n = len(ids)
+    offsets = np.repeat(np.arange(n + 1), 2)[1:]
+    return WireMotion(UNITS, COUNTS[:n], offsets, np.full(n, ticks), np.full(n, VELOCITY))
+
+
+class Rest:
+    """The rest of the graph, as the bridge sees it."""
+
+    def __init__(self, peer, path, **parameters):
+        self.peer = peer
+        self.heard = {
+            topic.name: peer.hear(topic)
+            for topic in (
+                topics.LAYOUT,
+                topics.JOINT_STATES,
+                topics.FRAMES,
+                topics.OUTCOME,
+                topics.DIAGNOSTICS,
+                topics.PROGRESS,
+            )
+        }
+        self.segments = topics.SEGMENTS.publisher(peer.node)
+        self.targets = topics.TARGETS.publisher(peer.node)
+        self.held = topics.HELD_BY_PLANNER.publisher(peer.node)
+        peer.host(BridgeNode, problem=path, **{"time_scale": 0.0} | parameters)
+        self.until(
+            lambda: self.heard[topics.JOINT_STATES.name] and self.heard[topics.DIAGNOSTICS.name]
+        )
+        self.until(lambda: self.segments.get_subscription_count() == 1)
+
+    def until(self, condition):
+        self.peer.until(condition, WAIT_S)
+
+    def status(self):
+        return diagnostics.decode(self.heard[topics.DIAGNOSTICS.name][-1])[0]
+
+    def counts(self):
+        ids, angles, _, _ = joint_states.decode(self.heard[topics.JOINT_STATES.name][-1])
+        assert np.array_equal(ids, PLANE.ids)
+        return UNITS.to_counts(angles)
+
+    def order(self, ns, motion=None, ids=PLANE.ids):
+        self.heard[topics.PROGRESS.name].clear()
+        self.segments.publish(segments.encode(ids, motion or turning(), PlanStamp(ns)))
+
+    def ready(self, ns, motion=None):
+        self.order(ns, motion)
+        self.until(lambda: self.heard[topics.PROGRESS.name])
+
+    def call(self, service):
+        client = service.client(self.peer.node)
+        self.until(client.service_is_ready)
+        future = client.call_async(service.type.Request())
+        self.until(future.done)
+        return future.result()
+
+    def end(self, ns):
+        """What became of the robots of a plan."""
+        self.until(lambda: any(PlanStamp.of(m).ns == ns for m in self.heard[topics.OUTCOME.name]))
+        message = next(m for m in self.heard[topics.OUTCOME.name] if PlanStamp.of(m).ns == ns)
+        ids, result, reason, error_mm = outcome.decode(message)
+        assert np.array_equal(ids, PLANE.ids)
+        return result, reason, error_mm
+
+
+@pytest.fixture
+def path(tmp_path):
+    problem = Problem(PLANE, START, np.full((7, 2), np.nan))
+    save_problem(tmp_path / "problem.npz", problem)
+    return str(tmp_path / "problem.npz")
+
+
+@pytest.fixture
+def rest(path):
+    with Peer("rest") as peer:
+        yield Rest(peer, path)
+
+
+def test_it_shows_its_plane_and_where_the_encoders_are(rest):
+    rest.until(lambda: rest.heard[topics.LAYOUT.name])
+    plane, units = layout.decode(rest.heard[topics.LAYOUT.name][-1])
+    assert units == UNITS and np.array_equal(plane.ids, PLANE.ids)
+    np.testing.assert_allclose(plane.centers, PLANE.centers, rtol=1e-12)
+    assert np.array_equal(rest.counts(), COUNTS)
+
+
+def test_orders_wait_for_start_and_are_carried_out_to_the_last_quantum(rest):
+    rest.ready(9)
+    assert np.array_equal(rest.counts(), COUNTS) and not rest.heard[topics.OUTCOME.name]
+    answer = rest.call(topics.START)
+    assert answer.success and "7 robots started" in answer.message
+    result, reason, error_mm = rest.end(9)
+    assert np.all(result == Outcome.REACHED) and np.all(reason == Reason.OK)
+    rest.until(lambda: np.array_equal(rest.counts(), turning().end))
+    assert error_mm.max() < 1e-6
+    logs = [(PlanStamp.of(m).ns, frames.decode(m)) for m in rest.heard[topics.FRAMES.name]]
+    assert {ns for ns, _ in logs} == {9}
+    opcodes = {int(data) >> 4 for _, log in logs for data in log.data[log.offsets[:-1]]}
+    assert Opcode.LOAD in opcodes and any(np.any(log.read) for _, log in logs)
+
+
+def test_the_first_reason_given_for_a_robot_stays(rest):
+    tips = PLANE.centers + [2.0, 0.0]
+    rest.targets.publish(targets.encode(PLANE.ids, tips, PlanStamp(9)))
+    reasons = [Reason.GOAL_BLOCKED, Reason.UNREACHABLE]
+    rest.held.publish(held.encode([2, 5], reasons, Stage.PLANNER, PlanStamp(9)))
+    rest.until(lambda: rest.held.wait_for_all_acked())
+    rest.ready(9)
+    assert rest.call(topics.START).success
+    result, reason, error_mm = rest.end(9)
+    assert not np.any(result == Outcome.REACHED)
+    assert (reason[2], reason[5]) == (Reason.GOAL_BLOCKED, Reason.UNREACHABLE)
+    assert np.all(error_mm > 0.1)
+
+
+def test_asked_and_never_mentioned_again_is_held_not_planned(rest):
+    rest.targets.publish(targets.encode([6], [PLANE.centers[6] + 3.0], PlanStamp(9)))
+    rest.until(lambda: rest.targets.wait_for_all_acked())
+    nothing = WireMotion(UNITS, COUNTS, np.zeros(15), [], [])
+    rest.ready(9, nothing)
+    assert rest.call(topics.START).success
+    result, reason, _ = rest.end(9)
+    assert np.all(result == Outcome.HELD)
+    assert reason.tolist() == [Reason.NO_TARGET] * 6 + [Reason.NOT_PLANNED]
+
+
+@pytest.mark.parametrize("service", ["START", "HOME", "CONFIGURE", "CLEAR", "STOP"])
+@pytest.mark.parametrize(
+    ("state", "allowed"),
+    [("IDLE", {"HOME", "CONFIGURE", "CLEAR", "STOP"}), ("READY", {"START", "CLEAR", "STOP"})],
+)
+def test_services_answer_for_the_state_they_are_called_in(rest, state, allowed, service):
+    if state == "READY":
+        rest.ready(9)
+    answer = rest.call(getattr(topics, service))
+    assert answer.success == (service in allowed), answer.message
+    if not answer.success:
+        assert f"cannot {service.lower()} while {state}" in answer.message
+        rest.until(lambda: answer.message in rest.status().text)
+        assert np.array_equal(rest.counts(), COUNTS)
+
+
+def test_orders_for_a_robot_of_another_plane_are_refused_by_name(rest):
+    rest.order(9, ids=PLANE.ids + 90)
+    rest.until(lambda: "robot 90" in rest.status().text)
+    assert not rest.call(topics.START).success
+    assert np.array_equal(rest.counts(), COUNTS)
+
+
+def test_older_orders_are_dropped_and_say_so(rest):
+    rest.ready(20)
+    rest.order(19)
+    rest.until(lambda: f"{PlanStamp(19)} dropped" in rest.status().text)
+
+
+def test_newer_orders_replace_those_that_wait(rest):
+    rest.targets.publish(targets.encode(PLANE.ids, PLANE.centers + 3.0, PlanStamp(20)))
+    rest.until(lambda: rest.targets.wait_for_all_acked())
+    rest.ready(20)
+    rest.ready(21, turning(ticks=10))
+    result, reason, _ = rest.end(20)
+    assert np.all(result == Outcome.HELD) and np.all(reason == Reason.STOPPED)
+    assert rest.call(topics.START).success
+    rest.end(21)
+    rest.until(lambda: np.array_equal(rest.counts(), turning(ticks=10).end))
+
+
+def test_settings_it_cannot_work_with_end_it(path):
+    with Peer("rest") as peer:
+        with pytest.raises(MessageError, match="time_scale -1.0"):
+            peer.host(BridgeNode, problem=path, time_scale=-1.0)
+        with pytest.raises(BridgeError, match="robots is -4"):
+            peer.host(BridgeNode, robots=-4)

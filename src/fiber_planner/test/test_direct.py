@@ -1,0 +1,249 @@
+"""Laws of the direct planner: the certificate is the judge of every plan."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fiber_core import kinematics
+from fiber_core.clearance import certify, gaps, neighbour_pairs
+from fiber_core.fields import random_problem
+from fiber_core.motion import SegmentMotion
+from fiber_core.outcomes import Reason
+from fiber_core.presets import PRESETS, plane_from, preset
+from fiber_core.problem import Problem
+from fiber_core.report import lower_bound_s
+from fiber_core.tables import read_layout
+from fiber_planner import PlannerError, make_planner
+from fiber_planner.direct import DirectParameters, DirectPlanner, straight_pieces
+
+_DATA = Path(os.environ.get("FIBER_DATA", Path(__file__).parents[4] / "shared" / "data"))
+
+
+def _judge(problem, planned):
+    # what holds of every plan, whatever became of each robot
+    plane, motion = problem.plane, straight_pieces(planned.motion)
+    certificate = certify(plane, motion, DirectParameters().safety)
+    assert not certificate.limits_broken.any()
+    assert not certificate.moved_disabled.any()
+    assert not certificate.unsafe.any(), certificate.pairs[certificate.unsafe]
+    assert np.array_equal(planned.motion.start, problem.start)
+    ok = planned.reason == Reason.OK
+    assert not (ok & ~problem.asked).any()
+    away = np.hypot(*(kinematics.forward(plane, motion.end)[1] - problem.targets)[ok].T)
+    assert (away < 2e-3).all()
+    return motion, ok
+
+
+def _row_of_robots(theta_start, theta_goal, phi_start=0.0, phi_goal=0.0, **columns):
+    # DESI-like robots 10.4 mm apart on the x axis, free to turn; angles in degrees
+    n = len(theta_start)
+    centers = np.stack([10.4 * np.arange(n), np.zeros(n)], axis=1)
+    limits = np.broadcast_to(np.deg2rad([[-360.0, 360.0], [0.0, 180.0]]), (n, 2, 2))
+    plane = plane_from(
+        PRESETS["desi"], np.arange(n), centers, **{"limits": limits, "spacing_mm": 0.0, **columns}
+    )
+    start = np.deg2rad(np.stack(np.broadcast_arrays(theta_start, phi_start), axis=1))
+    goal = np.deg2rad(np.stack(np.broadcast_arrays(theta_goal, phi_goal), axis=1))
+    return Problem(plane, start, kinematics.forward(plane, goal)[1]), goal
+
+
+@pytest.mark.parametrize(
+    "name, robots, seed, ratio",
+    [
+        ("desi", 300, 1, 1.05),
+        ("desi", 300, 2, 1.05),
+        ("pfs", 200, 3, 1.05),
+        ("pfs", 200, 4, 1.05),
+        ("desi_outlines", 90, 5, 1.10),
+        ("lamost", 150, 6, 1.25),
+        ("paper", 150, 7, 1.05),
+    ],
+)
+def test_everybody_arrives_as_fast_as_the_slowest_alone(name, robots, seed, ratio):
+    problem = random_problem(preset(name, robots), np.random.default_rng(seed))
+    planned = DirectPlanner().plan(problem)
+    motion, ok = _judge(problem, planned)
+    assert ok.all()
+    assert motion.makespan_s <= ratio * lower_bound_s(problem)
+    moving = motion.counts[motion.counts > 0]
+    assert np.mean(moving <= 2) > 0.9
+
+
+def test_straight_moves_alone_would_collide():
+    # the toy planner: everybody straight, nothing repaired
+    problem = random_problem(preset("pfs", 200), np.random.default_rng(3))
+    planned = DirectPlanner().plan(problem)
+    share = np.linspace(0.0, 1.0, len(planned.motion.time_s))
+    straight = replace(
+        planned.motion,
+        angles=problem.start[..., None] + (planned.goal - problem.start)[..., None] * share,
+    )
+    certificate = certify(problem.plane, straight_pieces(straight), DirectParameters().safety)
+    assert certificate.unsafe.any()
+
+
+_HARD = {
+    "head on": ((30, 210), (-30, 150), 0, 0),
+    "three in a row pass each other": ((30, 210, 210), (-30, 330, 150), 0, 0),
+    "singular phi, stretched to folded": ((30, 210), (-30, 150), 0, 180),
+    "singular phi, folded to stretched": ((0, 180), (60, 120), 180, 0),
+    "goals on stops": ((-300, 300), (360, -360), 90, 180),
+    "change places in the gap": ((20, 200, 20), (-20, 160, -20), 10, 10),
+}
+
+
+@pytest.mark.parametrize("case", _HARD)
+def test_hard_cases(case):
+    problem, goal = _row_of_robots(*_HARD[case])
+    pairs = neighbour_pairs(problem.plane)
+    assert (gaps(problem.plane, pairs, problem.start) > 0.1).all()
+    assert (gaps(problem.plane, pairs, goal) > 0.1).all()
+    motion, ok = _judge(problem, DirectPlanner().plan(problem))
+    assert ok.all()
+
+
+def test_targets_at_exactly_the_least_distance():
+    problem, _ = _row_of_robots((90, 90), (0, 180), 0, 0)
+    plane = problem.plane
+    # tips face each other on the x axis; between them the gap two robots need at full speed
+    half_turn = SegmentMotion(
+        np.zeros((2, 2)), np.arange(5), np.full(4, np.pi / plane.speeds[0, 0]), plane.speeds.ravel()
+    )
+    required = DirectParameters().safety.required_mm(plane, half_turn, np.array([[0, 1]]))[0]
+    bend = np.arccos((10.4 - 2.0 - required) / 12.0)
+    goal = np.array([[-bend, 2 * bend], [np.pi - bend, 2 * bend]])
+    assert gaps(plane, [[0, 1]], goal)[0] == pytest.approx(required, abs=1e-9)
+    problem = Problem(plane, problem.start, kinematics.forward(plane, goal)[1])
+    _, ok = _judge(problem, DirectPlanner().plan(problem))
+    assert ok.all()
+
+
+def _boxed_in():
+    # a robot among six disabled ones that all point at it
+    ring = np.deg2rad(60.0 * np.arange(6))
+    centers = np.vstack([[0.0, 0.0], 10.4 * np.stack([np.cos(ring), np.sin(ring)], axis=1)])
+    plane = plane_from(
+        PRESETS["desi"],
+        np.arange(7),
+        centers,
+        enabled=[True] + 6 * [False],
+        limits=np.broadcast_to(np.deg2rad([[-360.0, 360.0], [0.0, 180.0]]), (7, 2, 2)),
+    )
+    start = np.vstack([[np.pi / 6, np.pi], np.stack([ring - np.pi, np.zeros(6)], axis=1)])
+    return plane, start
+
+
+def test_boxed_in_by_disabled_neighbours():
+    plane, start = _boxed_in()
+    targets = np.full((7, 2), np.nan)
+    targets[0] = [5.0, 0.3]  # under the arm of robot 1
+    planned = DirectPlanner().plan(Problem(plane, start, targets))
+    _judge(Problem(plane, start, targets), planned)
+    assert planned.reason[0] == Reason.GOAL_BLOCKED
+    folded = np.where(np.arange(7)[:, None] == 0, [np.pi / 6 + 0.1, np.pi - 0.2], start)
+    targets[0] = kinematics.forward(plane, folded)[1][0]  # free, in the middle
+    planned = DirectPlanner().plan(Problem(plane, start, targets))
+    _, ok = _judge(Problem(plane, start, targets), planned)
+    assert ok[0]
+
+
+def test_one_that_cannot_arrive_costs_nobody_else_the_plan():
+    problem = random_problem(preset("desi", 120), np.random.default_rng(8))
+    plane = problem.plane.with_enabled(np.random.default_rng(9).random(120) > 0.15)
+    problem = random_problem(plane, np.random.default_rng(10))
+    planned = DirectPlanner().plan(problem)
+    _, ok = _judge(problem, planned)
+    assert set(planned.reason) <= {
+        Reason.OK, Reason.NO_TARGET, Reason.GOAL_BLOCKED, Reason.NOT_CONVERGED
+    }  # fmt: skip
+    assert ok.sum() >= 0.97 * problem.asked.sum()
+
+
+def test_who_has_no_target_makes_way():
+    # robot 1 stands where robot 0 has to go and is asked nothing
+    problem, _ = _row_of_robots((90, 180), (0, 180), 0, 0)
+    targets = problem.targets.copy()
+    targets[1] = np.nan
+    problem = Problem(problem.plane, problem.start, targets)
+    planned = DirectPlanner().plan(problem)
+    motion, ok = _judge(problem, planned)
+    assert ok[0] and planned.reason[1] == Reason.NO_TARGET
+    assert np.abs(motion.end[1] - problem.start[1]).max() > 0.1
+
+
+def test_a_small_change_moves_one_robot():
+    plane = preset("desi", 200)
+    problem = random_problem(plane, np.random.default_rng(11))
+    _, tips = kinematics.forward(plane, problem.start)
+    targets = tips.copy()
+    angles = problem.start[17] + [0.02, 0.0]
+    targets[17] = kinematics.forward(plane, np.where(np.arange(200)[:, None] == 17, angles, problem.start))[1][17]
+    change = Problem(plane, problem.start, targets)
+    motion, ok = _judge(change, DirectPlanner().plan(change))
+    assert ok.all()
+    assert np.flatnonzero((motion.counts > 0).any(axis=1)).tolist() == [17]
+    assert motion.makespan_s <= 1.05 * lower_bound_s(change)
+
+
+def test_nobody_moves_where_nothing_is_asked():
+    plane = preset("desi", 30)
+    start = random_problem(plane, np.random.default_rng(12)).start
+    planned = DirectPlanner().plan(Problem(plane, start, np.full((30, 2), np.nan)))
+    assert planned.motion.makespan_s == 0.0
+    assert (planned.reason == Reason.NO_TARGET).all()
+
+
+def test_permuting_the_robots_permutes_the_plan():
+    problem = random_problem(preset("pfs", 150), np.random.default_rng(13))
+    plane = problem.plane.with_enabled(np.random.default_rng(14).random(150) > 0.05)
+    order = np.random.default_rng(15).permutation(150)
+    first = DirectPlanner().plan(Problem(plane, problem.start, problem.targets))
+    second = DirectPlanner().plan(
+        Problem(plane.permuted(order), problem.start[order], problem.targets[order])
+    )
+    assert np.array_equal(first.motion.angles[order], second.motion.angles)
+    assert np.array_equal(first.reason[order], second.reason)
+    assert np.array_equal(first.goal[order], second.goal)
+
+
+def test_same_seed_same_bytes_and_another_seed_another_plan():
+    problem = random_problem(preset("pfs", 150), np.random.default_rng(16))
+    plans = [DirectPlanner(DirectParameters(seed=seed)).plan(problem) for seed in (0, 0, 1)]
+    angles = [plan.motion.angles.tobytes() for plan in plans]
+    assert angles[0] == angles[1] != angles[2]
+
+
+def test_a_pair_that_starts_too_close_never_comes_closer():
+    problem, _ = _row_of_robots((0, 180), (90, 90), 0, 0, arms=np.full((2, 2), 2.11))
+    plane = problem.plane
+    before = gaps(plane, [[0, 1]], problem.start)[0]
+    assert before < 0.0
+    planned = DirectPlanner().plan(problem)
+    certificate = certify(plane, straight_pieces(planned.motion), DirectParameters().safety)
+    assert certificate.gap_mm[0] > before - 2e-3
+    assert (planned.reason == Reason.OK).all()
+
+
+def test_the_real_plane_of_2021():
+    table = _DATA / "desi_2021-06-25.csv"
+    if not table.exists():
+        pytest.skip(f"no real focal plane at {table}")
+    whole = read_layout(table)
+    plane = whole.permuted(np.argsort(np.hypot(*(whole.centers - whole.centers[0]).T))[:250])
+    problem = random_problem(plane, np.random.default_rng(17))
+    planned = DirectPlanner().plan(problem)
+    _, ok = _judge(problem, planned)
+    assert ok.sum() >= 0.98 * problem.asked.sum()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"margin_mm": -0.1}, {"intervals": 3}, {"intervals": 10.5}, {"stretch": 0.5},
+     {"effort": float("nan")}, {"seed": -1}],
+)  # fmt: skip
+def test_parameters_out_of_range_are_refused(wrong):
+    with pytest.raises(PlannerError, match=next(iter(wrong))):
+        make_planner("direct", **wrong)

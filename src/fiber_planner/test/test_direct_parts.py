@@ -1,0 +1,146 @@
+"""Laws of the parts of the direct planner: draws, penetration, pieces, reachability."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fiber_core.clearance import neighbour_pairs, pair_gap
+from fiber_core.fields import random_problem
+from fiber_core.motion import SampledMotion
+from fiber_core.presets import PRESETS, plane_from, preset
+from fiber_core.problem import Problem
+from fiber_planner.direct import reachable, straight_pieces
+from fiber_planner.direct.crowd import crowd_of, place_keys
+from fiber_planner.direct.draws import fold_profile, next_uniform, seeded, via_profile, window
+from fiber_planner.direct.penetration import penetration
+
+_STEPS = 24
+
+
+def _profiles(kind, s, g, per_interval, state):
+    row = np.full(_STEPS + 1, np.nan)
+    if kind == "window":
+        window(row, s, g, per_interval, state)
+    elif kind == "fold":
+        fold_profile(row, s, np.pi, g, per_interval, state)
+    else:
+        via_profile(row, s, g, -3.0, 3.2, per_interval, 2.0, kind == "dwell", state)
+    return row
+
+
+@pytest.mark.parametrize("kind", ["window", "via", "dwell", "fold"])
+@settings(deadline=None, max_examples=60)
+@given(s=st.floats(-3, 3), g=st.floats(-3, 3), slow=st.floats(1, 10), key=st.integers(0, 2**32))
+def test_drawn_profiles_keep_ends_speed_and_limits(kind, s, g, slow, key):
+    per_interval = max(abs(g - s), 0.01) / _STEPS * slow
+    state = seeded(np.uint64(key), 0)
+    for _ in range(10):
+        row = _profiles(kind, s, g, per_interval, state)
+        assert row[0] == s and row[-1] == g
+        assert np.abs(np.diff(row)).max() <= per_interval * (1 + 1e-9)
+        assert row.min() >= -3.0 - 1e-9 and row.max() <= 3.2 + 1e-9
+        assert len(np.unique(np.round(np.diff(row), 9))) <= 5
+
+
+def test_draws_are_uniform_and_differ_between_keys_and_rounds():
+    state = seeded(np.uint64(5), 0)
+    draws = np.array([next_uniform(state) for _ in range(20_000)])
+    assert 0.0 <= draws.min() and draws.max() < 1.0
+    counts = np.bincount((10 * draws).astype(int), minlength=10)
+    assert np.abs(counts - 2000).max() < 200
+    firsts = [next_uniform(seeded(np.uint64(k), r)) for k in range(20) for r in range(20)]
+    assert len(set(firsts)) == 400
+
+
+def test_keys_follow_the_place_not_the_row():
+    plane = preset("desi", 50)
+    order = np.random.default_rng(0).permutation(50)
+    keys = place_keys(plane, 3)
+    assert len(set(keys.tolist())) == 50
+    assert np.array_equal(place_keys(plane.permuted(order), 3), keys[order])
+    assert not np.array_equal(place_keys(plane, 4), keys)
+
+
+@pytest.mark.parametrize("name", ["desi", "desi_outlines"])
+def test_penetration_agrees_with_dense_sampling(name):
+    rng = np.random.default_rng(1)
+    facing = np.array([[0.0, 0.4], [np.pi, 0.4]])
+    plane = plane_from(PRESETS[name], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
+    crowd = crowd_of(Problem(plane, facing, np.full((2, 2), np.nan)))
+    required, seen = 0.1, 0
+    for _ in range(150):
+        a, b = facing[:, :, None] + np.cumsum(rng.normal(0, 0.15, (2, 2, _STEPS + 1)), 2)
+        found = penetration(crowd.bodies, crowd.lever, 0, 1, a, b, required, np.inf)
+        fine = np.linspace(0, _STEPS, 40 * _STEPS + 1)
+        ta, pa, tb, pb = (np.interp(fine, np.arange(_STEPS + 1), x) for x in (*a, *b))
+        gap = np.array([pair_gap(crowd.bodies, 0, 1, *q) for q in zip(ta, pa, tb, pb)])
+        deep = np.maximum(0, required - gap)
+        integral = deep[:-1].sum() / 40 + deep[-1]
+        if gap.min() > required:
+            assert found == 0.0
+        if gap.min() < required - 0.15:
+            seen += 1
+            assert found > 0.0
+        assert found == pytest.approx(integral, rel=0.6, abs=0.3)
+        if found > 0.0:
+            assert penetration(crowd.bodies, crowd.lever, 0, 1, a, b, required, found / 3) > found / 3
+    assert seen > 20
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_straight_pieces_are_the_same_motion(seed):
+    rng = np.random.default_rng(seed)
+    knots = np.sort(rng.choice(np.arange(1, 12), 3, replace=False))
+    time_s = np.linspace(0.0, 3.0, 13)
+    angles = np.empty((4, 2, 13))
+    for i in range(4):
+        for joint in range(2):
+            angles[i, joint] = np.interp(np.arange(13), [0, *knots, 12], rng.normal(size=5))
+    angles[0, 0] = 0.7
+    angles[1, 1] = np.interp(np.arange(13), [0, *knots, 12], [0.0, 1.0, -1.0, 0.5, 0.5])
+    sampled = SampledMotion(time_s, angles)
+    pieces = straight_pieces(sampled)
+    for t in np.linspace(0.0, 3.2, 37):
+        assert np.allclose(pieces(t), sampled(t), atol=1e-9)
+    assert pieces.counts[0, 0] == 0
+    assert pieces.counts.max() <= 4 and pieces.counts[1, 1] <= 3
+
+
+def _pair_with_a_disabled(theta_deg, pitch_mm=10.4):
+    # robot 1 is disabled and stretched at an angle; robot 0 starts at 90 deg, stretched
+    plane = plane_from(
+        PRESETS["desi"], np.arange(2), [[0.0, 0.0], [pitch_mm, 0.0]], enabled=[True, False]
+    )
+    start = np.deg2rad([[90.0, 0.0], [theta_deg, 0.0]])
+    return plane, start, neighbour_pairs(plane)
+
+
+def test_a_target_under_a_disabled_arm_is_unreachable():
+    plane, start, pairs = _pair_with_a_disabled(180.0)
+    for target, expected in (([5.0, 0.3], False), ([-5.0, 0.0], True), ([9.0, 9.0], False)):
+        problem = Problem(plane, start, [target, [np.nan, np.nan]])
+        assert reachable(problem, pairs, 0.05).tolist() == [expected, False]
+
+
+def test_a_target_behind_a_wall_is_unreachable_though_free_itself():
+    # theta cannot turn away from the disabled arm, and phi may not bend: the only way is
+    # through it
+    plane, start, pairs = _pair_with_a_disabled(180.0, 11.6)
+    narrow = np.deg2rad([[-100.0, 100.0], [0.0, 3.0]])
+    stiff = plane_from(
+        PRESETS["desi"], plane.ids, plane.centers, enabled=plane.enabled,
+        limits=np.stack([narrow, plane.limits[1]]),
+    )  # fmt: skip
+    below = [[0.0, -5.999], [np.nan, np.nan]]
+    assert reachable(Problem(plane, start, below), pairs, 0.05)[0]
+    assert not reachable(Problem(stiff, start, below), pairs, 0.05)[0]
+
+
+def test_reachable_needs_no_neighbours():
+    plane = preset("desi", 40)
+    problem = random_problem(plane, np.random.default_rng(2))
+    assert reachable(problem, neighbour_pairs(plane), 0.05).all()
+    nothing = Problem(plane, problem.start, np.full((40, 2), np.nan))
+    assert not reachable(nothing, neighbour_pairs(plane), 0.05).any()

@@ -1,0 +1,127 @@
+"""The installed executables as processes of their own, and what they leave behind."""
+
+import json
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fiber_bringup.client import PlaneClient
+from fiber_bringup.errors import ProcessError
+from fiber_bringup.processes import Processes, installed
+from fiber_core.clearance import Safety, certify
+from fiber_core.kinematics import forward
+from fiber_core.outcomes import Outcome
+from fiber_core.problem import load_plan, load_problem
+
+pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
+
+COMPILE_S = 600
+
+
+@pytest.fixture(autouse=True)
+def in_a_domain_of_its_own(new_domain, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(new_domain()))
+
+
+@pytest.fixture
+def executable():
+    """Path of an installed executable; skips where the workspace is not built."""
+
+    def find(package, name):
+        try:
+            return str(installed(package, name))
+        except ProcessError as error:
+            pytest.skip(f"NOT TESTED, {error}")
+
+    return find
+
+
+def shared_memory(pid) -> set[str]:
+    """Files of Fast DDS in /dev/shm that a process has mapped."""
+    return set(re.findall(r"/dev/shm/\S*fastrtps\S*", Path(f"/proc/{pid}/maps").read_text()))
+
+
+def test_three_processes_take_a_plane_to_new_targets(executable, problem_file, tmp_path):
+    command = [executable("fiber_bringup", "reconfigure"), "--timeout", str(COMPILE_S), "--json"]
+    with Processes(tmp_path) as nodes:
+        pids = [
+            nodes.start("fiber_bus_bridge", "bridge", {"problem": problem_file, "time_scale": 0.0}),
+            nodes.start("fiber_planner", "planner", {"planner": "dnf"}),
+            nodes.start("fiber_discretizer", "discretizer", {}),
+        ]
+        run = subprocess.run(
+            [*command, "--home-first", "random:3"], capture_output=True, text=True, check=False
+        )
+        assert run.returncode == 0, run.stderr
+        result = json.loads(run.stdout)
+        robots = load_problem(problem_file).plane
+        assert result["asked"] == robots.enabled.sum()
+        assert result["reached"] + result["held"] == result["asked"] and result["failed"] == 0
+        assert result["reached"] > result["asked"] / 2
+        assert len(result["not_reached"]) == result["held"]
+        assert "planner" in run.stderr and "100 %" in run.stderr
+
+        # a file with a robot that does not exist is refused by the planner, by name
+        table = tmp_path / "targets.csv"
+        table.write_text("id,x_mm,y_mm\n1,0.5,0.5\n999,1.0,2.0\n")
+        run = subprocess.run([*command, str(table)], capture_output=True, text=True, check=False)
+        assert run.returncode == 1 and "robot 999: no such robot, target [1.0, 2.0]" in run.stderr
+        nodes.check()
+        mapped = set().union(*map(shared_memory, pids))
+        assert mapped, "the nodes share no memory, so nothing is shown here"
+        assert nodes.end() == {"bridge": 0, "planner": 0, "discretizer": 0}
+    assert "robot 999" in (tmp_path / "planner.log").read_text()
+    assert not [path for path in mapped if Path(path).exists()]
+
+
+def test_a_client_is_told_when_a_node_dies(executable, problem_file, tmp_path):
+    executable("fiber_bus_bridge", "bridge")
+    nodes = Processes(tmp_path)
+    try:
+        nodes.start("fiber_bus_bridge", "bridge", {"problem": problem_file, "clock": "2M"})
+        with PlaneClient(guard=nodes.check) as client, pytest.raises(ProcessError, match="2M"):
+            client.wait_for_graph(60.0)
+    finally:
+        assert nodes.end()["bridge"] not in (0, None)
+
+
+def test_the_whole_graph_runs_as_one_executable_too(executable, problem_file, tmp_path):
+    executable("fiber_bringup", "graph")
+    parameters = {"bridge:problem": problem_file, "planner:planner": "direct"}
+    with Processes(tmp_path) as nodes:
+        nodes.start("fiber_bringup", "graph", parameters)
+        with PlaneClient(guard=nodes.check) as client:
+            client.wait_for_graph(COMPILE_S)
+            assert np.array_equal(client.plane.ids, load_problem(problem_file).plane.ids)
+        assert nodes.end() == {"graph": 0}
+
+
+def test_the_demo_leaves_files_that_agree(executable, tmp_path):
+    command = [executable("fiber_bringup", "demo"), "--robots", "37", "--time-scale", "0"]
+    run = subprocess.run(
+        [*command, "--seed", "5", "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"COLUMNS": "200"},
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    report = json.loads((tmp_path / "report.json").read_text())
+    problem = load_problem(tmp_path / "problem.npz")
+    motion, outcome = load_plan(tmp_path / "plan.npz", problem.start)
+    assert report["robots"] == report["asked"] == 37 == len(outcome)
+    reached = outcome == Outcome.REACHED
+    assert report["reached"] == reached.sum() > 37 / 2
+    assert report["makespan_s"] == pytest.approx(motion.makespan_s)
+    assert report["makespan_s"] >= report["lower_bound_s"] > 0
+    assert report["certified"] and certify(problem.plane, motion, Safety()).ok
+    off = np.hypot(*(forward(problem.plane, motion.end)[1] - problem.targets).T)
+    assert off[reached].max() < 0.1 < off[~reached].min(initial=np.inf)
+    assert report["bytes_mean"] >= report["bytes_bound"] > 4 and report["bus_time_s"] > 0
+    assert (tmp_path / "plane.png").read_bytes().startswith(b"\x89PNG")
+    for name in ("makespan", "report.json", "plan.npz", "plane.png"):
+        assert name in run.stdout
