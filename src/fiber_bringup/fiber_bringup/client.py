@@ -97,7 +97,8 @@ class PlaneClient:
         self.times: dict[PlanStamp, dict[str, float]] = {}
         self._states: tuple[np.ndarray, np.ndarray] | None = None
         self._statuses: dict[str, diagnostics.Status] = {}
-        self._refusals: list[PlaneRefusal] = []
+        self._refusals: list[PlaneRefusal] = []  # since targets were last sent
+        self._asked: PlanStamp | None = None  # when that was
 
         self._targets = topics.TARGETS.publisher(self.node)
         self._services = {
@@ -161,6 +162,7 @@ class PlaneClient:
         """Send a targets message as it is; return its stamp."""
         stamp = PlanStamp.of(message)
         self._refusals.clear()
+        self._asked = PlanStamp(self.node.get_clock().now().nanoseconds)
         self._of(self.times, stamp, dict)["sent"] = self._clock()
         self._targets.publish(message)
         return stamp
@@ -306,9 +308,11 @@ class PlaneClient:
         self._on_progress(heard)
 
     def _on_diagnostics(self, message):
+        # word of an earlier refusal may come late, after new targets were sent
+        recent = self._asked is not None and PlanStamp.of(message) >= self._asked
         for status in diagnostics.decode(message):
             before = self._statuses.get(status.name)
-            if before is not None and _refused(status) > _refused(before):
+            if recent and before is not None and _refused(status) > _refused(before):
                 self._refusals.append(PlaneRefusal(status.name, status.text))
             self._statuses[status.name] = status
 

@@ -28,9 +28,8 @@ def run(make_node: Callable[[], Node], args=None) -> int:
         executor.spin()
     except FiberError as error:
         rclpy.logging.get_logger("fiber").fatal(str(error))
+        rclpy.try_shutdown()
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        rclpy.try_shutdown()
+        pass  # the signal has shut rclpy down already, and a second time would be an error
     return 0

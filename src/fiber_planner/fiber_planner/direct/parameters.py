@@ -22,7 +22,8 @@ class DirectParameters:
             discretization and rounding may use up.
         intervals: length of the common time grid; every break of a profile is on it.
         stretch: longest makespan tried, in units of the time the slowest robot needs
-            alone.
+            alone; where that is short, folding, going and unfolding are given the time
+            they take.
         effort: candidate profiles that may be weighed, per robot of the plane. It
             bounds the computing time without a clock, so that a plan is repeatable.
         seed: of the draws.
@@ -36,7 +37,7 @@ class DirectParameters:
     start_skew_s: float = 200e-6
     allowance_mm: float = 0.03
     intervals: int = 48
-    stretch: float = 2.0
+    stretch: float = 2.2
     effort: float = 5000.0
     seed: int = 0
 

@@ -10,7 +10,7 @@ from fiber_core.clearance import pair_gap_below
 __all__ = ["penetration"]
 
 _FINE_MM = 0.3  # least relative displacement between two looks at a pair
-_DEEPEST = 4.0  # intervals that the greatest depth counts for
+_DEEPEST = 15.0  # intervals that the greatest depth counts for
 _FAR_MM = 2.0  # gaps beyond required + this need not be known exactly
 
 

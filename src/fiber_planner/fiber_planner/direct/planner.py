@@ -25,15 +25,22 @@ from fiber_planner.protocol import PlannedMotion, Progress
 
 __all__ = ["DirectPlanner"]
 
-_STRETCHES = (1.0, 1.02, 1.05, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.0)
-_LONGER = 1.4  # from there on
-_FOLD_FROM = 1.4  # stretch at which arms are folded on their way
-_FOLDING = 0.7  # share of candidates that fold then
+# Where straight moves meet in more pairs than half the number of robots the plane is crowded
+# and arms fold on their way from the beginning. Of each pair: loose plane, crowded plane.
+_CROWDED = 0.5
+_STRETCHES = (
+    (1.0, 1.02, 1.05, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.0),
+    (1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 2.0, 2.2),
+)
+_FOLD_FROM = (1.4, 1.2)  # stretch from which arms are folded on their way
+_PATIENCE = (1.1, 1.8)  # stretch at which robots stuck beside what cannot move are given up
+_LONGER = 1.4  # growth of the stretch beyond those
+_FOLDING = 0.7  # share of candidates that fold, once arms are folded
+_DRAWS = (30, 100)  # candidates of a robot in a sweep: not folding, folding
 _SWEEPS = 60  # at each makespan
-_DRAWS = 100
 _CERTIFIED_AT_MOST = 8  # rounds of certificate and repair
-_PATIENCE = 1.1  # stretch at which robots stuck beside what cannot move are given up
 _GIVE_UP_ROUNDS = 12
+_LAST_EFFORT = 900  # candidates per robot granted to each of these rounds
 _SMALL_PLANE = 100  # the effort granted to a plane of fewer robots
 _EPS_MM = 1e-6
 _MORE_MM = 0.005  # asked for beyond what the certificate misses
@@ -90,15 +97,17 @@ class _Search:
     def run(self):
         self._begin()
         conflicts = measure(self.crowd, self.draft)
-        for stretch in self._stretches():
+        crowded = conflicts > _CROWDED * self.problem.plane.n
+        patience, fold_from = _PATIENCE[int(crowded)], _FOLD_FROM[int(crowded)]
+        for stretch in self._stretches(_STRETCHES[int(crowded)]):
             self._stretch_to(stretch)
-            if stretch >= _FOLD_FROM and self.folding < _FOLDING:
+            if stretch >= fold_from and self.folding == 0.0:
                 conflicts = self._fold_all()
             if self.progress is not None:
                 self.progress(0.0, f"{conflicts} conflicts in {self.makespan_s:.2f} s of motion")
             conflicts = self._certified_repair()
             for _ in range(_GIVE_UP_ROUNDS):
-                if conflicts == 0 or stretch < _PATIENCE or not self._free_the_worst(self.walled):
+                if conflicts == 0 or stretch < patience or not self._free_the_worst(self.walled):
                     break
                 conflicts = self._certified_repair()
             if conflicts == 0 or self.spent >= self.limit:
@@ -153,13 +162,13 @@ class _Search:
         beside = crowd.pairs[~crowd.movable[crowd.pairs].all(axis=1)]
         self.walled = crowd.movable & np.isin(np.arange(len(crowd.movable)), beside)
 
-    def _stretches(self):
+    def _stretches(self, usual):
         # The makespans to try, in units of the time alone: at least long enough to fold,
         # go, and unfold, however short the way is.
         plane = self.problem.plane
         fold_s = float((np.minimum(np.pi, np.diff(plane.limits[:, 1])[:, 0]) / plane.speeds[:, 1]).max(initial=0.0))
         most = max(self.parameters.stretch, 1.0 + 2.0 * fold_s / max(self.alone_s, 1e-9))
-        tried = [stretch for stretch in _STRETCHES if stretch <= most]
+        tried = [stretch for stretch in usual if stretch <= most] or [most]
         while tried[-1] * _LONGER <= most:
             tried.append(tried[-1] * _LONGER)
         return tried
@@ -195,7 +204,8 @@ class _Search:
 
     def _repair(self, sweeps):
         conflicts, done, spent = repair(
-            self.crowd, self.draft, self.step_s, self.folding, self.sweep, sweeps, _DRAWS,
+            self.crowd, self.draft, self.step_s, self.folding, self.sweep, sweeps,
+            _DRAWS[int(self.folding > 0.0)],
             self.limit - self.spent,
         )  # fmt: skip
         self.sweep += done
@@ -235,7 +245,7 @@ class _Search:
     def _give_up(self):
         for _ in range(_GIVE_UP_ROUNDS):
             self._free_the_worst(self.crowd.movable)
-            self.limit = max(self.limit, self.spent + 30 * _DRAWS * len(self.crowd.start))
+            self.limit = max(self.limit, self.spent + _LAST_EFFORT * len(self.crowd.start))
             if self._certified_repair() == 0:
                 return
         self._freeze()

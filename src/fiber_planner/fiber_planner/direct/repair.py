@@ -21,6 +21,12 @@ __all__ = ["Draft", "fold_first", "measure", "repair", "restore", "straighten"]
 
 _GROWTH = 1.3  # of the weight of a pair, for every sweep its conflict lasts
 _KEEP_HALF = 0.3  # share of the odd draws that change half a profile
+# In this share of visits a robot leaves its heaviest conflict to the other one of the pair
+# and takes the best candidate for all others: two robots that pass through each other are
+# not always freed by moving one at a time.
+_KICK = 0.1
+_IGNORED = 1e-9  # weight of the conflict left to the other
+_IN_TURNS = 0.4  # share of folded draws in which one joint waits for the other
 _OTHER_OPTION = 0.3  # share of draws that end in another configuration on the target
 
 
@@ -107,6 +113,17 @@ def _adopt(crowd, draft, i, profile, depths):
     _copy(profile, draft.q[i])
     for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
         draft.depth[crowd.pair[e]] = depths[e - crowd.offsets[i]]
+
+
+@nb.njit(cache=True)
+def _heaviest(crowd, draft, i):
+    # the pair of robot i with most weighted conflict
+    heaviest, most = -1, -1.0
+    for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
+        p = crowd.pair[e]
+        if draft.weight[p] * draft.depth[p] > most:
+            heaviest, most = p, draft.weight[p] * draft.depth[p]
+    return heaviest
 
 
 @nb.njit(cache=True)
@@ -260,7 +277,7 @@ def _draw_folded(crowd, draft, i, step_s, state, profile, legs):
         if room < 0:
             return -2
         t1 = there + int(next_uniform(state) ** 2 * (room + 1))
-    spread = 2.0 * math.pi * next_uniform(state) ** 3
+    spread = 2.0 * math.pi * next_uniform(state) ** 2
     if second:
         theta2 = theta + spread * (2.0 * next_uniform(state) - 1.0)
         reach = turn_step * (last - t2)
@@ -295,6 +312,12 @@ def _draw_folded(crowd, draft, i, step_s, state, profile, legs):
         early = int(
             next_uniform(state) * (last - t2 - max(back, _least(theta2, theta, turn_step)) + 1)
         )
+    # often one joint turns first and the other when it is done
+    out_turn, out_bend = _least(theta1, crowd.start[i, 0], turn_step), there
+    in_turn, in_bend = _least(theta2, theta, turn_step), back
+    kind = next_uniform(state)
+    in_turns = kind < _IN_TURNS
+    turn_first = kind < 0.5 * _IN_TURNS
     for joint in range(2):
         low, high = crowd.low[i, joint], crowd.high[i, joint]
         step = turn_step if joint == 0 else bend_step
@@ -302,14 +325,26 @@ def _draw_folded(crowd, draft, i, step_s, state, profile, legs):
         wide = math.pi * next_uniform(state)
         if first:
             s = crowd.start[i, joint]
-            _draw_leg(profile[joint, wait : t1 + 1], s, m1, low, high, step, wide, state)
-            for k in range(wait):
-                profile[joint, k] = s
+            begin, end = wait, t1
+            if in_turns and t1 - wait >= out_turn + out_bend:
+                if turn_first == (joint == 0):
+                    end = wait + (out_turn if joint == 0 else out_bend)
+                else:
+                    begin = wait + (out_bend if joint == 0 else out_turn)
+            for k in range(t1 + 1):
+                profile[joint, k] = s if k <= begin else m1
+            _draw_leg(profile[joint, begin : end + 1], s, m1, low, high, step, wide, state)
         if second:
             g = theta if joint == 0 else phi
-            _draw_leg(profile[joint, t2 : last - early + 1], m2, g, low, high, step, wide, state)
-            for k in range(last - early + 1, last + 1):
-                profile[joint, k] = g
+            begin, end = t2, last - early
+            if in_turns and last - early - t2 >= in_turn + in_bend:
+                if turn_first == (joint == 1):  # the way out, backwards
+                    end = t2 + (in_turn if joint == 0 else in_bend)
+                else:
+                    begin = t2 + (in_bend if joint == 0 else in_turn)
+            for k in range(t2, last + 1):
+                profile[joint, k] = m2 if k <= begin else g
+            _draw_leg(profile[joint, begin : end + 1], m2, g, low, high, step, wide, state)
         for k in range(t1 + 1, t2):
             profile[joint, k] = m1 + (m2 - m1) * ((k - t1) / (t2 - t1))
     legs[0], legs[1] = t1, t2
@@ -362,6 +397,11 @@ def repair(crowd, draft, step_s, folding, first, sweeps, draws, effort):
             found = False
             best_choice = draft.choice[i]
             state = seeded(crowd.key[i], 2 * (first + sweep) + 1)
+            heaviest, weight = -1, 0.0
+            if next_uniform(state) < _KICK:
+                heaviest = _heaviest(crowd, draft, i)
+                weight, draft.weight[heaviest] = draft.weight[heaviest], _IGNORED
+                best = np.inf
             for number in range(draws):
                 legs[0] = legs[1] = 0
                 if next_uniform(state) < folding:
@@ -383,6 +423,8 @@ def repair(crowd, draft, step_s, folding, first, sweeps, draws, effort):
                         best_depths[e] = depths[e]
                     if total == 0.0:
                         break
+            if heaviest >= 0:
+                draft.weight[heaviest] = weight
             if found:
                 _adopt(crowd, draft, i, best_profile, best_depths)
                 draft.choice[i] = best_choice
