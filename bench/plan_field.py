@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from fiber_bus_bridge import PlanResult, Session, SessionState, SimulationConfig, simulated_buses
 from fiber_bus_bridge.wire import encode_load
 from fiber_core.clearance import Certificate, Safety, certify, neighbour_pairs

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+
 from fiber_core.clearance import Safety, certify, neighbour_pairs
 from fiber_core.fields import random_problem
 from fiber_core.outcomes import Reason

@@ -6,10 +6,11 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
 
 import numpy as np
+from plan_field import carry_out
+
 from fiber_core.fields import random_problem
 from fiber_core.presets import preset
 from fiber_planner import planners
-from plan_field import carry_out
 
 
 def main() -> int:

@@ -15,5 +15,5 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
     zip_safe=False,  # compiled loops are cached beside the modules
-    entry_points={"console_scripts": ["bridge = fiber_bus_bridge.node:main"]},
+    entry_points={"console_scripts": ["bridge = fiber_bus_bridge.node.bridge:main"]},
 )

@@ -162,9 +162,7 @@ class Uploader:
     def _decode(self, motion, frames, chosen):
         """The motion in the bytes sent to the chosen robots; everybody else rests."""
         orders = decode_load(self.units, frames)
-        whole = WireMotion(
-            self.units, motion.start, orders.offsets, orders.ticks, orders.velocity
-        )
+        whole = WireMotion(self.units, motion.start, orders.offsets, orders.ticks, orders.velocity)
         return _only(whole, chosen)
 
     def _deliver(self, rows, frames, boot, t):

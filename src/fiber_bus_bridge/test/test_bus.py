@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fiber_bus_bridge import SimulatedBuses, TopologyError, addresses_of, bus_timing
 from fiber_bus_bridge.bus import BUS_TIMINGS, TOPOLOGIES, Ack
 from fiber_bus_bridge.firmware import Positioners

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from fiber_bus_bridge import SimulatedBuses, WireError
 from fiber_bus_bridge.bus import Ack
 from fiber_bus_bridge.firmware import Positioners

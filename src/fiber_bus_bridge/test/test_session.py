@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 
-import fiber_bus_bridge.upload
 import numpy as np
 import pytest
+
+import fiber_bus_bridge.upload
 from fiber_bus_bridge import (
     Positioners,
     Session,
@@ -318,9 +319,7 @@ def test_a_stop_survives_the_bridge():
     rig = Rig(7)
     rig.call("configure")
     rig.call("stop")
-    again = Session(
-        rig.plane, rig.units, Safety(), SimulatedBuses(rig.robots), rig.session.angles
-    )
+    again = Session(rig.plane, rig.units, Safety(), SimulatedBuses(rig.robots), rig.session.angles)
     again.configure(rig.t)
     assert again.state is SessionState.STOPPED
 

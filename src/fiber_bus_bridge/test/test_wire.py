@@ -5,6 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fastcrc import crc8, crc16
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire import (
     Addresses,
@@ -26,8 +29,6 @@ from fiber_bus_bridge.wire import (
     general_call,
 )
 from fiber_core.wire_units import WireUnits
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 UNITS = WireUnits()
 ROBOT = Addresses([3], [300], [True])

@@ -80,6 +80,4 @@ def plan_report(
 
 
 def _names(plane, pair) -> list:
-    return [
-        int(plane.ids[row]) if row < plane.n else f"obstacle {row - plane.n}" for row in pair
-    ]
+    return [int(plane.ids[row]) if row < plane.n else f"obstacle {row - plane.n}" for row in pair]

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fiber_core.clearance import Safety, certify, neighbour_pairs, sampled_gaps
 from fiber_core.fields import random_field
 from fiber_core.focal_plane import FocalPlane
@@ -281,9 +282,7 @@ def test_limits_and_speeds(case, joint):
 def test_a_disabled_robot_must_rest():
     plane = preset("desi", 3)
     plane = replace(plane, centers=40 * plane.centers, enabled=[True, False, False])
-    motion = SegmentMotion(
-        np.ones((3, 2)), [0, 1, 1, 2, 2, 2, 3], [1.0, 1.0, 1.0], [1.0, 0.1, 0.0]
-    )
+    motion = SegmentMotion(np.ones((3, 2)), [0, 1, 1, 2, 2, 2, 3], [1.0, 1.0, 1.0], [1.0, 0.1, 0.0])
     found = certify(plane, motion, Safety())
     assert found.moved_disabled.tolist() == [False, True, False]
     assert not found.ok

@@ -4,6 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
 from fiber_core.clearance import (
     bodies_of,
     gaps,
@@ -14,9 +18,6 @@ from fiber_core.clearance import (
 )
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets import preset
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.spatial import cKDTree
 
 seeds = st.integers(0, 2**32 - 1)
 laws = settings(max_examples=100, deadline=None)

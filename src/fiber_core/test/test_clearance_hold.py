@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fiber_core.clearance import Safety, certify, hold_until_safe, neighbour_pairs
 from fiber_core.fields import random_field
 from fiber_core.motion import SegmentMotion

@@ -1,10 +1,14 @@
 """The discretizer as a node: a trajectory in, certified segments in whole wire units out."""
 
 import numpy as np
+from rclpy.node import Node
+
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
+from fiber_discretizer.discretize import discretize
+from fiber_discretizer.options import DiscretizeOptions
 from fiber_msgs_py import (
     MessageError,
     PlanStamp,
@@ -15,10 +19,6 @@ from fiber_msgs_py import (
     trajectory,
 )
 from fiber_node import PlaneView, Reporter, declare_settings, run
-from rclpy.node import Node
-
-from fiber_discretizer.discretize import discretize
-from fiber_discretizer.options import DiscretizeOptions
 
 __all__ = ["DiscretizerNode", "main"]
 
@@ -75,6 +75,9 @@ class DiscretizerNode(Node):
         holds = done.reason != Reason.OK
         self._held.publish(held.encode(ids[holds], done.reason[holds], Stage.DISCRETIZER, stamp))
         self._segments.publish(segments.encode(ids, done.wire, stamp))
+        if not done.certificate.ok:
+            names = ids[done.certificate.unsafe_robots].tolist()
+            self.get_logger().warning(f"plan {stamp}: robots {names} stand too close and rest")
         counts = np.diff(done.wire.offsets)
         moving = int((counts.reshape(-1, 2) > 0).any(axis=1).sum())
         clearance = f"{done.certificate.min_gap_mm:.4f}"

@@ -5,6 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
 from fiber_core.errors import FiberError
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
@@ -19,10 +24,6 @@ from fiber_msgs_py import (
     topics,
 )
 from fiber_node import PlaneView, Reporter, declare_settings, run
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,9 @@
 import dataclasses
 
 import numpy as np
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.node import Node
+
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
@@ -16,9 +19,6 @@ from fiber_msgs_py import (
     trajectory,
 )
 from fiber_node import PlaneView, Reporter, declare_settings, run
-from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.node import Node
-
 from fiber_planner.registry import make_planner, parameters_of, planners
 
 __all__ = ["PlannerNode", "main"]

@@ -72,6 +72,15 @@ def test_everybody_arrives_as_fast_as_the_slowest_alone(name, robots, seed, rati
     assert np.mean(moving <= 2) > 0.9
 
 
+@pytest.mark.parametrize("name, robots, seed", [("sdss_v", 91, 1), ("sdss_v", 91, 2), ("moons", 60, 3)])
+def test_heavy_overlap_is_solved_by_folding(name, robots, seed):
+    # every point is within reach of three robots: straight moves alone leave many in conflict
+    problem = random_problem(preset(name, robots), np.random.default_rng(seed))
+    motion, ok = _judge(problem, DirectPlanner().plan(problem))
+    assert ok.all()
+    assert motion.makespan_s <= 1.8 * lower_bound_s(problem)
+
+
 def test_straight_moves_alone_would_collide():
     # the toy planner: everybody straight, nothing repaired
     problem = random_problem(preset("pfs", 200), np.random.default_rng(3))
@@ -180,7 +189,9 @@ def test_a_small_change_moves_one_robot():
     _, tips = kinematics.forward(plane, problem.start)
     targets = tips.copy()
     angles = problem.start[17] + [0.02, 0.0]
-    targets[17] = kinematics.forward(plane, np.where(np.arange(200)[:, None] == 17, angles, problem.start))[1][17]
+    targets[17] = kinematics.forward(
+        plane, np.where(np.arange(200)[:, None] == 17, angles, problem.start)
+    )[1][17]
     change = Problem(plane, problem.start, targets)
     motion, ok = _judge(change, DirectPlanner().plan(change))
     assert ok.all()

@@ -1,12 +1,13 @@
 """Figures of a reconfiguration for the night log."""
 
 import numpy as np
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.figure import Figure
+
 from fiber_core import kinematics
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome
 from fiber_core.problem import Problem
-from matplotlib.collections import EllipseCollection, LineCollection
-from matplotlib.figure import Figure
 
 __all__ = ["before_and_after"]
 

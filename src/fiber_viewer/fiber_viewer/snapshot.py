@@ -4,7 +4,6 @@ import argparse
 from pathlib import Path
 
 from fiber_core.problem import load_plan, load_problem
-
 from fiber_viewer.figures import before_and_after
 
 __all__ = ["main"]

@@ -1,6 +1,7 @@
 """The night-log figures show the numbers they are given."""
 
 import numpy as np
+
 from fiber_core import kinematics
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome, Reason

@@ -48,9 +48,7 @@ class Positioners:
                 at = int(np.argwhere(wrong)[0][0])
                 raise WireError(f"row {at}: {name} {value[at].tolist()} does not fit 32 bits")
         self.addresses = addresses
-        self.memory = new_memory(
-            addresses, serial, quantum_prad, position, clock_ppm, start_skew_s
-        )
+        self.memory = new_memory(addresses, serial, quantum_prad, position, clock_ppm, start_skew_s)
         self.powered = np.ones(len(addresses), dtype=bool)
 
     @property
@@ -115,9 +113,7 @@ def _exchange(
                 continue
             ok = True
             if writes:
-                ok = hear(
-                    m[row], address[f], ten_bit[f], sent, starts[f], starts[f + 1], end_s[f]
-                )
+                ok = hear(m[row], address[f], ten_bit[f], sent, starts[f], starts[f + 1], end_s[f])
             if ok and offsets[f + 1] > offsets[f]:
                 at = end_s[f] if writes else start_s[f]
                 answer(m[row], at, data[offsets[f] : offsets[f + 1]])

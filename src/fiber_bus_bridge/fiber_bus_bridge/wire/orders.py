@@ -54,9 +54,7 @@ class Orders:
         return self.fault == Fault.NONE
 
 
-def encode_load(
-    units: WireUnits, to: Addresses, sequence, offsets, ticks, velocity
-) -> Frames:
+def encode_load(units: WireUnits, to: Addresses, sequence, offsets, ticks, velocity) -> Frames:
     """Write placement orders as LOAD frames, one per target.
 
     Args:

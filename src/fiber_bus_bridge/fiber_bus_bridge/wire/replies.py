@@ -212,9 +212,7 @@ def _identity_pec(address, ten_bit, data):
 
 
 @njit(cache=True)
-def write_status(
-    address, ten_bit, state, sequence, order_crc, boot, fault, alerts, position, out
-):
+def write_status(address, ten_bit, state, sequence, order_crc, boot, fault, alerts, position, out):
     """Write one status reply into out[:STATUS_BYTES]."""
     out[0] = (state << 4) | sequence
     out[1], out[2] = order_crc >> 8, order_crc & 0xFF

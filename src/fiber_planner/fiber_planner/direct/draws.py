@@ -5,7 +5,15 @@ import math
 import numba as nb
 import numpy as np
 
-__all__ = ["fold_profile", "least_intervals", "next_uniform", "seeded", "trapezoid", "via_profile", "window"]
+__all__ = [
+    "fold_profile",
+    "least_intervals",
+    "next_uniform",
+    "seeded",
+    "trapezoid",
+    "via_profile",
+    "window",
+]
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)

@@ -1,9 +1,6 @@
 """How deep and how long two moving robots are nearer to each other than they should be."""
 
-import math
-
 import numba as nb
-import numpy as np
 
 from fiber_core.clearance import pair_gap_below
 

@@ -30,14 +30,14 @@ __all__ = ["DirectPlanner"]
 _CROWDED = 0.5
 _STRETCHES = (
     (1.0, 1.02, 1.05, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.0),
-    (1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 2.0, 2.2),
+    (1.2, 1.3, 1.4, 1.6, 1.8, 2.0, 2.2),
 )
 _FOLD_FROM = (1.4, 1.2)  # stretch from which arms are folded on their way
 _PATIENCE = (1.1, 1.8)  # stretch at which robots stuck beside what cannot move are given up
 _LONGER = 1.4  # growth of the stretch beyond those
 _FOLDING = 0.7  # share of candidates that fold, once arms are folded
 _DRAWS = (30, 100)  # candidates of a robot in a sweep: not folding, folding
-_SWEEPS = 60  # at each makespan
+_SWEEPS = (60, 48)  # at each makespan: not folding, folding
 _CERTIFIED_AT_MOST = 8  # rounds of certificate and repair
 _GIVE_UP_ROUNDS = 12
 _LAST_EFFORT = 900  # candidates per robot granted to each of these rounds
@@ -166,7 +166,11 @@ class _Search:
         # The makespans to try, in units of the time alone: at least long enough to fold,
         # go, and unfold, however short the way is.
         plane = self.problem.plane
-        fold_s = float((np.minimum(np.pi, np.diff(plane.limits[:, 1])[:, 0]) / plane.speeds[:, 1]).max(initial=0.0))
+        fold_s = float(
+            (np.minimum(np.pi, np.diff(plane.limits[:, 1])[:, 0]) / plane.speeds[:, 1]).max(
+                initial=0.0
+            )
+        )
         most = max(self.parameters.stretch, 1.0 + 2.0 * fold_s / max(self.alone_s, 1e-9))
         tried = [stretch for stretch in usual if stretch <= most] or [most]
         while tried[-1] * _LONGER <= most:
@@ -179,8 +183,9 @@ class _Search:
         # come closer.
         problem, crowd, parameters = self.problem, self.crowd, self.parameters
         plane = problem.plane
-        speed = (np.vstack([plane.speeds, np.zeros((len(plane.obstacles), 2))])
-                 * np.stack([crowd.lever[:, 0] + crowd.lever[:, 1], crowd.lever[:, 1]], axis=1))
+        speed = np.vstack([plane.speeds, np.zeros((len(plane.obstacles), 2))]) * np.stack(
+            [crowd.lever[:, 0] + crowd.lever[:, 1], crowd.lever[:, 1]], axis=1
+        )
         late = parameters.clock_ppm * 1e-6 * self.makespan_s + parameters.start_skew_s
         least = parameters.margin_mm + late * speed.sum(axis=1)[crowd.pairs].sum(axis=1)
         self.at_start = gaps(plane, crowd.pairs, problem.start) - _EPS_MM
@@ -216,7 +221,7 @@ class _Search:
         # Repair, then have the certificate confirm it; pairs it does not confirm are
         # asked for a little more room.
         for _ in range(_CERTIFIED_AT_MOST):
-            conflicts = self._repair(_SWEEPS)
+            conflicts = self._repair(_SWEEPS[int(self.folding > 0.0)])
             if conflicts:
                 return conflicts
             straighten(self.crowd, self.draft, self.step_s)

@@ -119,14 +119,13 @@ def _reachable(bodies, lever, robots, first, other, standing, limits, angles, va
                 theta, phi = angles[i, option]
                 if _slack(bodies, i, theta, phi, others, standing, margin, 1e-9) >= 0.0:
                     wanted[
-                        _cell(theta, low[0], size[0], count[0]), _cell(phi, low[1], size[1], count[1])
+                        _cell(theta, low[0], size[0], count[0]),
+                        _cell(phi, low[1], size[1], count[1]),
                     ] = True
                     left += 1
         if left == 0:
             continue
-        if _straight_there(
-            bodies, i, angles[i], valid[i], others, standing, margin, size
-        ):
+        if _straight_there(bodies, i, angles[i], valid[i], others, standing, margin, size):
             result[r] = True
             continue
         # flood the open cells from the start until a wanted one is met

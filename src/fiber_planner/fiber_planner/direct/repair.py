@@ -166,7 +166,9 @@ def _draw(crowd, draft, i, number, many, step_s, folding, state, profile):
         g = theta if joint == 0 else phi
         per_interval = crowd.speed[i, joint] * step_s
         spread = math.pi * (0.15 + progress) * (0.2 + 0.8 * next_uniform(state))
-        straight = progress < 0.3 or (kind < 0.3 and joint == 0) or (0.3 < kind < 0.5 and joint == 1)
+        straight = (
+            progress < 0.3 or (kind < 0.3 and joint == 0) or (0.3 < kind < 0.5 and joint == 1)
+        )
         if folds and joint == 1:
             fold_profile(profile[joint], s, _nearer(crowd.fold[i], s), g, per_interval, state)
         elif straight:
@@ -307,7 +309,10 @@ def _draw_folded(crowd, draft, i, step_s, state, profile, legs):
     # often a robot waits before it folds, or is unfolded early: both joints together
     wait = early = 0
     if next_uniform(state) < 0.5:
-        wait = int(next_uniform(state) * (t1 - max(there, _least(theta1, crowd.start[i, 0], turn_step)) + 1))
+        wait = int(
+            next_uniform(state)
+            * (t1 - max(there, _least(theta1, crowd.start[i, 0], turn_step)) + 1)
+        )
     if next_uniform(state) < 0.5:
         early = int(
             next_uniform(state) * (last - t2 - max(back, _least(theta2, theta, turn_step)) + 1)

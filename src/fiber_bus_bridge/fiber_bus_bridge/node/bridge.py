@@ -3,31 +3,29 @@
 import threading
 
 import numpy as np
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+
+from fiber_bus_bridge.node.frame_log import frame_log
+from fiber_bus_bridge.node.notes import PlanNotes
+from fiber_bus_bridge.session import Session, SessionConfig, SessionState
+from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
-from fiber_core.outcomes import Outcome, Reason
+from fiber_core.outcomes import Outcome
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import (
-    FrameLog,
     Level,
     MessageError,
     PlanStamp,
     Status,
     frames,
-    held,
     joint_states,
     layout,
     outcome,
-    segments,
-    targets,
     topics,
 )
 from fiber_node import Reporter, declare_settings, run
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.node import Node
-
-from fiber_bus_bridge.session import Session, SessionConfig, SessionState
-from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
 
 __all__ = ["BridgeNode", "main"]
 
@@ -56,10 +54,9 @@ class BridgeNode(Node):
         config = declare_settings(self, SessionConfig, "session")
         self._session = Session(plane, self._units, safety, buses, start, config)
         self._lock, self._halt = threading.Lock(), threading.Event()
-        self._time_s = 0.0
+        self._time_s = self._due_s = 0.0
         self._stamp: PlanStamp | None = None
-        self._asked: dict[PlanStamp, np.ndarray] = {}
-        self._reasons: dict[PlanStamp, np.ndarray] = {}
+        self._notes = PlanNotes(plane)
 
         self._report = Reporter(self, "bridge", self._bus_statuses)
         self._layout = topics.LAYOUT.publisher(self)
@@ -90,55 +87,33 @@ class BridgeNode(Node):
 
     def _on_targets(self, message):
         try:
-            stamp, (ids, xy_mm) = PlanStamp.of(message), targets.decode(message)
+            self._notes.hear_targets(message)
         except FiberError:
-            return  # the planner says so
-        rows = self._plane.index_of(ids)
-        asked = np.full((self._plane.n, 2), np.nan)
-        asked[rows[rows >= 0]] = xy_mm[rows >= 0]
-        _remember(self._asked, stamp, asked)
+            pass  # the planner says so
 
     def _on_held(self, message):
         try:
-            stamp, (ids, reason, _) = PlanStamp.of(message), held.decode(message)
-            rows = self._rows(ids, "held")
+            self._notes.hear_held(message)
         except FiberError as error:
             self._report.refuse(f"held refused: {error}")
-            return
-        known = self._reasons.get(stamp, np.full(self._plane.n, Reason.OK))
-        fresh = rows[known[rows] == Reason.OK]
-        known[fresh] = reason[np.isin(rows, fresh)]
-        _remember(self._reasons, stamp, known)
 
     def _on_segments(self, message):
         try:
-            stamp, table = PlanStamp.of(message), segments.decode(message)
+            stamp = PlanStamp.of(message)
             if self._stamp is not None and stamp <= self._stamp:
                 self._report.drop(f"segments {stamp} dropped: plan {self._stamp} is not older")
                 return
-            rows = self._rows(table.ids, "segments")
-            counts = np.zeros((self._plane.n, 2), dtype=np.int64)
-            counts[rows] = np.diff(table.offsets).reshape(-1, 2)
-            offsets = np.concatenate([[0], np.cumsum(counts)])
             with self._lock:
-                whole = segments.SegmentTable(
-                    self._plane.ids, offsets, table.ticks, table.velocity
-                )
-                motion = whole.motion(self._units, self._session.counts)
-                replaced = self._session.submit(motion, self._asked.get(stamp))
+                motion = self._notes.motion(message, self._units, self._session.counts)
+                replaced = self._session.submit(motion, self._notes.asked(stamp))
                 if replaced is not None:
                     self._publish_outcome(replaced)
                 self._stamp = stamp
         except FiberError as error:
             self._report.refuse(f"segments refused: {error}")
             return
-        self._report.done(stamp, f"ready: orders for {(counts.any(axis=1)).sum()} robots")
-
-    def _rows(self, ids, name):
-        rows = self._plane.index_of(ids)
-        if (rows < 0).any():
-            raise MessageError(name, "is not of this plane", robot=int(ids[rows < 0][0]))
-        return rows
+        moving = int(np.diff(motion.offsets).reshape(-1, 2).any(axis=1).sum())
+        self._report.done(stamp, f"ready: orders for {moving} robots")
 
     # --- services ------------------------------------------------------------
 
@@ -173,6 +148,7 @@ class BridgeNode(Node):
         started = int(self._session.upload.started.sum())
         self._after()
         if self._session.state is SessionState.MOVING:
+            self._due_s = self._time_s
             self._timer.reset()
         return f"plan {self._stamp}: {started} robots started"
 
@@ -205,7 +181,9 @@ class BridgeNode(Node):
     def _tick(self):
         with self._lock:
             if self._session.state is SessionState.MOVING:
-                self._session.advance(self._time_s + _TICK_S)
+                # from tick to tick, whatever time the polling takes on the buses
+                self._due_s += _TICK_S
+                self._session.advance(self._due_s)
                 self._after()
 
     def _after(self):
@@ -224,9 +202,7 @@ class BridgeNode(Node):
             self._publish_outcome(self._session.take_result())
 
     def _publish_outcome(self, result):
-        given = self._reasons.get(self._stamp)
-        if given is not None:
-            result = result.explained_by(given)
+        result = result.explained_by(self._notes.reasons(self._stamp))
         self._outcome.publish(
             outcome.encode(
                 self._plane.ids, result.outcome, result.reason, result.error_mm, self._stamp
@@ -249,40 +225,13 @@ class BridgeNode(Node):
         if self._stamp is None or self._frames.get_subscription_count() == 0:
             return
         for exchange in traffic:
-            self._frames.publish(frames.encode(_frame_log(exchange), self._stamp))
+            self._frames.publish(frames.encode(frame_log(exchange), self._stamp))
 
     def _bus_statuses(self):
         for bus, figures in self._session.link.counters.table().items():
             bad = figures["no_address"] + figures["refused"] + figures["bad_replies"]
             level, text = (Level.WARN, f"{bad} frames failed") if bad else (Level.OK, "good")
             yield Status(f"bridge: bus {bus}", level, text, figures, f"i2c-{bus}")
-
-
-def _remember(table, stamp, value, keep=8):
-    table[stamp] = value
-    for old in sorted(table)[:-keep]:
-        del table[old]
-
-
-def _frame_log(exchange):
-    """One row for what was written to a robot and one for what was read from it."""
-    sent, replies = exchange.frames, exchange.replies
-    lengths = np.stack([sent.lengths, np.diff(replies.offsets)], axis=1)
-    both = np.concatenate([sent.data, replies.data])
-    begins = np.stack([sent.offsets[:-1], len(sent.data) + replies.offsets[:-1]], axis=1)
-    row, read = np.nonzero(lengths)
-    offsets = np.concatenate([[0], np.cumsum(lengths[row, read])])
-    place = np.repeat(begins[row, read] - offsets[:-1], lengths[row, read]) + np.arange(offsets[-1])
-    return FrameLog(
-        replies.start_s[row],
-        sent.to.bus[row],
-        sent.to.address[row],
-        sent.to.ten_bit[row],
-        read.astype(bool),
-        replies.ack[row],
-        offsets,
-        both[place],
-    )
 
 
 def main(args=None) -> int:

@@ -1,0 +1,5 @@
+"""The bus bridge as a ROS node."""
+
+from fiber_bus_bridge.node.bridge import BridgeNode, main
+
+__all__ = ["BridgeNode", "main"]
