@@ -18,13 +18,12 @@ from fiber_bus_bridge import PlanResult, Session, SessionState, SimulationConfig
 from fiber_bus_bridge.wire import encode_load
 from fiber_core.clearance import Certificate, Safety, certify, neighbour_pairs
 from fiber_core.errors import FiberError
-from fiber_core.fields import random_problem
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Reason
-from fiber_core.presets import PRESETS, preset
-from fiber_core.problem import Problem, load_problem, save_plan, save_problem
-from fiber_core.report import plan_report
-from fiber_core.tables import read_layout
+from fiber_core.presets import PRESETS
+from fiber_core.problem import Problem, save_plan, save_problem
+from fiber_core.report import ORDER_BYTES_BOUND, plan_report
+from fiber_core.sources import problem_from
 from fiber_core.targets import assign
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import discretize
@@ -32,7 +31,6 @@ from fiber_planner import make_planner, planners
 
 _TICK_S = 0.1  # simulated time between two looks at moving robots
 DEFAULT_PLANNER = "dnf"
-BYTES_BOUND = 35 / 8  # information in one segment per motor
 
 
 @dataclass(frozen=True)
@@ -115,26 +113,11 @@ def carry_out(problem: Problem, planner: str, seed: int = 0) -> Run:
     )
     figures = {
         "bytes_mean": float(upload.loaded.lengths.mean()) if len(rows) else 0.0,
-        "bytes_bound": BYTES_BOUND,
+        "bytes_bound": ORDER_BYTES_BOUND,
         "bus_time_s": upload.go_s - ready_s,
         **watch.seconds,
     }
     return Run(motion, certificate, session.take_result().explained_by(held), figures)
-
-
-def problem_of(args: argparse.Namespace) -> Problem:
-    """Return the problem the command line asks for.
-
-    Raises:
-        FiberError: a file or a preset is not what it should be.
-    """
-    if args.problem:
-        return load_problem(args.problem)
-    if args.layout:
-        plane = read_layout(args.layout, args.preset)
-    else:
-        plane = preset(args.preset or "desi", args.robots)
-    return random_problem(plane, np.random.default_rng(args.seed))
 
 
 def parse(argv: list[str] | None) -> argparse.Namespace:
@@ -159,7 +142,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     args = parse(argv)
     try:
-        problem = problem_of(args)
+        problem = problem_from(args.problem, args.layout, args.preset, args.robots, args.seed)
         if not args.cold:
             carry_out(_small(problem), args.planner)
         run = carry_out(problem, args.planner, args.seed)

@@ -24,18 +24,17 @@ from fiber_bringup.reconfigure import summary, went_well
 from fiber_bringup.replay import Replay, settled_replay
 from fiber_core.clearance import Safety, certify
 from fiber_core.errors import FiberError
-from fiber_core.fields import random_problem
-from fiber_core.presets import PRESETS, preset
+from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem, save_plan, save_problem
-from fiber_core.report import plan_report
-from fiber_core.tables import read_layout, read_targets
+from fiber_core.report import ORDER_BYTES_BOUND, plan_report
+from fiber_core.sources import problem_from
+from fiber_core.tables import read_targets
 from fiber_core.targets import assign
 from fiber_viewer import before_and_after
 
 __all__ = ["main"]
 
 _SETTLE_S = 30.0  # for the last frames and encoder readings to come in
-_ORDER_BYTES = 4  # of a placement order without segments
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,16 +102,14 @@ def _parser():
 
 
 def _problem(options) -> Problem:
-    if options.layout is not None:
-        plane = read_layout(options.layout, options.preset)
-    else:
-        plane = preset(options.preset or "desi", options.robots)
-    problem = random_problem(plane, np.random.default_rng(options.seed))
+    problem = problem_from(
+        layout=options.layout, preset=options.preset, robots=options.robots, seed=options.seed
+    )
     if options.targets is None:
         return problem
+    plane = problem.plane
     ids, xy_mm = read_targets(options.targets)
-    asked_mm = assign(plane, problem.start, ids, xy_mm).asked_mm
-    return Problem(plane, problem.start, asked_mm)
+    return Problem(plane, problem.start, assign(plane, problem.start, ids, xy_mm).asked_mm)
 
 
 def _reconfigure(problem, options, display) -> _Run:
@@ -155,13 +152,11 @@ def _report(problem, run) -> dict:
     certificate = certify(problem.plane, motion, Safety())
     report = plan_report(problem, motion, certificate, run.ended.outcome, run.ended.reason)
     ordered = run.told.started
-    motors = (motion.counts[ordered] > 0).sum(axis=1)
-    segment_bytes = run.told.motion.units.segment_bytes
     return report | {
         "margin_mm": Safety().margin_mm,
         "ordered": int(ordered.sum()),
         "bytes_mean": float(run.told.load_bytes[ordered].mean()) if ordered.any() else 0.0,
-        "bytes_bound": float((_ORDER_BYTES + segment_bytes * motors).mean() if len(motors) else 0),
+        "bytes_bound": ORDER_BYTES_BOUND,
         "bus_time_s": run.told.bus_time_s,
         "wall_s": run.wall_s,
     }

@@ -17,7 +17,9 @@ def generate_launch_description():
     profile = PathJoinSubstitution([config, "fastdds.xml"])
     return LaunchDescription(
         [
-            DeclareLaunchArgument("preset", default_value="desi", description="instrument"),
+            DeclareLaunchArgument(
+                "preset", default_value="", description="instrument; desi, or what a layout tells"
+            ),
             DeclareLaunchArgument("robots", default_value="0", description="0: all it has"),
             DeclareLaunchArgument("seed", default_value="0", description="of random starts"),
             DeclareLaunchArgument("layout", default_value="", description="table of robots"),

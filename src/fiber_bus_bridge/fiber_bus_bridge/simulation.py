@@ -7,11 +7,8 @@ import numpy as np
 from fiber_bus_bridge.bus import SimulatedBuses, addresses_of, bus_timing
 from fiber_bus_bridge.errors import BridgeError
 from fiber_bus_bridge.firmware import Positioners
-from fiber_core.fields import random_problem
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.presets import preset
-from fiber_core.problem import load_problem
-from fiber_core.tables import read_layout
+from fiber_core.sources import problem_from
 from fiber_core.wire_units import WireUnits
 
 __all__ = ["SimulationConfig", "simulated_buses", "simulated_plane"]
@@ -24,7 +21,7 @@ class SimulationConfig:
     Args:
         problem: problem.npz to take plane and starts from; stands before the others.
         layout: table of robots (CSV, ECSV, FITS); the preset fills what it lacks.
-        preset: name of an instrument; empty with a layout to guess from its name.
+        preset: name of an instrument; empty for what the layout's arms tell, else desi.
         robots: how many robots of the preset, 0 for its own number.
         seed: of random starts and of the clocks' errors.
         clock: bus clock, as 100k, 400k, 1M, 1.7M or 3.4M.
@@ -34,7 +31,7 @@ class SimulationConfig:
 
     problem: str = ""
     layout: str = ""
-    preset: str = "desi"
+    preset: str = ""
     robots: int = 0
     seed: int = 0
     clock: str = "1M"
@@ -51,16 +48,10 @@ def simulated_plane(config: SimulationConfig) -> tuple[FocalPlane, np.ndarray]:
     """Return the plane asked for and where its robots stand [rad], shape (n, 2).
 
     Raises:
-        FiberError: no such preset or file, or a table that is no layout.
+        FiberError: no such preset, or a file is not what it should be.
     """
-    if config.problem:
-        problem = load_problem(config.problem)
-        return problem.plane, problem.start
-    if config.layout:
-        plane = read_layout(config.layout, config.preset or None)
-    else:
-        plane = preset(config.preset, config.robots or None)
-    return plane, random_problem(plane, np.random.default_rng(config.seed)).start
+    problem = problem_from(config.problem, config.layout, config.preset, config.robots, config.seed)
+    return problem.plane, problem.start
 
 
 def simulated_buses(

@@ -8,7 +8,10 @@ from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.problem import Problem
 
-__all__ = ["lower_bound_s", "plan_report"]
+__all__ = ["ORDER_BYTES_BOUND", "lower_bound_s", "plan_report"]
+
+# Information in the orders of a robot with one segment per motor: about 35 bits.
+ORDER_BYTES_BOUND = 35 / 8
 
 
 def lower_bound_s(problem: Problem) -> float:

@@ -101,7 +101,8 @@ def _bisect(time_s, profiles, margins, last):
     for i in range(p):
         if used + t > len(flat):
             grown = np.empty(2 * len(flat) + t, np.int64)
-            grown[:used] = flat[:used]
+            for k in range(used):  # a slice assignment compiles for seconds
+                grown[k] = flat[k]
             flat = grown
         flat[used] = 0
         used += 1

@@ -146,11 +146,12 @@ def _hull(points, out):
                 if (v[0] - u[0]) * (p[1] - u[1]) - (v[1] - u[1]) * (p[0] - u[0]) > 0.0:
                     break
                 size -= 1
-            chain[size] = p
+            chain[size, 0], chain[size, 1] = p[0], p[1]
             size += 1
         size -= 1  # the last point of a side is the first of the other
     size = max(size, 1)
     if size == 2 and chain[0, 0] == chain[1, 0] and chain[0, 1] == chain[1, 1]:
         size = 1
-    out[:size] = chain[:size]
+    for k in range(size):  # not as a slice: its overlap check alone compiles for seconds
+        out[k, 0], out[k, 1] = chain[k, 0], chain[k, 1]
     return size
