@@ -27,10 +27,9 @@ from fiber_core.sources import problem_from
 from fiber_core.targets import assign
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import discretize
-from fiber_planner import make_planner, planners
+from fiber_planner import DEFAULT_PLANNER, make_planner, planners
 
 _TICK_S = 0.1  # simulated time between two looks at moving robots
-DEFAULT_PLANNER = "dnf"
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from fiber_core.report import ORDER_BYTES_BOUND, plan_report
 from fiber_core.sources import problem_from
 from fiber_core.tables import read_targets
 from fiber_core.targets import assign
+from fiber_planner import DEFAULT_PLANNER
 from fiber_viewer import before_and_after
 
 __all__ = ["main"]
@@ -89,7 +90,7 @@ def _parser():
     parser.add_argument("--layout", type=Path, help="table of robots instead (CSV, ECSV, FITS)")
     parser.add_argument("--targets", type=Path, help="table id, x_mm, y_mm; by default random")
     parser.add_argument("--seed", type=int, default=0, help="of random starts and targets")
-    parser.add_argument("--planner", default="dnf", help="planner by name, default dnf")
+    parser.add_argument("--planner", default=DEFAULT_PLANNER, help="dnf, dnf_arms, or direct")
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="output folder")
     parser.add_argument(
         "--time-scale",

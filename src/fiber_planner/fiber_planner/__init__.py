@@ -4,9 +4,10 @@ from fiber_planner.dnf import DnfArmsPlanner, DnfParameters, DnfPlanner
 from fiber_planner.errors import PlannerError
 from fiber_planner.goals import choose_goals, lower_bound_s, travel_s
 from fiber_planner.protocol import PlannedMotion, Planner, Progress
-from fiber_planner.registry import make_planner, parameters_of, planners
+from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
 
 __all__ = [
+    "DEFAULT_PLANNER",
     "DnfArmsPlanner",
     "DnfParameters",
     "DnfPlanner",

@@ -19,7 +19,7 @@ from fiber_msgs_py import (
     trajectory,
 )
 from fiber_node import PlaneView, Reporter, declare_settings, run
-from fiber_planner.registry import make_planner, parameters_of, planners
+from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
 
 __all__ = ["PlannerNode", "main"]
 
@@ -34,7 +34,7 @@ class PlannerNode(Node):
     def __init__(self, **options):
         super().__init__("planner", **options)
         about = ParameterDescriptor(description=f"one of {', '.join(planners())}")
-        name = self.declare_parameter("planner", "dnf", about).value
+        name = self.declare_parameter("planner", DEFAULT_PLANNER, about).value
         settings = declare_settings(self, parameters_of(name), name)
         self._planner = make_planner(name, **dataclasses.asdict(settings))
         self._stamp: PlanStamp | None = None

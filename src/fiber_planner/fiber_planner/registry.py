@@ -7,7 +7,9 @@ from fiber_planner.dnf import DnfArmsPlanner, DnfParameters, DnfPlanner
 from fiber_planner.errors import PlannerError
 from fiber_planner.protocol import Planner
 
-__all__ = ["make_planner", "parameters_of", "planners"]
+__all__ = ["DEFAULT_PLANNER", "make_planner", "parameters_of", "planners"]
+
+DEFAULT_PLANNER = "direct"
 
 # name -> (parameters, planner): parameters is the frozen dataclass that owns the
 # defaults and checks the ranges, planner is called with one of them.

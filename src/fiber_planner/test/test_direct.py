@@ -72,7 +72,9 @@ def test_everybody_arrives_as_fast_as_the_slowest_alone(name, robots, seed, rati
     assert np.mean(moving <= 2) > 0.9
 
 
-@pytest.mark.parametrize("name, robots, seed", [("sdss_v", 91, 1), ("sdss_v", 91, 2), ("moons", 60, 3)])
+@pytest.mark.parametrize(
+    "name, robots, seed", [("sdss_v", 91, 1), ("sdss_v", 91, 2), ("moons", 60, 3)]
+)
 def test_heavy_overlap_is_solved_by_folding(name, robots, seed):
     # every point is within reach of three robots: straight moves alone leave many in conflict
     problem = random_problem(preset(name, robots), np.random.default_rng(seed))
@@ -197,6 +199,27 @@ def test_a_small_change_moves_one_robot():
     assert ok.all()
     assert np.flatnonzero((motion.counts > 0).any(axis=1)).tolist() == [17]
     assert motion.makespan_s <= 1.05 * lower_bound_s(change)
+
+
+def test_a_robot_outside_its_limits_is_not_moved():
+    problem = random_problem(preset("desi", 40), np.random.default_rng(18))
+    start = problem.start.copy()
+    start[7, 1] = problem.plane.limits[7, 1, 1] + 0.01
+    problem = Problem(problem.plane, start, problem.targets)
+    planned = DirectPlanner().plan(problem)
+    _, ok = _judge(problem, planned)
+    assert planned.reason[7] == Reason.START_OUTSIDE_LIMITS
+    assert (planned.motion.angles[7] == start[7][:, None]).all()
+    assert ok.sum() >= 38
+
+
+@pytest.mark.parametrize("robots", [0, 1, 2])
+def test_planes_of_hardly_any_robots(robots):
+    plane = preset("pfs", 2).permuted(np.arange(robots))
+    start = np.full((robots, 2), 0.5)
+    problem = Problem(plane, start, kinematics.forward(plane, start + [1.0, 0.3])[1])
+    motion, ok = _judge(problem, DirectPlanner().plan(problem))
+    assert ok.all() and motion.n == robots
 
 
 def test_nobody_moves_where_nothing_is_asked():

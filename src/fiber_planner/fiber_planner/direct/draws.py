@@ -21,7 +21,7 @@ _MIX_2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _mix(z):
     z = (z ^ (z >> _S30)) * _MIX_1
     z = (z ^ (z >> _S27)) * _MIX_2
@@ -43,13 +43,13 @@ def next_uniform(state):
     return float(_mix(state[0]) >> _S11) * (1.0 / 9007199254740992.0)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _whole(state, low, high):
     # uniform in low..high, both included
     return min(high, low + int(next_uniform(state) * (high - low + 1)))
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def least_intervals(turn, per_interval):
     """Return how many whole intervals a joint needs for a turn [rad] at its highest speed."""
     return int(math.ceil(abs(turn) / per_interval - 1e-9))
@@ -169,3 +169,11 @@ def fold_profile(row, s, fold, g, per_interval, state):
     if next_uniform(state) < 0.5:
         b0 -= _whole(state, 0, b0 - a1)
     trapezoid(row, s, v, g, a0, a1, b0, b1)
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def copy_profile(source, target):
+    """Copy the profiles of both joints; both shape (2, k + 1)."""
+    for joint in range(2):  # loops: numba takes seconds to compile an assignment of slices
+        for k in range(source.shape[1]):
+            target[joint, k] = source[joint, k]

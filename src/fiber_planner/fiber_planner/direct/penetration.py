@@ -11,7 +11,7 @@ _DEEPEST = 15.0  # intervals that the greatest depth counts for
 _FAR_MM = 2.0  # gaps beyond required + this need not be known exactly
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _stride(lever, i, q, k):
     # The most any point of a robot is displaced in interval k [mm]. A point of the phi
     # link turns with theta about the centre and with theta + phi about the elbow.

@@ -18,8 +18,8 @@ def straight_pieces(motion: SampledMotion) -> SegmentMotion:
     Args:
         motion: joint profiles; its first instant becomes time zero.
     """
-    n, _, _ = motion.angles.shape
-    offsets, duration, velocity = _pieces(motion.time_s, motion.angles.reshape(2 * n, -1))
+    n, _, samples = motion.angles.shape
+    offsets, duration, velocity = _pieces(motion.time_s, motion.angles.reshape(2 * n, samples))
     return SegmentMotion(motion.start, offsets, duration, velocity)
 
 

@@ -41,6 +41,7 @@ _SWEEPS = (60, 48)  # at each makespan: not folding, folding
 _CERTIFIED_AT_MOST = 8  # rounds of certificate and repair
 _GIVE_UP_ROUNDS = 12
 _LAST_EFFORT = 900  # candidates per robot granted to each of these rounds
+_RESTORE_DRAWS = 300
 _SMALL_PLANE = 100  # the effort granted to a plane of fewer robots
 _EPS_MM = 1e-6
 _MORE_MM = 0.005  # asked for beyond what the certificate misses
@@ -67,15 +68,22 @@ class DirectPlanner:
     def plan(self, problem: Problem, progress: Progress | None = None) -> PlannedMotion:
         """Plan the motion of every robot, see Planner.plan."""
         plane = problem.plane
+        if plane.n == 0:
+            nothing = SampledMotion([0.0], np.zeros((0, 2, 1)))
+            return PlannedMotion(nothing, np.zeros((0, 2)), np.zeros(0))
         # Robots are taken in the order of their places: the plan does not depend on
         # how they are numbered.
         order = np.lexsort([plane.centers[:, 1], plane.centers[:, 0]])
+        # Who stands outside its joint limits may not be moved: an obstacle like the disabled.
+        low, high = np.moveaxis(plane.limits, -1, 0)
+        inside = ((problem.start >= low) & (problem.start <= high)).all(axis=1)
+        movable = plane.with_enabled(plane.enabled & inside)
         sorted_problem = Problem(
-            plane.permuted(order), problem.start[order], problem.targets[order]
+            movable.permuted(order), problem.start[order], problem.targets[order]
         )
-        search = _Search(sorted_problem, self.parameters, progress)
-        motion, goal, reason = search.run()
+        motion, goal, reason = _Search(sorted_problem, self.parameters, progress).run()
         back = np.argsort(order)
+        reason[back[problem.asked & plane.enabled & ~inside]] = Reason.START_OUTSIDE_LIMITS
         return PlannedMotion(
             SampledMotion(motion.time_s, motion.angles[back]), goal[back], reason[back]
         )
@@ -99,12 +107,14 @@ class _Search:
         conflicts = measure(self.crowd, self.draft)
         crowded = conflicts > _CROWDED * self.problem.plane.n
         patience, fold_from = _PATIENCE[int(crowded)], _FOLD_FROM[int(crowded)]
-        for stretch in self._stretches(_STRETCHES[int(crowded)]):
+        stretches = self._stretches(_STRETCHES[int(crowded)])
+        for number, stretch in enumerate(stretches):
             self._stretch_to(stretch)
             if stretch >= fold_from and self.folding == 0.0:
                 conflicts = self._fold_all()
             if self.progress is not None:
-                self.progress(0.0, f"{conflicts} conflicts in {self.makespan_s:.2f} s of motion")
+                part = number / len(stretches)
+                self.progress(part, f"{conflicts} conflicts in {self.makespan_s:.2f} s of motion")
             conflicts = self._certified_repair()
             for _ in range(_GIVE_UP_ROUNDS):
                 if conflicts == 0 or stretch < patience or not self._free_the_worst(self.walled):
@@ -114,10 +124,7 @@ class _Search:
                 break
         if conflicts:
             self._give_up()
-        restore(
-            self.crowd, self.draft, self.step_s, self.folding,
-            self.reason == Reason.NOT_CONVERGED, self.sweep, 300,
-        )  # fmt: skip
+        self._restore()
         return self._finish()
 
     # -- the first draft
@@ -254,6 +261,17 @@ class _Search:
             if self._certified_repair() == 0:
                 return
         self._freeze()
+
+    def _restore(self):
+        # Who was given up goes after all where that meets nobody and is certified.
+        before = [np.copy(column) for column in self.draft]
+        restored = restore(
+            self.crowd, self.draft, self.step_s, self.folding,
+            self.reason == Reason.NOT_CONVERGED, self.sweep, _RESTORE_DRAWS,
+        )  # fmt: skip
+        if restored and self._short().any():
+            for column, old in zip(self.draft, before):
+                column[...] = old
 
     def _free_the_worst(self, among):
         # Of every pair in conflict the robot with most of it may end anywhere, if it is

@@ -49,13 +49,13 @@ def reachable(problem: Problem, pairs, margin_mm: float) -> np.ndarray:
     bodies = bodies_of(plane)
     lever = np.stack([plane.reach_mm, bodies.phi_reach[: plane.n] + plane.phi_radius], axis=1)
     result[robots] = _reachable(
-        bodies, lever, robots, np.append(first, len(both)), both[:, 1], standing,
-        plane.limits, angles, valid, margin_mm,
+        bodies, lever, robots, np.append(first, len(both)), np.ascontiguousarray(both[:, 1]),
+        standing, plane.limits, angles, valid, margin_mm,
     )  # fmt: skip
     return result
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _slack(bodies, i, theta, phi, others, standing, margin, enough):
     # least gap to what stands around, less the margin; `enough` or more need not be exact
     least = enough
@@ -67,12 +67,12 @@ def _slack(bodies, i, theta, phi, others, standing, margin, enough):
     return least
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _cell(value, low, size, count):
     return min(count - 1, max(0, int((value - low) / size)))
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _straight_there(bodies, i, angles, valid, others, standing, margin, size):
     # Whether the straight line to one of the configurations keeps the margin at points less
     # than a cell apart: every cell it passes is open then, and the flood would get through.
