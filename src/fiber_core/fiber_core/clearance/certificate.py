@@ -151,16 +151,18 @@ def moved_disabled(plane: FocalPlane, profiles: Profiles) -> np.ndarray:
 
 def _resolve_smallest(bodies, profiles, pairs, required, minima, tolerance_mm):
     tolerance_mm = max(tolerance_mm, FINEST_MM)
-
-    # Only a pair whose bound is not clear of the smallest gap met can hold the smallest.
-    def open_rows():
-        level = np.maximum(required, minima.best.min(initial=np.inf) + tolerance_mm)
-        found = minima.lower < np.minimum(level, minima.best - 2 * tolerance_mm)
-        return level, np.flatnonzero(found)
-
-    level, rows = open_rows()
-    while len(rows):
+    smallest = minima.best.min(initial=np.inf)
+    level = required.copy()
+    rows = np.arange(len(pairs))
+    while True:
+        # Only a pair whose bound is not clear of the smallest gap met can hold the smallest;
+        # as that only falls, a pair once clear stays clear.
+        level[rows] = np.maximum(required[rows], smallest + tolerance_mm)
+        unclear = np.minimum(level[rows], minima.best[rows] - 2 * tolerance_mm)
+        rows = rows[minima.lower[rows] < unclear]
+        if len(rows) == 0:
+            return
         nearest = rows[np.argmin(minima.best[rows])]
         one = np.array([nearest])
         minimum_gaps(bodies, profiles, pairs, one, level, tolerance_mm, True, minima)
-        level, rows = open_rows()
+        smallest = min(smallest, minima.best[nearest])
