@@ -35,8 +35,9 @@ class PlannerNode(Node):
         super().__init__("planner", **options)
         about = ParameterDescriptor(description=f"one of {', '.join(planners())}")
         name = self.declare_parameter("planner", DEFAULT_PLANNER, about).value
-        settings = declare_settings(self, parameters_of(name), name)
-        self._planner = make_planner(name, **dataclasses.asdict(settings))
+        settings = {each: declare_settings(self, parameters_of(each), each) for each in planners()}
+        chosen = dataclasses.asdict(settings[name]) if name in settings else {}
+        self._planner = make_planner(name, **chosen)
         self._stamp: PlanStamp | None = None
         self._report = Reporter(self, "planner")
         self._view = PlaneView(self, self._report)

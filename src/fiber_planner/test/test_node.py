@@ -122,10 +122,11 @@ def test_an_older_table_is_dropped_and_says_so(rest):
     assert rest.status().values["dropped"] == "2"
 
 
-def test_its_parameters_are_those_of_the_planner_chosen():
+def test_it_declares_the_parameters_of_every_planner_and_uses_those_of_the_one_chosen():
     with Peer("rest") as peer:
         node = peer.host(PlannerNode, planner="direct", direct__seed=4)
         assert node.get_parameter("direct.seed").value == 4
-        assert hasattr(parameters_of("direct")(), "seed") and not node.has_parameter("dnf.lambda1")
+        assert node._planner.parameters == parameters_of("direct")(seed=4)
+        assert node.get_parameter("dnf.lambda1").value == parameters_of("dnf")().lambda1
         with pytest.raises(PlannerError, match="'fastest'"):
             peer.host(PlannerNode, planner="fastest")
