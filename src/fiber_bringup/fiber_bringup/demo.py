@@ -183,7 +183,7 @@ def _figures(report) -> str:
     rows += [(name, report[name], "") for name in ("held", "failed")]
     rows += [
         ("makespan s", f"{report['makespan_s']:.3f}", f"{report['lower_bound_s']:.3f}"),
-        ("least clearance mm", f"{report['min_clearance_mm']:.4f}", f"{report['margin_mm']:.4f}"),
+        ("least clearance mm", _clearance(report), f"{report['margin_mm']:.4f}"),
         ("segments a moving motor", f"{report['segments_mean']:.2f}", "1.00"),
         ("segments at most", report["segments_max"], 1),
         ("bytes an order", f"{report['bytes_mean']:.1f}", f"{report['bytes_bound']:.1f}"),
@@ -196,6 +196,11 @@ def _figures(report) -> str:
         (f"wall time s, {name}", f"{value:.1f}", "") for name, value in report["wall_s"].items()
     ]
     return table(rows)
+
+
+def _clearance(report) -> str:
+    least = report["min_clearance_mm"]
+    return "nobody near" if least is None else f"{least:.4f}"
 
 
 if __name__ == "__main__":
