@@ -3,7 +3,14 @@
 from dataclasses import fields
 
 from fiber_planner.direct import DirectParameters, DirectPlanner
-from fiber_planner.dnf import DnfArmsPlanner, DnfParameters, DnfPlanner
+from fiber_planner.dnf import (
+    DnfArmsPlanner,
+    DnfArmsPriorityPlanner,
+    DnfParameters,
+    DnfPlanner,
+    DnfPriorityParameters,
+    DnfPriorityPlanner,
+)
 from fiber_planner.errors import PlannerError
 from fiber_planner.protocol import Planner
 
@@ -17,6 +24,8 @@ _PLANNERS = {
     "direct": (DirectParameters, DirectPlanner),
     "dnf": (DnfParameters, DnfPlanner),
     "dnf_arms": (DnfParameters, DnfArmsPlanner),
+    "dnf_arms_priority": (DnfPriorityParameters, DnfArmsPriorityPlanner),
+    "dnf_priority": (DnfPriorityParameters, DnfPriorityPlanner),
 }
 
 

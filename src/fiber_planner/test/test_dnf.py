@@ -11,7 +11,8 @@ from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner import lower_bound_s, make_planner
 
-NAMES = ("dnf", "dnf_arms")
+ON_TIPS, ON_ARMS = ("dnf", "dnf_priority"), ("dnf_arms", "dnf_arms_priority")
+NAMES = ON_TIPS + ON_ARMS
 DT = 0.01
 NOTHING = (np.nan, np.nan)
 
@@ -63,8 +64,9 @@ def test_motions_begin_at_the_start_and_the_disabled_never_move(name, crowded_pl
         assert (plan.motion.angles[still] == problem.start[still][..., None]).all()
 
 
-def test_tips_never_come_within_d(crowded_plans, random_field, densely, closest_tips):
-    for problem, plan in crowded_plans("dnf", random_field):
+@pytest.mark.parametrize("name", ON_TIPS)
+def test_tips_never_come_within_d(name, crowded_plans, random_field, densely, closest_tips):
+    for problem, plan in crowded_plans(name, random_field):
         assert closest_tips(problem.plane, densely(plan.motion)) > problem.plane.spacing_mm / 2
 
 
@@ -74,16 +76,18 @@ def test_without_adaptive_steps_they_do(random_field, densely, closest_tips):
     assert closest_tips(problem.plane, densely(plan.motion, 2)) < problem.plane.spacing_mm / 2
 
 
+@pytest.mark.parametrize("name", ON_ARMS)
 @pytest.mark.parametrize("preset", ["pfs", "desi_outlines", "sdss_v"])
-def test_arms_never_come_within_the_margin(preset, random_field, densely):
+def test_arms_never_come_within_the_margin(name, preset, random_field, densely):
     problem = random_field(preset, 60, seed=1)
-    plan = make_planner("dnf_arms").plan(problem)
+    plan = make_planner(name).plan(problem)
     pairs = neighbour_pairs(problem.plane)
     assert sampled_gaps(problem.plane, pairs, densely(plan.motion)).min() > 0.1
     tips_only = make_planner("dnf").plan(problem)
     assert sampled_gaps(problem.plane, pairs, tips_only.motion.angles).min() < 0.0
 
 
+@pytest.mark.parametrize("name", ON_TIPS)
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     angles=st.lists(st.floats(-np.pi, np.pi), min_size=8, max_size=8),
@@ -92,7 +96,7 @@ def test_arms_never_come_within_the_margin(preset, random_field, densely):
     speed=st.floats(1.0, 10.0),
 )
 def test_two_tips_never_come_within_d_whatever_the_step(
-    robots, densely, closest_tips, angles, pitch, dt, speed
+    name, robots, densely, closest_tips, angles, pitch, dt, speed
 ):
     plane = robots(
         [(0, 0), (pitch, 0)],
@@ -103,7 +107,7 @@ def test_two_tips_never_come_within_d_whatever_the_step(
     start, goal = np.reshape(angles, (2, 2, 2))
     targets = kinematics.forward(plane, goal)[1]
     distance = np.linalg.norm(np.subtract(*kinematics.forward(plane, start)[1]))
-    plan = make_planner("dnf", dt_s=dt, horizon_s=40 * dt).plan(Problem(plane, start, targets))
+    plan = make_planner(name, dt_s=dt, horizon_s=40 * dt).plan(Problem(plane, start, targets))
     assert np.isfinite(plan.motion.angles).all()
     if distance > 2.0:
         assert closest_tips(plane, densely(plan.motion)) > 2.0

@@ -45,7 +45,7 @@ def test_push_of_the_tips_is_minus_the_gradient(name, sign, random_field):
     neighbours = TipNeighbours(plane, law)
 
     def push(at):
-        return neighbours.push(at, *kinematics.forward(plane, at))
+        return neighbours.push(at, *kinematics.forward(plane, at), np.zeros(plane.n))
 
     assert_is_gradient(push(angles)[1], lambda at: push(at)[0], angles)
 
@@ -60,7 +60,7 @@ def test_push_of_the_arms_is_minus_the_gradient(name, random_field):
     neighbours._outer[:] = law.outer  # not narrowed to the gaps of the goals
 
     def push(at):
-        return neighbours.push(at, *kinematics.forward(plane, at))
+        return neighbours.push(at, *kinematics.forward(plane, at), np.zeros(plane.n))
 
     assert_is_gradient(push(far)[1], lambda at: push(at)[0], far)
 
@@ -136,11 +136,11 @@ def test_one_robots_turn_uses_up_no_more_than_its_share_of_a_distance(reach, ran
     plane, start = problem.plane, problem.start
     law = Law.of(plane, DnfParameters())
     neighbours = TipNeighbours(plane, law)
-    _, _, contacts = neighbours.push(start, *kinematics.forward(plane, start))
+    _, _, contacts = neighbours.push(start, *kinematics.forward(plane, start), np.zeros(plane.n))
     tightest = 1.0
     for seed in range(8):
         turn = np.random.default_rng(seed).uniform(-reach, reach, start.shape)
-        factor = neighbours.shorten(turn, contacts)
+        factor, _ = neighbours.shorten(turn, contacts)
         for i in range(plane.n):
             x, y = tips_at(plane, moved_alone(start, factor[:, None] * turn, i))
             apart = np.delete(np.hypot(x - x[i], y - y[i]), i, axis=0)
@@ -157,12 +157,12 @@ def test_one_robots_turn_uses_up_no_more_than_its_share_of_a_gap(name, reach, ra
     plane, start = problem.plane, problem.start
     law = Law.of(plane, DnfParameters(dt_s=2 * reach / plane.speeds.min()))
     neighbours = ArmNeighbours(plane, start, start, law, margin_mm=0.1)
-    _, _, contacts = neighbours.push(start, *kinematics.forward(plane, start))
+    _, _, contacts = neighbours.push(start, *kinematics.forward(plane, start), np.zeros(plane.n))
     pairs = neighbour_pairs(plane)
     tightest = 1.0
     for seed in range(4):
         turn = np.random.default_rng(seed).uniform(-reach, reach, start.shape)
-        factor = neighbours.shorten(turn, contacts)
+        factor, _ = neighbours.shorten(turn, contacts)
         for i in range(plane.n):
             with_i = pairs[(pairs == i).any(axis=1)]
             gaps = sampled_gaps(plane, with_i, moved_alone(start, factor[:, None] * turn, i))

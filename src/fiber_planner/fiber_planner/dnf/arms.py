@@ -30,7 +30,7 @@ from fiber_core.clearance import bodies_of, gaps, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.dnf.law import Law, repulsion
 from fiber_planner.dnf.step import longest_step
-from fiber_planner.dnf.tips import SHARE
+from fiber_planner.dnf.tips import ROUNDING_MM, SHARE
 
 __all__ = ["ArmNeighbours"]
 
@@ -71,13 +71,14 @@ class ArmNeighbours:
         at_goal = gaps(plane, self._pairs, goal) - margin_mm
         self._outer = law.inner + np.clip(at_goal, 0.0, law.outer - law.inner)
 
-    def push(self, angles, elbows, tips):
+    def push(self, angles, elbows, tips, ranks):
         """Return the repulsion each robot feels.
 
         Args:
             angles: joint angles [rad], shape (n, 2).
             elbows: the elbows there [mm], shape (n, 2).
             tips: the tips there [mm], shape (n, 2); not used.
+            ranks: shape (n,); a robot does not feel those of lower rank.
 
         Returns:
             Potential [1/s], shape (n,), minus its gradient by the robot's own joints
@@ -91,12 +92,16 @@ class ArmNeighbours:
             self._margin, self._range,
         )  # fmt: skip
         potential, push = _push(
-            contacts, self._offsets, self._edges, self._outer, elbows, plane.centers, self._law
-        )
+            contacts, self._pairs, self._offsets, self._edges, self._outer,
+            elbows, plane.centers, ranks, self._law,
+        )  # fmt: skip
         return potential, push, (contacts, phi, theta, elbows)
 
-    def shorten(self, turn, contacts) -> np.ndarray:
-        """Return which part of its turn each robot may make, shape (n,).
+    def shorten(self, turn, contacts) -> tuple[np.ndarray, np.ndarray]:
+        """Return which part of its turn each robot may make, and who leaves it no more.
+
+        The row of the neighbour, n and more for an obstacle, is -1 where the whole turn
+        may be made. Both have shape (n,).
 
         Args:
             turn: turns wanted [rad], shape (n, 2).
@@ -104,7 +109,7 @@ class ArmNeighbours:
         """
         bodies = self._bodies
         return _factors(
-            *contacts, turn, self._offsets, self._edges,
+            *contacts, turn, self._pairs, self._offsets, self._edges,
             bodies.center, bodies.arm1, bodies.phi_count, bodies.theta_count,
         )  # fmt: skip
 
@@ -238,12 +243,15 @@ def _on_edge(point, start, end):
 
 
 @nb.njit(cache=True)
-def _push(contacts, offsets, edges, outer, elbows, centers, law):
+def _push(contacts, pairs, offsets, edges, outer, elbows, centers, ranks, law):
     n = len(elbows)
     potential, push = np.zeros(n), np.zeros((n, 2))
     for i in range(n):
         for e in range(offsets[i], offsets[i + 1]):
             pair, second = edges[e] >> 1, edges[e] & 1
+            j = pairs[pair, 1 - second]
+            if j < n and ranks[j] < ranks[i]:
+                continue
             for c in range(_CONTACTS):
                 gap = contacts[pair, c, 0]
                 r = law.inner + gap
@@ -262,9 +270,10 @@ def _push(contacts, offsets, edges, outer, elbows, centers, law):
 
 @nb.njit(cache=True)
 def _factors(
-    contacts, phi, theta, elbows, turn, offsets, edges, centers, arm1, phi_count, theta_count
-):
-    factors = np.ones(len(turn))
+    contacts, phi, theta, elbows, turn, pairs, offsets, edges,
+    centers, arm1, phi_count, theta_count,
+):  # fmt: skip
+    factors, nearest = np.ones(len(turn)), np.full(len(turn), -1)
     for i in range(len(turn)):
         h, k = turn[i]
         if h == 0.0 and k == 0.0:
@@ -285,6 +294,7 @@ def _factors(
                 ox, oy = (cx, cy) if of_theta else (elbows[i, 0], elbows[i, 1])
                 spin = h if of_theta else h + k
                 bend = 0.0 if of_theta else arm1[i] * h * h
+                share = SHARE * max(gap - ROUNDING_MM, 0.0)
                 for v in range(theta_count[i] if of_theta else phi_count[i]):
                     vx, vy = hull[v, 0], hull[v, 1]
                     lx, ly = vx - ox, vy - oy
@@ -293,6 +303,7 @@ def _factors(
                     my = (ox - cx) * h + lx * spin
                     curve = bend + math.sqrt(lx * lx + ly * ly) * spin * spin
                     slack = max(nx * (vx - x) + ny * (vy - y), 0.0)
-                    part = longest_step(-(nx * mx + ny * my), curve, SHARE * max(gap, 0.0) + slack)
-                    factors[i] = min(factors[i], part)
-    return factors
+                    part = longest_step(-(nx * mx + ny * my), curve, share + slack)
+                    if part < factors[i]:
+                        factors[i], nearest[i] = part, pairs[pair, 1 - second]
+    return factors, nearest

@@ -1,17 +1,18 @@
 """Parameters of the decentralized navigation function, their defaults and ranges."""
 
 from dataclasses import dataclass
-from numbers import Real
+from numbers import Integral, Real
 
 import numpy as np
 
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.errors import PlannerError
 
-__all__ = ["DnfParameters"]
+__all__ = ["DnfParameters", "DnfPriorityParameters"]
 
 _PAPER_SPEED = np.pi  # [rad/s] 30 rpm, the speed for which the paper chose 10 ms
 _PAPER_STEP_S = 0.01
+_PATIENCE_S, _YIELD_S = 0.05, 0.3
 _LEAST_HORIZON_S = 2.5  # the motion time the paper announces
 _HORIZON_RATIO = 3.0
 
@@ -96,11 +97,61 @@ class DnfParameters:
         """Return the time step for a plane [s]."""
         if self.dt_s is not None:
             return float(self.dt_s)
-        fastest = float(plane.speeds.max(initial=0.0)) or _PAPER_SPEED
-        return _PAPER_STEP_S * max(1, round(_PAPER_SPEED / fastest))
+        return _PAPER_STEP_S * _slowness(plane.speeds)
 
     def end_s(self, alone_s: float) -> float:
         """Return the horizon [s] when the slowest robot alone would need alone_s [s]."""
         if self.horizon_s is not None:
             return float(self.horizon_s)
         return max(_LEAST_HORIZON_S, _HORIZON_RATIO * alone_s)
+
+
+@dataclass(frozen=True)
+class DnfPriorityParameters(DnfParameters):
+    """Parameters of the law with priorities: besides those of the law, how robots give way.
+
+    Args:
+        patience_s: how long a robot stands still before it claims the way [s]; None for
+            50 ms at 180 deg/s, longer in proportion where the fastest joint is slower.
+        yield_s: how long a robot gives way, and how long one that claims the way presses on
+            without success [s]; None for 300 ms at 180 deg/s, in proportion likewise.
+        claims: how often a robot may claim the way before it is given up.
+
+    Raises:
+        PlannerError: a value is out of range, attraction is not 'joint' (a folded arm is
+            a configuration), or steps are not adaptive (they show who is hindered by whom).
+    """
+
+    patience_s: float | None = None
+    yield_s: float | None = None
+    claims: int = 5
+
+    def __post_init__(self):
+        super().__post_init__()
+        for name in ("patience_s", "yield_s"):
+            value = getattr(self, name)
+            if value is not None and not (
+                isinstance(value, Real) and np.isfinite(value) and value > 0
+            ):
+                raise PlannerError(f"{name} is {value}, expected a number above zero")
+        if not isinstance(self.claims, Integral) or self.claims < 0:
+            raise PlannerError(f"claims is {self.claims!r}, expected a whole number, at least zero")
+        if self.attraction != "joint" or not self.adaptive:
+            raise PlannerError(
+                f"attraction is {self.attraction!r} and adaptive is {self.adaptive}, "
+                "priorities work with 'joint' and True"
+            )
+
+    def waits_s(self, speeds) -> tuple[float, float]:
+        """Return patience and time of giving way [s] for speed limits [rad/s], shape (n, 2)."""
+        slowness = _slowness(speeds)
+        return (
+            _PATIENCE_S * slowness if self.patience_s is None else float(self.patience_s),
+            _YIELD_S * slowness if self.yield_s is None else float(self.yield_s),
+        )
+
+
+def _slowness(speeds):
+    # how many times slower than the paper's robots the fastest joint is
+    fastest = float(np.max(speeds, initial=0.0)) or _PAPER_SPEED
+    return max(1, round(_PAPER_SPEED / fastest))

@@ -8,16 +8,16 @@ from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner.dnf.arms import ArmNeighbours
 from fiber_planner.dnf.law import Law, Swarm
-from fiber_planner.dnf.parameters import DnfParameters
+from fiber_planner.dnf.parameters import DnfParameters, DnfPriorityParameters
+from fiber_planner.dnf.priority import Equals, Priorities
 from fiber_planner.dnf.step import places, turned, turns
 from fiber_planner.dnf.tips import TipNeighbours
 from fiber_planner.goals import choose_goals, travel_s
 from fiber_planner.protocol import PlannedMotion, Progress
 
-__all__ = ["DnfArmsPlanner", "DnfPlanner"]
+__all__ = ["DnfArmsPlanner", "DnfArmsPriorityPlanner", "DnfPlanner", "DnfPriorityPlanner"]
 
 _STEPS_PER_REPORT = 25
-_STILL = 1e-4  # of the speed limits: where nobody is faster, nothing more will happen
 
 
 class DnfPlanner:
@@ -53,31 +53,37 @@ class DnfPlanner:
     def _neighbours(self, problem, goal, law):
         return TipNeighbours(problem.plane, law)
 
+    def _order(self, swarm, alone_s, law):
+        return Equals(swarm, law.dt)
+
     def _follow(self, problem, goal, law, progress):
         # steps of the law until everybody is home, nobody moves, or the horizon
         plane = problem.plane
         neighbours = self._neighbours(problem, goal, law)
         swarm = Swarm.of(plane, problem.start, goal, plane.enabled & ~neighbours.stuck)
-        horizon_s = self.parameters.end_s(travel_s(problem, goal).max(initial=0.0))
+        alone_s = travel_s(problem, goal)
+        order = self._order(swarm, alone_s, law)
+        towards_aim = swarm._replace(goal=order.aim)
+        horizon_s = self.parameters.end_s(alone_s.max(initial=0.0))
         steps = max(1, int(np.ceil(horizon_s / law.dt - 1e-9)))
-        slowest = _STILL * law.dt * plane.speeds
 
         angles = np.array(problem.start)
         history = [angles]
         while len(history) <= steps:
             elbows, tips = places(angles, swarm)
-            _, push, contacts = neighbours.push(angles, elbows, tips)
-            turn, lands = turns(angles, elbows, tips, push, swarm, law)
-            part = np.ones(plane.n)
+            _, push, contacts = neighbours.push(angles, elbows, tips, order.ranks)
+            turn, lands = turns(angles, elbows, tips, push, towards_aim, law)
+            part, hinderer = np.ones(plane.n), np.full(plane.n, -1)
             if law.adaptive:
-                part = neighbours.shorten(turn, contacts)
-            after = turned(angles, turn, lands, part, swarm)
-            moved, angles = np.abs(after - angles), after
+                part, hinderer = neighbours.shorten(turn, contacts)
+            after = turned(angles, turn, lands, part, towards_aim)
+            last = order.watch(angles, after, part, hinderer)
+            angles = after
             history.append(angles)
             if progress is not None and len(history) % _STEPS_PER_REPORT == 0:
                 done = len(history) - 1
                 progress(done / steps, f"{done * law.dt:.2f} s of motion")
-            if (moved <= slowest).all() or self._home(angles, swarm, law):
+            if last or self._home(angles, swarm, law):
                 break
         return SampledMotion(law.dt * np.arange(len(history)), np.stack(history, axis=-1))
 
@@ -101,3 +107,26 @@ class DnfArmsPlanner(DnfPlanner):
 
     def _neighbours(self, problem, goal, law):
         return ArmNeighbours(problem.plane, problem.start, goal, law, self.parameters.margin_mm)
+
+
+class DnfPriorityPlanner(DnfPlanner):
+    """The same law between tips, with priorities where robots block each other.
+
+    Args:
+        parameters: those of the law, and how the robots wait and give way.
+    """
+
+    name = "dnf_priority"
+
+    def __init__(self, parameters: DnfPriorityParameters | None = None):
+        super().__init__(parameters or DnfPriorityParameters())
+
+    def _order(self, swarm, alone_s, law):
+        patience_s, yield_s = self.parameters.waits_s(swarm.speed)
+        return Priorities(swarm, alone_s, law.dt, patience_s, yield_s, self.parameters.claims)
+
+
+class DnfArmsPriorityPlanner(DnfPriorityPlanner, DnfArmsPlanner):
+    """The law between whole arms, with priorities where robots block each other."""
+
+    name = "dnf_arms_priority"

@@ -32,9 +32,10 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_planner.dnf.law import Law, repulsion, to_joints
 from fiber_planner.dnf.step import longest_step
 
-__all__ = ["SHARE", "TipNeighbours"]
+__all__ = ["ROUNDING_MM", "SHARE", "TipNeighbours"]
 
 SHARE = 0.4  # of what is left between two neighbours, what one of them may use up in a step
+ROUNDING_MM = 1e-9  # of what is left, never used: who presses for long comes that near to d
 
 
 class TipNeighbours:
@@ -58,13 +59,14 @@ class TipNeighbours:
         # neighbours of robot i: rows[offsets[i] : offsets[i + 1]], obstacles from n on
         self._offsets, self._rows = _near(places, reaches, law.outer, plane.n)
 
-    def push(self, angles, elbows, tips):
+    def push(self, angles, elbows, tips, ranks):
         """Return the repulsion each robot feels.
 
         Args:
             angles: joint angles [rad], shape (n, 2); not used.
             elbows: the elbows there [mm], shape (n, 2).
             tips: the tips there [mm], shape (n, 2).
+            ranks: shape (n,); a robot does not feel those of lower rank.
 
         Returns:
             Potential [1/s], shape (n,), minus its gradient by the robot's own joints
@@ -73,12 +75,15 @@ class TipNeighbours:
         spots = np.concatenate([tips, self._plane.obstacles[:, :2]])
         potential, push = _push(
             spots, self._shrink, self._offsets, self._rows,
-            elbows, self._plane.centers, self._law,
+            elbows, self._plane.centers, ranks, self._law,
         )  # fmt: skip
         return potential, push, (spots, elbows)
 
-    def shorten(self, turn, contacts) -> np.ndarray:
-        """Return which part of its turn each robot may make, shape (n,).
+    def shorten(self, turn, contacts) -> tuple[np.ndarray, np.ndarray]:
+        """Return which part of its turn each robot may make, and who leaves it no more.
+
+        The row of the neighbour, n and more for an obstacle, is -1 where the whole turn
+        may be made. Both have shape (n,).
 
         Args:
             turn: turns wanted [rad], shape (n, 2).
@@ -107,7 +112,7 @@ def _near(places, reaches, outer, n):
 
 
 @nb.njit(cache=True)
-def _push(spots, shrink, offsets, rows, elbows, centers, law):
+def _push(spots, shrink, offsets, rows, elbows, centers, ranks, law):
     n = len(elbows)
     potential, push = np.zeros(n), np.zeros((n, 2))
     for i in range(n):
@@ -115,6 +120,8 @@ def _push(spots, shrink, offsets, rows, elbows, centers, law):
         fx = fy = 0.0
         for e in range(offsets[i], offsets[i + 1]):
             j = rows[e]
+            if j < n and ranks[j] < ranks[i]:
+                continue
             dx, dy = x - spots[j, 0], y - spots[j, 1]
             square = dx * dx + dy * dy
             beyond = max(law.outer + shrink[j], 0.0)
@@ -133,7 +140,7 @@ def _push(spots, shrink, offsets, rows, elbows, centers, law):
 
 @nb.njit(cache=True)
 def _factors(spots, elbows, turn, shrink, offsets, rows, centers, arms, inner):
-    factors = np.ones(len(elbows))
+    factors, nearest = np.ones(len(elbows)), np.full(len(elbows), -1)
     for i in range(len(elbows)):
         h, k = turn[i]
         if h == 0.0 and k == 0.0:
@@ -153,6 +160,8 @@ def _factors(spots, elbows, turn, shrink, offsets, rows, centers, arms, inner):
                 continue
             length = math.sqrt(square)
             closing = -(dx * mx + dy * my) / length if length > 0.0 else 0.0
-            allowed = SHARE * (length - shrink[j] - inner)
-            factors[i] = min(factors[i], longest_step(closing, bend, allowed))
-    return factors
+            allowed = SHARE * (length - shrink[j] - inner - ROUNDING_MM)
+            part = longest_step(closing, bend, allowed)
+            if part < factors[i]:
+                factors[i], nearest[i] = part, j
+    return factors, nearest
