@@ -115,6 +115,18 @@ def test_a_home_robot_makes_way_and_comes_back(robots, densely, closest_tips):
         assert closest_tips(plane, densely(plan.motion)) > 2.0
 
 
+@pytest.mark.parametrize("name", ["dnf", "dnf_arms"])
+def test_who_goes_first_does_not_depend_on_numbers(name, random_field):
+    problem = random_field("pfs", 200, seed=1)
+    plan = make_planner(f"{name}_priority").plan(problem)
+    assert (make_planner(name).plan(problem).reason != Reason.OK).any()  # claims are made
+    order = np.random.default_rng(0).permutation(problem.plane.n)
+    shuffled = Problem(problem.plane.permuted(order), problem.start[order], problem.targets[order])
+    other = make_planner(f"{name}_priority").plan(shuffled)
+    assert np.array_equal(plan.reason[order], other.reason)
+    np.testing.assert_allclose(plan.motion.angles[order], other.motion.angles, rtol=0, atol=1e-6)
+
+
 def neighbours_of(kind, problem, law):
     if kind == "tips":
         return TipNeighbours(problem.plane, law)
