@@ -71,6 +71,7 @@ class PlannerNode(Node):
         reason = np.where(assignment.refused, assignment.reason, planned.reason)
         holds = ~np.isin(reason, (Reason.OK, Reason.NO_TARGET))
         ids = problem.plane.ids
+        self._warn_of(planned.tangled, ids, stamp)
         self._held.publish(held.encode(ids[holds], reason[holds], Stage.PLANNER, stamp))
         self._trajectory.publish(trajectory.encode(ids, planned.motion, stamp))
         arriving, makespan_s = int((reason == Reason.OK).sum()), planned.motion.makespan_s
@@ -78,11 +79,20 @@ class PlannerNode(Node):
             "plan": stamp,
             "arriving": arriving,
             "held": int(holds.sum()),
+            "tangled": len(planned.tangled),
             "makespan_s": f"{makespan_s:.3f}",
         }
         self._report.done(
             stamp, f"{arriving} robots arrive in {makespan_s:.2f} s, {holds.sum()} held"
         )
+
+    def _warn_of(self, tangled, ids, stamp):
+        for pair in tangled:
+            names = " and ".join(
+                f"robot {ids[row]}" if row < len(ids) else f"obstacle {row - len(ids)}"
+                for row in pair
+            )
+            self.get_logger().warning(f"plan {stamp}: {names} start too close to each other")
 
 
 def main(args=None) -> int:

@@ -1,7 +1,7 @@
 """What every planner takes and gives."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -26,6 +26,8 @@ class PlannedMotion:
             nothing is asked of it or nothing can be done for it.
         reason: fiber_core.outcomes.Reason of each robot, shape (n,): OK (it arrives),
             NO_TARGET, GOAL_BLOCKED or NOT_CONVERGED.
+        tangled: pairs that start closer than they may come, rows a < b of robots and
+            obstacles, shape (k, 2); the plan never brings them closer.
 
     Raises:
         PlannerError: the shapes do not belong to the same plane.
@@ -34,10 +36,15 @@ class PlannedMotion:
     motion: SampledMotion
     goal: np.ndarray
     reason: np.ndarray
+    tangled: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self):
         n = self.motion.n
-        for name, dtype, shape in (("goal", float, (n, 2)), ("reason", np.int64, (n,))):
+        for name, dtype, shape in (
+            ("goal", float, (n, 2)),
+            ("reason", np.int64, (n,)),
+            ("tangled", np.int64, (len(self.tangled), 2)),
+        ):
             value = np.array(getattr(self, name), dtype=dtype, order="C")
             if value.shape != shape:
                 raise PlannerError(f"{name} has shape {value.shape}, expected {shape}")

@@ -12,8 +12,11 @@ from fiber_core.presets import PRESETS, plane_from, preset
 from fiber_core.problem import Problem
 from fiber_planner.direct import reachable, straight_pieces
 from fiber_planner.direct.crowd import crowd_of, place_keys
+from fiber_planner.direct.draft import Draft, measure
 from fiber_planner.direct.draws import fold_profile, next_uniform, seeded, via_profile, window
+from fiber_planner.direct.grid import TimeGrid, time_grid
 from fiber_planner.direct.penetration import _DEEPEST, penetration
+from fiber_planner.direct.simplify import simplify
 
 _STEPS = 24
 
@@ -71,7 +74,7 @@ def test_penetration_agrees_with_dense_sampling(name):
     required, seen = 0.1, 0
     for _ in range(150):
         a, b = facing[:, :, None] + np.cumsum(rng.normal(0, 0.15, (2, 2, _STEPS + 1)), 2)
-        found = penetration(crowd.bodies, crowd.lever, 0, 1, a, b, required, np.inf)
+        found = penetration(crowd.bodies, crowd.lever, 0, 1, a, b, required, 0.0, 0, np.inf)
         fine = np.linspace(0, _STEPS, 40 * _STEPS + 1)
         ta, pa, tb, pb = (np.interp(fine, np.arange(_STEPS + 1), x) for x in (*a, *b))
         gap = np.array([pair_gap(crowd.bodies, 0, 1, *q) for q in zip(ta, pa, tb, pb)])
@@ -84,9 +87,8 @@ def test_penetration_agrees_with_dense_sampling(name):
             assert found > 0.0
         assert found == pytest.approx(integral, rel=0.3, abs=_DEEPEST * 0.15)
         if found > 0.0:
-            assert (
-                penetration(crowd.bodies, crowd.lever, 0, 1, a, b, required, found / 3) > found / 3
-            )
+            part = penetration(crowd.bodies, crowd.lever, 0, 1, a, b, required, 0.0, 0, found / 3)
+            assert part > found / 3
     assert seen > 20
 
 
@@ -146,3 +148,63 @@ def test_reachable_needs_no_neighbours():
     assert reachable(problem, neighbour_pairs(plane), 0.05).all()
     nothing = Problem(plane, problem.start, np.full((40, 2), np.nan))
     assert not reachable(nothing, neighbour_pairs(plane), 0.05).any()
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    least_s=st.floats(1e-4, 1e3), tick_s=st.floats(1e-3, 0.1), wanted=st.integers(4, 200)
+)  # fmt: skip
+def test_a_grid_lasts_long_enough_and_hardly_longer(least_s, tick_s, wanted):
+    grid = time_grid(least_s, tick_s, wanted)
+    ticks = least_s / tick_s
+    assert grid.makespan_s >= least_s * (1 - 1e-9)
+    assert grid.intervals >= 4 and grid.ticks >= 1
+    if ticks > wanted:
+        assert 0.5 * wanted <= grid.intervals <= 1.5 * wanted + 1
+    if ticks > 4:
+        assert grid.makespan_s <= least_s + max(2 * tick_s, 0.02 * least_s)
+    longer = grid.lasting(1.3 * least_s)
+    assert longer.ticks == grid.ticks
+    assert 1.3 * least_s * (1 - 1e-9) <= longer.makespan_s
+    assert longer.makespan_s <= max(grid.makespan_s, 1.3 * least_s + grid.step_s * (1 + 1e-9))
+
+
+def test_a_grid_can_only_grow():
+    assert TimeGrid(0.004, 10, 50).lasting(0.1) == TimeGrid(0.004, 10, 50)
+
+
+def _draft(crowd, q, required):
+    pairs = len(crowd.pairs)
+    return Draft(
+        q, np.zeros(len(q), dtype=np.int64), np.full(pairs, required), np.full(pairs, required),
+        np.zeros(pairs, dtype=np.int64), np.ones(pairs), np.zeros(pairs),
+        np.full((len(q), 2), 5),
+    )  # fmt: skip
+
+
+def test_a_detour_nobody_needs_becomes_a_line_and_one_that_is_needed_stays():
+    ahead = np.array([[0.8, 0.0], [np.pi, 0.0]])
+    plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
+    crowd = crowd_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
+    time = np.arange(_STEPS + 1)
+    q = np.repeat(ahead[:, :, None], _STEPS + 1, axis=2)
+    q[0, 0] = np.interp(time, [0, 16, _STEPS], [0.8, 0.8, -0.5])
+    draft = _draft(crowd, q.copy(), 0.1)
+    assert measure(crowd, draft) == 1  # robot 1 stands in the way
+
+    q[1, 0] = np.interp(time, [0, 4, 16], [0.0, 0.3, -1.0])  # it looks the other way
+    draft = _draft(crowd, q.copy(), 0.1)
+    assert measure(crowd, draft) == 0
+    assert simplify(crowd, draft) == 2
+    assert measure(crowd, draft) == 0
+    assert np.allclose(draft.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
+    assert np.allclose(draft.q[1, 0], np.linspace(0.0, -1.0, _STEPS + 1))
+    assert (draft.legs == 0).all()
+
+    q[1, 0] = np.interp(time, [0, 8, 16], [np.pi, np.pi, np.pi + 1.5])  # it leaves first
+    draft = _draft(crowd, q.copy(), 0.1)
+    assert measure(crowd, draft) == 0
+    simplify(crowd, draft)
+    assert measure(crowd, draft) == 0
+    assert np.array_equal(draft.q[0], q[0])  # and is waited for
+    assert np.array_equal(draft.q[:, :, [0, -1]], q[:, :, [0, -1]])

@@ -14,6 +14,7 @@ __all__ = ["Crowd", "crowd_of", "place_keys"]
 _MOST_OPTIONS = 6
 _FOLDED_RAD = np.deg2rad(135.0)
 _ON_TARGET_MM = 1e-3  # a fibre this near to its target stays where it is
+_SAME_RAD = 1e-9  # a joint this near to its end stays where it is
 
 
 class Crowd(NamedTuple):
@@ -122,7 +123,9 @@ def _options(problem):
     plane = problem.plane
     angles, valid = kinematics.inverse(plane, problem.targets)
     valid &= plane.enabled[:, None]
-    time = (np.abs(angles - problem.start[:, None]) / plane.speeds[:, None]).max(axis=2)
+    start = problem.start[:, None]
+    angles = np.where(np.abs(angles - start) <= _SAME_RAD, start, angles)
+    time = (np.abs(angles - start) / plane.speeds[:, None]).max(axis=2)
     order = np.argsort(np.where(valid, time, np.inf), axis=1, kind="stable")[:, :_MOST_OPTIONS]
     option = np.take_along_axis(angles, order[:, :, None], axis=1)
     options = np.minimum(valid.sum(axis=1), _MOST_OPTIONS)

@@ -26,6 +26,8 @@ class DirectParameters:
             they take.
         effort: candidate profiles that may be weighed, per robot of the plane. It
             bounds the computing time without a clock, so that a plan is repeatable.
+        budget_s: computing time after which the best certified plan found so far is
+            returned [s]. What is found by then depends on the machine.
         seed: of the draws.
 
     Raises:
@@ -39,6 +41,7 @@ class DirectParameters:
     intervals: int = 48
     stretch: float = 2.2
     effort: float = 5000.0
+    budget_s: float = float("inf")
     seed: int = 0
 
     def __post_init__(self):
@@ -48,6 +51,8 @@ class DirectParameters:
                 raise PlannerError(f"{name} is {value}, expected zero or more")
         if not (np.isfinite(self.stretch) and self.stretch >= 1):
             raise PlannerError(f"stretch is {self.stretch}, expected 1 or more")
+        if not self.budget_s >= 0:
+            raise PlannerError(f"budget_s is {self.budget_s}, expected zero or more")
         for name, low, high in (("intervals", 4, 1024), ("seed", 0, 2**32 - 1)):
             value = getattr(self, name)
             if value != int(value) or not low <= value <= high:

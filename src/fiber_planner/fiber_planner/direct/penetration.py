@@ -22,7 +22,7 @@ def _stride(lever, i, q, k):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def penetration(bodies, lever, a, b, qa, qb, required, limit):
+def penetration(bodies, lever, a, b, qa, qb, required, early, release, limit):
     """Return how much two robots are in each other's way during a move; 0 where they are not.
 
     It is the integral of max(0, required - gap) [mm x intervals] plus some intervals of
@@ -40,6 +40,8 @@ def penetration(bodies, lever, a, b, qa, qb, required, limit):
         a, b: rows of the two bodies.
         qa, qb: their joint angles on the common grid [rad], shape (2, k + 1).
         required: gap they must keep [mm].
+        early: gap they must keep before the grid time `release` [mm], at most required.
+        release: grid time, 0 where they must keep all of it from the start.
         limit: value beyond which the exact result is of no interest.
     """
     last = qa.shape[1] - 1
@@ -53,10 +55,8 @@ def penetration(bodies, lever, a, b, qa, qb, required, limit):
             phi_a = qa[1, k] + w * (qa[1, k + 1] - qa[1, k])
             theta_b = qb[0, k] + w * (qb[0, k + 1] - qb[0, k])
             phi_b = qb[1, k] + w * (qb[1, k + 1] - qb[1, k])
-        slack = (
-            pair_gap_below(bodies, a, b, theta_a, phi_a, theta_b, phi_b, required + _FAR_MM)
-            - required
-        )
+        need = early if k < release else required
+        slack = pair_gap_below(bodies, a, b, theta_a, phi_a, theta_b, phi_b, need + _FAR_MM) - need
         if k == last:
             return total + max(0.0, -slack) + _DEEPEST * max(deepest, -slack)
         if slack < 0.0:
@@ -80,3 +80,5 @@ def penetration(bodies, lever, a, b, qa, qb, required, limit):
                     break
                 slack -= (1.0 - w) * stride
                 k, w = k + 1, 0.0
+                if k == release:
+                    break

@@ -1,0 +1,108 @@
+"""A plan in the making, and what one robot's profile means to its neighbours."""
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+
+from fiber_planner.direct.draws import copy_profile
+from fiber_planner.direct.penetration import penetration
+
+__all__ = ["Draft", "adopt", "count_conflicts", "measure", "most_neighbours", "weigh"]
+
+
+class Draft(NamedTuple):
+    """A plan in the making; all arrays are written by the search.
+
+    Args:
+        q: joint angles on the common grid [rad], shape (b, 2, k + 1), obstacles included.
+        choice: the option each robot ends in, -1 where it may end anywhere, shape (n,).
+        required: gap each pair must keep [mm], shape (p,).
+        early: gap it must keep at first [mm], less where it starts too close, shape (p,).
+        release: grid time from which on it must keep all of it, shape (p,).
+        weight: what the search makes of each pair's conflict, shape (p,).
+        depth: penetration of each pair [mm x intervals], shape (p,).
+        legs: grid times between which an arm is folded, 0, 0 where it is not planned so,
+            shape (n, 2).
+    """
+
+    q: np.ndarray
+    choice: np.ndarray
+    required: np.ndarray
+    early: np.ndarray
+    release: np.ndarray
+    weight: np.ndarray
+    depth: np.ndarray
+    legs: np.ndarray
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _depth(crowd, draft, p, qa, qb, limit):
+    a, b = crowd.pairs[p]
+    return penetration(
+        crowd.bodies, crowd.lever, a, b, qa, qb,
+        draft.required[p], draft.early[p], draft.release[p], limit,
+    )  # fmt: skip
+
+
+@nb.njit(cache=True, error_model="numpy")
+def measure(crowd, draft):
+    """Measure the penetration of every pair anew; return how many pairs are in conflict."""
+    for p in range(len(crowd.pairs)):
+        a, b = crowd.pairs[p]
+        draft.depth[p] = _depth(crowd, draft, p, draft.q[a], draft.q[b], np.inf)
+    return count_conflicts(draft)
+
+
+@nb.njit(cache=True)
+def count_conflicts(draft):
+    """Return how many pairs are in conflict as far as measured."""
+    count = 0
+    for p in range(len(draft.depth)):
+        if draft.depth[p] > 0.0:
+            count += 1
+    return count
+
+
+@nb.njit(cache=True)
+def most_neighbours(crowd):
+    """Return the most neighbours a body has: room for the depths of weigh."""
+    most = 0
+    for i in range(len(crowd.offsets) - 1):
+        most = max(most, crowd.offsets[i + 1] - crowd.offsets[i])
+    return most
+
+
+@nb.njit(cache=True, error_model="numpy")
+def weigh(crowd, draft, i, profile, best, depths):
+    """Return the weighted penetration of a robot with another profile.
+
+    Args:
+        crowd: the robots.
+        draft: the plan of all others.
+        i: row of the robot.
+        profile: its joint angles on the grid [rad], shape (2, k + 1).
+        best: value beyond which the exact result is of no interest.
+        depths: penetration with each neighbour, written as far as looked at.
+    """
+    total = 0.0
+    for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
+        p = crowd.pair[e]
+        limit = (best - total) / draft.weight[p]
+        a, b = crowd.pairs[p]  # always in this order: no digit depends on who is asking
+        qa = profile if a == i else draft.q[a]
+        qb = profile if b == i else draft.q[b]
+        depth = _depth(crowd, draft, p, qa, qb, limit)
+        depths[e - crowd.offsets[i]] = depth
+        total += draft.weight[p] * depth
+        if total > best:
+            return total
+    return total
+
+
+@nb.njit(cache=True, error_model="numpy")
+def adopt(crowd, draft, i, profile, depths):
+    """Give a robot a profile whose penetrations weigh has written."""
+    copy_profile(profile, draft.q[i])
+    for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
+        draft.depth[crowd.pair[e]] = depths[e - crowd.offsets[i]]

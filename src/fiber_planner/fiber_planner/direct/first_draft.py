@@ -1,0 +1,127 @@
+"""The first draft of a plan: who ends where, everybody straight, what must stay apart."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fiber_core.clearance import gaps
+from fiber_core.outcomes import Reason
+from fiber_core.problem import Problem
+from fiber_planner.direct.crowd import Crowd
+from fiber_planner.direct.draft import Draft
+from fiber_planner.direct.grid import TimeGrid
+from fiber_planner.direct.parameters import DirectParameters
+from fiber_planner.direct.reach import reachable
+from fiber_planner.goals import choose_goals
+
+__all__ = ["Ends", "choose_ends", "straight_draft"]
+
+_EPS_MM = 1e-6
+_UNTANGLING = 0.25  # share of the time alone in which a pair has to get apart
+_LEAST_TURN_RAD = 0.1  # where nobody has to move: time to get out of the way
+
+
+class Ends(NamedTuple):
+    """Where robots should end, and who cannot.
+
+    Args:
+        reason: Reason of each robot as far as it is known, shape (n,).
+        choice: the option each ends in, -1 where it may end anywhere, shape (n,).
+        angles: joint angles there; the start where it may end anywhere [rad], shape (n, 2).
+        alone_s: time the slowest robot needs if it is alone [s].
+    """
+
+    reason: np.ndarray
+    choice: np.ndarray
+    angles: np.ndarray
+    alone_s: float
+
+
+def choose_ends(problem: Problem, crowd: Crowd, parameters: DirectParameters) -> Ends:
+    """Choose a clear option for every robot whose target can be reached.
+
+    Args:
+        problem: the plane, where its robots are, where their fibres should go.
+        crowd: the same as the search sees it.
+        parameters: what to keep apart.
+    """
+    plane, rows = problem.plane, np.arange(problem.plane.n)
+    reason = _reasons(problem, crowd, parameters.margin_mm)
+    seeking = reason == Reason.OK
+    time = (np.abs(crowd.option - problem.start[:, None]) / plane.speeds[:, None]).max(axis=2)
+    alone_s = float(time[seeking, 0].max(initial=0.0))
+    if alone_s == 0.0:
+        alone_s = float((_LEAST_TURN_RAD / plane.speeds).max(initial=0.0))
+    choice = _nearest_options(problem, crowd, parameters)
+    choice[time[rows, choice] > alone_s] = 0
+    choice[~seeking] = -1
+    angles = np.where(seeking[:, None], crowd.option[rows, choice], problem.start)
+    return Ends(reason, choice, angles, alone_s)
+
+
+def straight_draft(
+    problem: Problem, crowd: Crowd, parameters: DirectParameters, ends: Ends, grid: TimeGrid
+) -> tuple[Draft, np.ndarray]:
+    """Let every robot go straight to its end, all in the same time.
+
+    Args:
+        problem: the plane, where its robots are, where their fibres should go.
+        crowd: the same as the search sees it.
+        parameters: what to keep apart.
+        ends: where robots should end.
+        grid: the instants of the draft.
+
+    Returns:
+        The draft, not measured, and the pairs that start closer than they should be, (p,).
+    """
+    plane, n = problem.plane, problem.plane.n
+    q = np.zeros((len(crowd.movable), 2, grid.intervals + 1))
+    share = np.arange(grid.intervals + 1) / grid.intervals
+    q[:n] = problem.start[:, :, None] + (ends.angles - problem.start)[:, :, None] * share
+    q[:n, :, -1] = ends.angles
+
+    least = _least_mm(problem, crowd, parameters, grid.makespan_s)
+    at_start = gaps(plane, crowd.pairs, problem.start) - _EPS_MM
+    at_end = gaps(plane, crowd.pairs, ends.angles) - _EPS_MM
+    tangled = at_start < least
+    wanted = np.minimum(least + parameters.allowance_mm, at_end)
+    wanted = np.where(tangled, wanted, np.minimum(wanted, at_start))
+    required = np.maximum(wanted, least)
+    release = max(1, round(_UNTANGLING * ends.alone_s / grid.step_s))
+    draft = Draft(
+        q=q,
+        choice=ends.choice.astype(np.int64),
+        required=required,
+        early=np.minimum(required, at_start),
+        release=np.where(tangled, min(release, grid.intervals), 0),
+        weight=np.ones(len(required)),
+        depth=np.zeros(len(required)),
+        legs=np.zeros((n, 2), dtype=np.int64),
+    )
+    return draft, tangled
+
+
+def _reasons(problem, crowd, margin_mm):
+    plane, asked = problem.plane, problem.asked
+    reason = np.full(plane.n, int(Reason.OK))
+    reason[~asked] = Reason.NO_TARGET
+    reason[asked & ~plane.enabled] = Reason.DISABLED
+    blocked = asked & plane.enabled & ~reachable(problem, crowd.pairs, margin_mm)
+    reason[blocked] = Reason.GOAL_BLOCKED
+    return reason
+
+
+def _nearest_options(problem, crowd, parameters):
+    # the option of each robot that is nearest to what choose_goals would have it end in
+    goal, _ = choose_goals(problem, parameters.margin_mm + parameters.allowance_mm)
+    away = np.abs(crowd.option - goal[:, None]).max(axis=2)
+    away[np.arange(crowd.option.shape[1]) >= crowd.options[:, None]] = np.inf
+    return away.argmin(axis=1)
+
+
+def _least_mm(problem, crowd, parameters, makespan_s):
+    # the gap Safety would ask of each pair at full speed, were nobody too close at the start
+    speeds = np.vstack([problem.plane.speeds, np.zeros((len(problem.plane.obstacles), 2))])
+    levers = np.stack([crowd.lever[:, 0] + crowd.lever[:, 1], crowd.lever[:, 1]], axis=1)
+    late = parameters.clock_ppm * 1e-6 * makespan_s + parameters.start_skew_s
+    return parameters.margin_mm + late * (speeds * levers).sum(axis=1)[crowd.pairs].sum(axis=1)

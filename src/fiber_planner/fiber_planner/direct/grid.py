@@ -1,0 +1,65 @@
+"""The instants at which profiles may break: a common grid in whole ticks of the wire."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+__all__ = ["TimeGrid", "time_grid"]
+
+_LEAST = 4  # intervals, which candidates take for granted
+_FEWER, _MORE = 0.85, 1.3  # of the intervals wanted, to fit a makespan to the ticks
+
+
+@dataclass(frozen=True)
+class TimeGrid:
+    """Equal intervals of whole ticks.
+
+    A break between two ticks cannot be sent: rounding it moves a slow instrument's arm by
+    a good part of a millimetre (half of a 60 ms tick at 12 deg/s and 24 mm: 0.15 mm).
+
+    Args:
+        tick_s: one tick of the wire [s].
+        ticks: length of an interval [ticks].
+        intervals: how many there are.
+    """
+
+    tick_s: float
+    ticks: int
+    intervals: int
+
+    @property
+    def step_s(self) -> float:
+        """Length of an interval [s]."""
+        return self.ticks * self.tick_s
+
+    @property
+    def makespan_s(self) -> float:
+        """End of the last interval [s]."""
+        return self.intervals * self.step_s
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """The instants [s], shape (intervals + 1,)."""
+        return self.step_s * np.arange(self.intervals + 1)
+
+    def lasting(self, least_s: float) -> "TimeGrid":
+        """Return this grid with as many more intervals as it takes to last `least_s`."""
+        intervals = math.ceil(least_s / self.step_s - 1e-9)
+        return replace(self, intervals=max(self.intervals, intervals))
+
+
+def time_grid(least_s: float, tick_s: float, wanted: int) -> TimeGrid:
+    """Return the grid of about the wanted number of intervals that least exceeds a makespan.
+
+    Args:
+        least_s: makespan, more than zero [s].
+        tick_s: one tick of the wire [s].
+        wanted: how many intervals, if there are as many ticks.
+    """
+    total = max(_LEAST, math.ceil(least_s / tick_s - 1e-9))
+    if total <= wanted:
+        return TimeGrid(tick_s, 1, total)
+    lengths = range(max(1, int(total / (_MORE * wanted))), int(total / (_FEWER * wanted)) + 2)
+    grids = [TimeGrid(tick_s, ticks, -(-total // ticks)) for ticks in lengths]
+    return min(grids, key=lambda grid: (grid.ticks * grid.intervals, abs(grid.intervals - wanted)))
