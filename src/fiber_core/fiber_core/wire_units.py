@@ -176,6 +176,13 @@ class WireMotion:
         running = np.concatenate([[0], np.cumsum(self.ticks * self.velocity)])
         return self.start + (running[self.offsets[1:]] - running[self.offsets[:-1]]).reshape(-1, 2)
 
+    def without(self, held) -> "WireMotion":
+        """Return the motion with the robots `held` (bool, shape (n,)) resting at their start."""
+        counts = np.diff(self.offsets)
+        keep = np.repeat(np.repeat(~np.asarray(held, dtype=bool), 2), counts)
+        offsets = np.concatenate([[0], np.cumsum(np.where(np.repeat(held, 2), 0, counts))])
+        return WireMotion(self.units, self.start, offsets, self.ticks[keep], self.velocity[keep])
+
     def decoded(self) -> SegmentMotion:
         """Return the motion a perfect positioner makes of these numbers."""
         return SegmentMotion(

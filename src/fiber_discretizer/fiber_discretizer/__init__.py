@@ -4,7 +4,8 @@ from fiber_discretizer.discretize import Discretization, discretize
 from fiber_discretizer.linearize import LINEARIZERS, Polylines, UnknownOption, linearize
 from fiber_discretizer.margin import RULES, joint_margins, lever_arms_mm, tip_distances_mm
 from fiber_discretizer.options import DiscretizeOptions
-from fiber_discretizer.quantize import Rounding, Segments, quantize
+from fiber_discretizer.quantize import Rounding, quantize
+from fiber_discretizer.segments import Segments
 
 __all__ = [
     "LINEARIZERS",

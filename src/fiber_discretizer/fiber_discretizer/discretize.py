@@ -5,15 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiber_core.clearance import Certificate, Safety, hold_until_safe
+from fiber_core.clearance import Certificate, Safety, hold_until_safe, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_discretizer.candidates import Candidates
 from fiber_discretizer.draft import Draft
-from fiber_discretizer.hold import hold_on_samples
+from fiber_discretizer.halves import share_by_halves
 from fiber_discretizer.intake import check_trajectory, starting_counts
 from fiber_discretizer.options import DiscretizeOptions
+from fiber_discretizer.turns import take_turns
 
 __all__ = ["Discretization", "discretize"]
 
@@ -45,15 +47,13 @@ def discretize(
     start_counts=None,
     options: DiscretizeOptions | None = None,
     progress: Callable[[float, str], None] | None = None,
+    velocities=None,
 ) -> Discretization:
     """Turn a planned trajectory into few constant-velocity segments that are proven safe.
 
-    The seven steps of the paper (Makarem et al. 2014, SPIE, arXiv 1410.1181) as they are
-    understood here: planned trajectory; margin of the first motor; its profile
-    linearized; margin of the second motor from the first motor's new profile; its
-    profile linearized; both in wire units; checked. Added: robots whose trajectories
-    meet are held first, and those whose decoded motion cannot be certified are done
-    again with tighter margins, then held.
+    Between its points a trajectory is straight. Robots whose profiles cannot be used rest;
+    the others get the fewest segments found under the sharing of space that is asked for,
+    rounded to whole units, and whoever cannot be certified on these rests with the reason.
 
     Args:
         plane: the focal plane.
@@ -64,41 +64,50 @@ def discretize(
             start of the trajectory.
         options: how it is done, by default as DiscretizeOptions says.
         progress: told now and then the part of the work done (0..1) and a few words.
+        velocities: joint speeds the planner wrote at its points [rad/s], shape (n, 2, t), if
+            any; only held against the limits.
 
     Raises:
-        MotionError: trajectory or start_counts do not fit the plane.
+        MotionError: trajectory, velocities or start_counts do not fit the plane.
     """
     options = options or DiscretizeOptions()
     tell = progress or (lambda part, words: None)
     tell(0.0, "checking the trajectory")
     start_counts = starting_counts(plane, trajectory, units, start_counts)
-    reason = check_trajectory(
-        plane, trajectory, start_counts, units, options.start_tolerance_rad, options.speed_tolerance
-    )
-    draft = Draft(plane, trajectory, start_counts, units, safety, options)
-
-    def give_up(robots, why):
-        reason[robots] = why
-        draft.rest(robots)
-
-    draft.rest(reason != Reason.OK)
-    tell(0.1, "holding robots whose trajectories meet")
-    give_up(hold_on_samples(draft.free_space), Reason.UNSAFE)
-    todo = draft.moving
-    tightness = np.ones(plane.n)
-    rounds = 0
-    while todo.any():
-        tell(0.2 + 0.6 * rounds / (options.rounds + 1), f"discretizing {todo.sum()} robots")
-        give_up(draft.redo(todo, tightness), Reason.TOO_MANY_SEGMENTS)
-        todo = draft.unsafe(todo) & draft.moving
-        if rounds == options.rounds or not todo.any():
-            break
-        rounds += 1
-        tightness[todo] *= 0.5 if rounds < options.rounds else 0.0
-
+    reason = check_trajectory(plane, trajectory, start_counts, units, options, velocities)
+    trajectory = _resting(trajectory, reason != Reason.OK)
+    share = _by_turns if options.sharing == "turns" else share_by_halves
+    wire, rounds = share(plane, trajectory, start_counts, units, safety, options, reason, tell)
     tell(0.8, "certifying")
-    _, held, certificate = hold_until_safe(plane, draft.wire.decoded(), safety)
-    give_up(held, Reason.UNSAFE)
+    _, held, certificate = hold_until_safe(plane, wire.decoded(), safety)
+    reason[held & (reason == Reason.OK)] = Reason.UNSAFE
     tell(1.0, "certified" if certificate.ok else "robots at rest are too close")
     reason.setflags(write=False)
-    return Discretization(draft.wire, reason, certificate, rounds)
+    return Discretization(wire.without(held), reason, certificate, rounds)
+
+
+def _resting(trajectory, robots):
+    # the trajectory from time zero, with some robots resting where they begin
+    angles = np.where(robots[:, None, None], trajectory.angles[:, :, :1], trajectory.angles)
+    time_s = trajectory.time_s
+    if len(time_s) == 1 or time_s[0] > 0.0:  # at least two points, the first at zero
+        time_s = np.concatenate([[0.0], time_s if time_s[0] > 0.0 else [1.0]])
+        angles = np.concatenate([angles[:, :, :1], angles], axis=2)
+    return SampledMotion(time_s, angles)
+
+
+def _by_turns(plane, trajectory, start_counts, units, safety, options, reason, tell):
+    makespan_s = trajectory.time_s[-1] + 100 * units.tick_s
+    with_itself = np.repeat(np.arange(plane.n)[:, None], 2, axis=1)
+    most = safety.most_required_mm(plane, makespan_s, with_itself).max(initial=0.0)
+    pairs = neighbour_pairs(plane, max(1.0, most))
+    required = safety.most_required_mm(plane, makespan_s, pairs)
+    draft = Draft(plane, units, start_counts, pairs, required)
+    candidates = Candidates(draft, trajectory, options)
+    rounds = take_turns(draft, candidates, safety, options, tell)
+    idle = np.flatnonzero(candidates.motors.astype(bool) & ~draft.counts().any(axis=1))
+    reason[idle] = Reason.UNSAFE
+    reason[candidates.too_many_segments(idle)] = Reason.TOO_MANY_SEGMENTS
+    segments = draft.segments
+    wire = WireMotion(units, start_counts, segments.offsets, segments.ticks, segments.velocity)
+    return wire, rounds

@@ -1,21 +1,15 @@
-"""The orders of a plane while they are being made, and the motion they stand for."""
+"""Segments of every motor while they are being made, and what is proven about them."""
 
 import numpy as np
 
-from fiber_core.clearance import Safety, certify, neighbour_pairs
+from fiber_core.clearance import Profiles, bodies_of, profiles_of, unproven
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.motion import SampledMotion, SegmentMotion
-from fiber_core.wire_units import WireMotion, WireUnits
-from fiber_discretizer.free_space import FreeSpace
-from fiber_discretizer.intake import peak_speeds
-from fiber_discretizer.linearize import linearize
-from fiber_discretizer.margin import joint_margins, tip_distances_mm
-from fiber_discretizer.options import DiscretizeOptions
-from fiber_discretizer.quantize import Segments, quantize
+from fiber_core.motion import SegmentMotion
+from fiber_core.wire_units import WireUnits
+from fiber_discretizer.free_walls import neighbours_of
+from fiber_discretizer.segments import Segments
 
-__all__ = ["Draft"]
-
-_LEAST_SLACK_RAD = 1e-3  # 6 um at a 6 mm arm: what rounding may always shift a profile by
+__all__ = ["Draft", "profiles_of_robots"]
 
 
 class Draft:
@@ -23,122 +17,127 @@ class Draft:
 
     Args:
         plane: the focal plane.
-        trajectory: joint profiles of all its robots.
-        start_counts: where the robots are [quanta], shape (n, 2).
         units: size of tick and quantum, and the widths of the fields.
-        safety: gap asked for and timing errors to survive.
-        options: how it is done.
+        start: where the motors are [quanta], shape (n, 2).
+        pairs: rows a, b as from neighbour_pairs, shape (p, 2).
+        required_mm: gap each pair must keep, whatever is made of it [mm], shape (p,).
 
     Attributes:
-        free_space: free space along what each robot is to do so far: its orders where it
-            has some, else its trajectory.
+        segments: of profiles 2 i + j, robot i, joint j.
+        settled: robots whose segments are in whole units, shape (n,).
+        unsafe: pairs not proven to keep their gap, shape (p,).
+        bodies: outlines, from bodies_of.
+        beside: who is beside whom, from neighbours_of.
     """
 
-    def __init__(
-        self,
-        plane: FocalPlane,
-        trajectory: SampledMotion,
-        start_counts: np.ndarray,
-        units: WireUnits,
-        safety: Safety,
-        options: DiscretizeOptions,
-    ):
-        self.plane, self.units, self.safety, self.options = plane, units, safety, options
-        self._time_s, self._planned = trajectory.time_s, trajectory.angles.copy()
-        self._start, self._ranges = start_counts, units.range_counts(plane)
-        self._segments = Segments.none(2 * plane.n)
-        pairs, required_mm = _requirements(plane, trajectory, safety)
-        self.free_space = FreeSpace(plane, pairs, required_mm, self._planned)
+    def __init__(self, plane: FocalPlane, units: WireUnits, start, pairs, required_mm):
+        self.plane, self.units, self.start = plane, units, start
+        self.pairs = np.asarray(pairs, dtype=np.int32)
+        self.required_mm = required_mm
+        self.bodies, self.beside = bodies_of(plane), neighbours_of(plane.n, pairs)
+        self.segments = Segments.none(2 * plane.n)
+        self.settled = np.ones(plane.n, dtype=bool)
+        self.unsafe = np.zeros(len(self.pairs), dtype=bool)
+        self._profiles = None
 
     @property
-    def moving(self) -> np.ndarray:
-        """Robots that are to move, shape (n,)."""
-        return np.any(self._planned != self._planned[:, :, :1], axis=(1, 2))
+    def motion(self) -> SegmentMotion:
+        """What these segments stand for."""
+        return self.motion_of(np.arange(self.plane.n), self.segments)
 
     @property
-    def wire(self) -> WireMotion:
-        """The orders so far."""
-        drawn = self._segments
-        return WireMotion(self.units, self._start, drawn.offsets, drawn.ticks, drawn.velocity)
+    def profiles(self) -> Profiles:
+        """The same, as profiles_of."""
+        if self._profiles is None:
+            self._profiles = profiles_of(self.motion)
+        return self._profiles
+
+    @property
+    def in_conflict(self) -> np.ndarray:
+        """Robots in an unsafe pair, shape (n,)."""
+        return self.robots_in(np.flatnonzero(self.unsafe))
+
+    def motion_of(self, rows, segments: Segments) -> SegmentMotion:
+        """Return the motion some robots, shape (m,), make of segments of 2 m profiles."""
+        units = self.units
+        return SegmentMotion(
+            units.to_angles(self.start[rows]),
+            segments.offsets,
+            segments.ticks * units.tick_s,
+            segments.velocity * units.velocity_rad_s,
+        )
+
+    def counts(self) -> np.ndarray:
+        """Number of segments, shape (n, 2)."""
+        return self.segments.counts.reshape(-1, 2)
+
+    def pairs_of(self, rows) -> np.ndarray:
+        """Return the pairs with one of the robots, shape (k,), increasing."""
+        first, stop = self.beside.offsets[rows], self.beside.offsets[np.asarray(rows) + 1]
+        counts = stop - first
+        at = np.arange(counts.sum()) + np.repeat(first - np.cumsum(counts) + counts, counts)
+        return np.unique(self.beside.pair[at])
+
+    def robots_in(self, pairs) -> np.ndarray:
+        """Return the robots in some pairs, shape (k,): bool, shape (n,)."""
+        found = np.zeros(self.plane.n + len(self.plane.obstacles), dtype=bool)
+        found[self.pairs[pairs].ravel()] = True
+        return found[: self.plane.n]
+
+    def unproven(self, pairs, rows=(), segments: Segments | None = None) -> np.ndarray:
+        """Return which pairs, shape (k,), would be unsafe with other segments of some robots.
+
+        Args:
+            pairs: which to look at, shape (k,).
+            rows: robots that would have other segments, shape (m,).
+            segments: theirs, of 2 m profiles.
+        """
+        profiles = self.profiles
+        if segments is not None:
+            theirs = profiles_of(self.motion_of(rows, segments))
+            profiles = profiles_of_robots(profiles, rows, theirs)
+        return unproven(self.bodies, profiles, self.pairs[pairs], self.required_mm[pairs])
+
+    def give(self, rows, segments: Segments, settled: bool = True) -> None:
+        """Let robots, shape (m,), have other segments, of 2 m profiles."""
+        self.segments = self.segments.replaced(profile_rows(rows), segments)
+        self.settled[rows] = settled
+        self._profiles = None
+        concerned = self.pairs_of(rows)
+        self.unsafe[concerned] = self.unproven(concerned)
 
     def rest(self, robots: np.ndarray) -> None:
         """Let the robots, bool of shape (n,), stay where they are."""
-        here = self.units.to_angles(self._start[robots])[:, :, None]
-        self._planned[robots] = here
-        self.free_space.move(robots, here)
-        self._segments = self._segments.without(np.flatnonzero(np.repeat(robots, 2)))
-
-    def redo(self, robots: np.ndarray, tightness: np.ndarray) -> np.ndarray:
-        """Make the orders of some robots anew, beside the others as they are.
-
-        Args:
-            robots: whose, bool, shape (n,).
-            tightness: part of its margin each robot may use, 0..1, shape (n,).
-
-        Returns:
-            Those of them that need more segments than an order carries, shape (n,).
-        """
-        options = self.options
-        angles = self._planned[robots]
-        self.free_space.move(robots, angles)
-        paths, slack = [None, None], [None, None]
-        for joint in (options.first_joint, 1 - options.first_joint):
-            margins = tightness[robots, None] * self._margins(joint, robots)
-            slack[joint] = np.clip(margins.min(axis=1), _LEAST_SLACK_RAD, options.slack_rad)
-            paths[joint] = linearize(self._time_s, angles[:, joint], margins, options.method)
-            angles[:, joint] = paths[joint](self._time_s)
-            self.free_space.move(robots, angles)
-        for joint in (0, 1):
-            rows = np.flatnonzero(robots)
-            drawn = self._rounded(rows, joint, paths[joint], slack[joint])
-            self._segments = self._segments.replaced(2 * rows + joint, drawn)
-            start = self._start[robots, joint]
-            angles[:, joint] = drawn.polylines(start, self.units)(self._time_s)
-        self.free_space.move(robots, angles)
-        crowded = self._segments.counts.reshape(-1, 2).max(axis=1) > options.max_segments
-        return robots & crowded
-
-    def unsafe(self, robots: np.ndarray) -> np.ndarray:
-        """Return who is in a pair with one of `robots` (bool, (n,)) that cannot be certified."""
-        pairs = self.free_space.pairs[self.free_space.touching(robots)]
-        return certify(self.plane, self.wire.decoded(), self.safety, pairs).unsafe_robots
-
-    def _margins(self, joint, robots):
-        concerned = self.free_space.touching(robots)
-        pairs, angles = self.free_space.pairs[concerned], self.free_space.angles
-        if self.options.rule == "safe":
-            free = self.free_space.space_mm(concerned)
-        else:
-            free = tip_distances_mm(self.plane, pairs, angles)
-        cap = self.options.cap_rad
-        return joint_margins(self.plane, joint, pairs, free, angles[:, 1], robots, cap)
-
-    def _rounded(self, rows, joint, paths, slack):
-        ranges = self._ranges[rows, joint]
-        goal = self.units.to_counts(self._planned[rows, joint, -1])
-        return quantize(
-            paths,
-            self._start[rows, joint],
-            np.clip(goal, ranges[:, 0], ranges[:, 1]),
-            ranges,
-            self.plane.speeds[rows, joint],
-            slack,
-            self.units,
-            self.options.rounding,
-        )
+        rows = np.flatnonzero(robots)
+        self.give(rows, Segments.none(2 * len(rows)))
 
 
-def _requirements(plane, trajectory, safety):
-    # pairs and their gaps for a motion as fast and as long as the trajectory
-    fastest = np.minimum(peak_speeds(trajectory), plane.speeds)
-    makespan = trajectory.time_s[-1]
-    if makespan == 0.0:
-        motion = SegmentMotion.at_rest(trajectory.start)
-    else:
-        lasting = np.full(2 * plane.n, makespan)
-        offsets = np.arange(2 * plane.n + 1)
-        motion = SegmentMotion(trajectory.start, offsets, lasting, fastest.ravel())
-    with_itself = np.repeat(np.arange(plane.n)[:, None], 2, axis=1)
-    most = safety.required_mm(plane, motion, with_itself).max(initial=0.0)
-    pairs = neighbour_pairs(plane, max(1.0, most))
-    return pairs, safety.required_mm(plane, motion, pairs)
+def profile_rows(rows) -> np.ndarray:
+    """Return the profiles of robots, shape (m,): theta and phi of each, shape (2 m,)."""
+    return (2 * np.asarray(rows)[:, None] + [0, 1]).ravel()
+
+
+def profiles_of_robots(everybody: Profiles, rows, theirs: Profiles) -> Profiles:
+    """Return the profiles with those of some robots, shape (m,), taken from another set."""
+    segments = len(everybody.begins_s)
+
+    def replaced(name, shift=0):
+        column = getattr(everybody, name).copy()
+        column[rows] = getattr(theirs, name) + shift
+        return column
+
+    def joined(name):
+        return np.concatenate([getattr(everybody, name), getattr(theirs, name)])
+
+    return Profiles(
+        start=everybody.start,
+        first=replaced("first", segments),
+        stop=replaced("stop", segments),
+        begins_s=joined("begins_s"),
+        ends_s=joined("ends_s"),
+        angle=joined("angle"),
+        velocity=joined("velocity"),
+        low=everybody.low,
+        high=everybody.high,
+        fastest=everybody.fastest,
+    )

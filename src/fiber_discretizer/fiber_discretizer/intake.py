@@ -9,6 +9,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireUnits
+from fiber_discretizer.options import DiscretizeOptions
 
 __all__ = ["check_trajectory", "peak_speeds", "starting_counts"]
 
@@ -21,8 +22,8 @@ def check_trajectory(
     trajectory: SampledMotion,
     start_counts,
     units: WireUnits,
-    start_tolerance_rad: float,
-    speed_tolerance: float,
+    options: DiscretizeOptions,
+    velocities=None,
 ) -> np.ndarray:
     """Return the Reason for which each robot's profiles cannot be used, OK where they can.
 
@@ -31,20 +32,28 @@ def check_trajectory(
         trajectory: joint profiles of all its robots.
         start_counts: where the robots are [quanta], shape (n, 2).
         units: size of tick and quantum.
-        start_tolerance_rad: how far from there a profile may begin [rad].
-        speed_tolerance: part by which a profile may exceed the speed limits; a jump
-            between two samples is a speed too high.
+        options: start_tolerance_rad and speed_tolerance count; a jump between two samples is
+            a speed too high.
+        velocities: joint speeds written beside the angles [rad/s], shape (n, 2, t), or None.
 
     Returns:
         Reason of each robot, shape (n,): DISABLED where a disabled robot is to move,
-        BAD_TRAJECTORY where a profile does not begin where the robot is, is too fast,
-        moves outside the joint limits, or needs a motor slower than one velocity unit.
+        BAD_TRAJECTORY where a profile does not begin where the robot is, is too fast or
+        says so, moves outside the joint limits, or needs a motor slower than one velocity
+        unit.
+
+    Raises:
+        MotionError: velocities do not fit the trajectory.
     """
     angles, start = trajectory.angles, units.to_angles(start_counts)
     low, high = np.moveaxis(plane.limits, -1, 0)
     fastest = peak_speeds(trajectory)
-    bad = np.abs(trajectory.start - start) > start_tolerance_rad
-    bad |= fastest > plane.speeds * (1 + speed_tolerance)
+    too_fast = plane.speeds * (1 + options.speed_tolerance)
+    bad = np.abs(trajectory.start - start) > options.start_tolerance_rad
+    bad |= fastest > too_fast
+    if velocities is not None:
+        velocities = frozen_array(velocities, float, angles.shape, "velocities", MotionError)
+        bad |= ~(np.abs(velocities) <= too_fast[:, :, None]).all(axis=2)
     moves = fastest > 0
     bad |= moves & (plane.speeds < units.velocity_rad_s)
     bad |= moves & ((start < low - _START_NOISE_RAD) | (start > high + _START_NOISE_RAD))

@@ -1,4 +1,4 @@
-"""Replace sampled joint profiles by few straight lines that stay inside a margin."""
+"""Replace sampled joint profiles by few straight lines that stay inside a tube."""
 
 from dataclasses import dataclass
 
@@ -6,10 +6,13 @@ import numpy as np
 from numba import njit
 
 from fiber_core.errors import FiberError
+from fiber_discretizer.bisection import bisection_knots
+from fiber_discretizer.greedy import greedy_knots
+from fiber_discretizer.min_link import min_link_paths, relaxed_paths
 
 __all__ = ["LINEARIZERS", "Polylines", "UnknownOption", "linearize"]
 
-_NOISE_RAD = 1e-9  # samples this close to a line lie on it: 1/1000 of a typical wire quantum
+_NOISE_RAD = 1e-9  # what is this close to a wall is inside: 1/1000 of a typical wire quantum
 
 
 class UnknownOption(FiberError):
@@ -47,24 +50,38 @@ class Polylines:
         Before its first and after its last knot a profile rests.
         """
         times = np.ascontiguousarray(time_s, dtype=float)
-        return _evaluate(self.offsets, self.time_s, self.angles, times)
+        return self.at(np.tile(times, (len(self.counts), 1)))
+
+    def at(self, times_s) -> np.ndarray:
+        """As a call, with increasing times for each profile [s], shape (p, t)."""
+        return _evaluate(self.offsets, self.time_s, self.angles, times_s)
 
 
-def linearize(time_s, profiles, margins, method: str = "paper") -> Polylines:
-    """Return a piecewise-linear path inside profile +- margin for each profile, ends fixed.
+def linearize(
+    time_s, profiles, low, high, method: str = "minimal", speed_rad_s=np.inf, last=None
+) -> Polylines:
+    """Return a piecewise-linear path inside a tube for each profile, ends fixed.
 
     A profile that rests at last is followed to where its rest begins. Between samples
-    the profile and its margin are straight, and every knot is at a sample, so a path
-    inside at all samples is inside everywhere.
+    the profile and the walls of its tube are straight; at its two ends the tube is the
+    profile.
 
     Args:
         time_s: strictly increasing sample times [s], shape (t,), t >= 1.
         profiles: joint angles [rad], shape (p, t).
-        margins: how far a path may be from its profile [rad], shape (p, t), >= 0, may be
-            infinite; the ends are met exactly whatever the margin there.
+        low, high: walls of the tubes [rad], shape (p, t), may be infinite. The profile is
+            between them; only "minimal" and "relaxed" do without.
         method: a name in LINEARIZERS. "paper" is the bisection of Makarem et al. 2014
-            (SPIE, arXiv 1410.1181): a straight line from end to end, cut at the sample
-            where it leaves the margin by most, both parts treated the same.
+            (SPIE, arXiv 1410.1181); "greedy" takes each line as far as it goes; both
+            have their knots on the profile, at samples. "minimal" has the fewest lines of
+            any path; "relaxed" has as few and keeps away from the walls.
+        speed_rad_s: no line of the last two is faster [rad/s], scalar or shape (p,); the
+            others are never faster than the profile.
+        last: sample at which each path ends, shape (p,); by default where its profile
+            comes to rest.
+
+    Returns:
+        Polylines; no knots where there is no path in a tube at that speed.
 
     Raises:
         UnknownOption: there is no such method.
@@ -73,10 +90,22 @@ def linearize(time_s, profiles, margins, method: str = "paper") -> Polylines:
         raise UnknownOption(f"linearization {method!r} is not one of {', '.join(LINEARIZERS)}")
     time_s = np.ascontiguousarray(time_s, dtype=float)
     profiles = np.ascontiguousarray(profiles, dtype=float)
-    margins = np.ascontiguousarray(margins, dtype=float)
-    offsets, knots = LINEARIZERS[method](time_s, profiles, margins, _arrivals(profiles))
-    row = np.repeat(np.arange(len(profiles)), np.diff(offsets))
-    return Polylines(offsets, time_s[knots], profiles[row, knots])
+    low = np.broadcast_to(low, profiles.shape) - _NOISE_RAD
+    high = np.broadcast_to(high, profiles.shape) + _NOISE_RAD
+    speed = np.broadcast_to(np.asarray(speed_rad_s, dtype=float), len(profiles))
+    speed = np.ascontiguousarray(speed)
+    last = _arrivals(profiles) if last is None else np.asarray(last, dtype=np.int64)
+    return Polylines(*LINEARIZERS[method](time_s, profiles, low, high, last, speed))
+
+
+def _on_profile(find_knots):
+    # a method whose knots are samples of the profile
+    def method(time_s, profiles, low, high, last, _):
+        offsets, knots = find_knots(time_s, profiles, low, high, last)
+        row = np.repeat(np.arange(len(profiles)), np.diff(offsets))
+        return offsets, time_s[knots], profiles[row, knots]
+
+    return method
 
 
 @njit(cache=True)
@@ -92,57 +121,12 @@ def _arrivals(profiles):
 
 
 @njit(cache=True)
-def _bisect(time_s, profiles, margins, last):
-    p, t = profiles.shape
-    offsets = np.zeros(p + 1, np.int64)
-    flat = np.empty(4 * p + t, np.int64)
-    used = 0
-    rights = np.empty(t, np.int64)  # right ends of the parts still to do, nearest on top
-    for i in range(p):
-        if used + t > len(flat):
-            grown = np.empty(2 * len(flat) + t, np.int64)
-            for k in range(used):  # a slice assignment compiles for seconds
-                grown[k] = flat[k]
-            flat = grown
-        flat[used] = 0
-        used += 1
-        rights[0] = last[i]
-        left, depth = 0, 1 if last[i] > 0 else 0
-        while depth > 0:
-            right = rights[depth - 1]
-            cut = _worst_sample(time_s, profiles[i], margins[i], left, right)
-            if cut >= 0:
-                rights[depth] = cut
-                depth += 1
-            else:
-                flat[used] = right
-                used += 1
-                left = right
-                depth -= 1
-        offsets[i + 1] = used
-    return offsets, flat[:used].copy()
-
-
-@njit(cache=True)
-def _worst_sample(time_s, profile, margin, left, right):
-    # the sample between left and right where their chord leaves the margin by most, or -1
-    slope = (profile[right] - profile[left]) / (time_s[right] - time_s[left])
-    worst, at = _NOISE_RAD, -1
-    for k in range(left + 1, right):
-        chord = profile[left] + slope * (time_s[k] - time_s[left])
-        excess = abs(profile[k] - chord) - margin[k]
-        if excess > worst:
-            worst, at = excess, k
-    return at
-
-
-@njit(cache=True)
 def _evaluate(offsets, knot_time, knot_angle, times):
-    out = np.empty((len(offsets) - 1, len(times)))
+    out = np.empty(times.shape)
     for i in range(len(offsets) - 1):
         k, last = offsets[i], offsets[i + 1] - 1
-        for j in range(len(times)):
-            t = times[j]
+        for j in range(times.shape[1]):
+            t = times[i, j]
             while k < last and knot_time[k + 1] <= t:
                 k += 1
             if k == last or t <= knot_time[k]:
@@ -153,4 +137,9 @@ def _evaluate(offsets, knot_time, knot_angle, times):
     return out
 
 
-LINEARIZERS = {"paper": _bisect}
+LINEARIZERS = {
+    "minimal": min_link_paths,
+    "relaxed": relaxed_paths,
+    "greedy": _on_profile(greedy_knots),
+    "paper": _on_profile(bisection_knots),
+}

@@ -47,29 +47,35 @@ class DiscretizerNode(Node):
             if self._stamp is not None and stamp <= self._stamp:
                 self._report.drop(f"trajectory {stamp} dropped: plan {self._stamp} is not older")
                 return
-            ids, motion, _ = trajectory.decode(message)
+            ids, motion, velocities = trajectory.decode(message)
+            motion, velocities = self._of_whole_plane(ids, motion, velocities)
             done = discretize(
                 self._view.plane,
-                self._of_whole_plane(ids, motion),
+                motion,
                 self._view.units,
                 self._safety,
                 self._view.units.to_counts(self._view.angles),
                 self._options,
                 lambda fraction, text: self._report.progress(stamp, fraction, text),
+                velocities,
             )
             self._stamp = stamp
             self._publish(done, self._view.plane.ids, stamp)
         except FiberError as error:
             self._report.refuse(f"trajectory refused: {error}")
 
-    def _of_whole_plane(self, ids, motion):
-        """The motion with the robots it does not mention resting where they are."""
+    def _of_whole_plane(self, ids, motion, velocities):
+        """The motion, and its velocities if any, with robots it does not mention at rest."""
         rows = self._view.plane.index_of(ids)
         if (rows < 0).any():
             raise MessageError("trajectory", "is not in the layout", robot=int(ids[rows < 0][0]))
         angles = np.repeat(self._view.angles[:, :, None], len(motion.time_s), axis=2)
         angles[rows] = motion.angles
-        return SampledMotion(motion.time_s, angles)
+        if velocities is not None:
+            of_all = np.zeros_like(angles)
+            of_all[rows] = velocities
+            velocities = of_all
+        return SampledMotion(motion.time_s, angles), velocities
 
     def _publish(self, done, ids, stamp):
         holds = done.reason != Reason.OK

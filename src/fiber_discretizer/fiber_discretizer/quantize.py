@@ -7,8 +7,9 @@ from numba import njit
 
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer.linearize import Polylines
+from fiber_discretizer.segments import Segments
 
-__all__ = ["Rounding", "Segments", "quantize"]
+__all__ = ["Rounding", "quantize"]
 
 
 @dataclass(frozen=True)
@@ -17,8 +18,8 @@ class Rounding:
 
     Args:
         good_quanta: end error with which the search is content [quanta].
-        worst_quanta: end error with which a profile of one segment is cut in two, which
-            always meets the end [quanta].
+        worst_quanta: end error with which the last segment is cut in two, which meets the
+            end more closely [quanta].
         later_ticks: how many ticks the last segment may become longer.
         sooner_ticks: how many ticks it may become shorter.
         nudge_units: how many velocity units the segment before it may change.
@@ -29,62 +30,6 @@ class Rounding:
     later_ticks: int = 8
     sooner_ticks: int = 64
     nudge_units: int = 8
-
-
-@dataclass(frozen=True, eq=False)
-class Segments:
-    """Constant-velocity segments in whole wire units, ragged by profile.
-
-    Args:
-        offsets: first segment of each profile, shape (p + 1,).
-        ticks: durations [ticks], shape (m,).
-        velocity: joint speeds [velocity units], shape (m,).
-    """
-
-    offsets: np.ndarray
-    ticks: np.ndarray
-    velocity: np.ndarray
-
-    @property
-    def counts(self) -> np.ndarray:
-        """Number of segments of each profile, shape (p,)."""
-        return np.diff(self.offsets)
-
-    @classmethod
-    def none(cls, profiles: int) -> "Segments":
-        """Return that many profiles at rest."""
-        nothing = np.zeros(0, dtype=np.int64)
-        return cls(np.zeros(profiles + 1, dtype=np.int64), nothing, nothing)
-
-    def replaced(self, rows, other: "Segments") -> "Segments":
-        """Return these segments with the profiles `rows`, shape (r,), taken from another set."""
-        source = np.stack([self.offsets[:-1], self.counts], axis=1)
-        source[rows] = np.stack([other.offsets[:-1] + len(self.ticks), other.counts], axis=1)
-        first, counts = source.T
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        pick = np.arange(offsets[-1]) + np.repeat(first - offsets[:-1], counts)
-        ticks = np.concatenate([self.ticks, other.ticks])[pick]
-        return Segments(offsets, ticks, np.concatenate([self.velocity, other.velocity])[pick])
-
-    def without(self, rows) -> "Segments":
-        """Return these segments with the profiles `rows`, shape (r,), at rest."""
-        return self.replaced(rows, Segments.none(len(rows)))
-
-    def polylines(self, start, units: WireUnits) -> Polylines:
-        """Return the profiles these segments make of positions start [quanta], shape (p,)."""
-        offsets = self.offsets + np.arange(len(self.offsets))
-        first = offsets[:-1]
-
-        def knots(steps, at_first):
-            # running sums per profile, begun anew at each first knot
-            values = np.zeros(offsets[-1], dtype=np.int64)
-            values[np.setdiff1d(np.arange(offsets[-1]), first)] = steps
-            running = np.cumsum(values)
-            return running + np.repeat(at_first - running[first], np.diff(offsets))
-
-        ticks = knots(self.ticks, np.zeros(len(first), dtype=np.int64))
-        counts = knots(self.ticks * self.velocity, np.asarray(start))
-        return Polylines(offsets, ticks * units.tick_s, units.to_angles(counts))
 
 
 def quantize(
@@ -201,7 +146,7 @@ def _finish(ticks, velocity, first, here, travel, span, bounds, slack, max_ticks
             error, last_ticks, last_velocity, nudge = _search(
                 here, travel, span, bounds, before, slack, max_ticks, search
             )
-            if error <= worst or not alone or span == 1:
+            if error <= worst or span == 1:
                 break
             part = max(np.int64(0.382 * span), 1)  # golden section: halves share their errors
         else:

@@ -1,15 +1,17 @@
 """Outlines, gaps between them, and the certificate that they stay apart at every instant."""
 
 from fiber_core.clearance.bodies import Bodies, bodies_of
-from fiber_core.clearance.certificate import Certificate, certify
+from fiber_core.clearance.certificate import Certificate, certify, unproven
 from fiber_core.clearance.hold import hold_until_safe
 from fiber_core.clearance.neighbours import neighbour_pairs
-from fiber_core.clearance.pair_gaps import gaps, pair_gap, pair_gap_below, sampled_gaps
+from fiber_core.clearance.pair_gaps import gaps, pair_gap, pair_gap_below, posed_gap, sampled_gaps
+from fiber_core.clearance.profiles import Profiles, profiles_of
 from fiber_core.clearance.safety import Safety
 
 __all__ = [
     "Bodies",
     "Certificate",
+    "Profiles",
     "Safety",
     "bodies_of",
     "certify",
@@ -18,5 +20,8 @@ __all__ = [
     "neighbour_pairs",
     "pair_gap",
     "pair_gap_below",
+    "posed_gap",
+    "profiles_of",
     "sampled_gaps",
+    "unproven",
 ]

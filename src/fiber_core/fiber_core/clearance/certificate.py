@@ -12,7 +12,9 @@ from fiber_core.clearance.safety import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 
-__all__ = ["Certificate", "certify"]
+__all__ = ["Certificate", "certify", "unproven"]
+
+_TOLERANCE_MM = 0.5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,7 @@ def certify(
     motion: SegmentMotion,
     safety: Safety,
     pairs=None,
-    tolerance_mm: float = 0.5e-3,
+    tolerance_mm: float = _TOLERANCE_MM,
 ) -> Certificate:
     """Prove, in continuous time, that a motion keeps every pair of outlines apart.
 
@@ -105,6 +107,24 @@ def certify(
     every = np.arange(len(pairs))
     minimum_gaps(bodies, profiles, pairs, every, required, tolerance_mm, True, minima)
     return certificate_of(plane, bodies, profiles, pairs, required, minima, tolerance_mm)
+
+
+def unproven(bodies: Bodies, profiles: Profiles, pairs, required_mm) -> np.ndarray:
+    """Return which pairs are not proven to keep their gap at every instant, shape (p,).
+
+    A certificate without figures: a pair is left as soon as it is decided.
+
+    Args:
+        bodies: outlines, from bodies_of.
+        profiles: the motion, from profiles_of.
+        pairs: rows a, b of bodies, shape (p, 2).
+        required_mm: gap each must keep [mm], shape (p,).
+    """
+    pairs = np.asarray(pairs, dtype=np.int32).reshape(-1, 2)
+    required = np.asarray(required_mm, dtype=float)
+    minima, rows = Minima.unknown(len(pairs)), np.arange(len(pairs))
+    minimum_gaps(bodies, profiles, pairs, rows, required, _TOLERANCE_MM, False, minima)
+    return minima.lower < required
 
 
 def certified_pairs(plane: FocalPlane, motion: SegmentMotion, safety: Safety) -> np.ndarray:

@@ -20,7 +20,7 @@ from fiber_core.clearance.bodies import (
 from fiber_core.clearance.separation import separation
 from fiber_core.focal_plane import FocalPlane
 
-__all__ = ["gaps", "pair_gap", "pair_gap_below", "sampled_gaps"]
+__all__ = ["gaps", "pair_gap", "pair_gap_below", "posed_gap", "sampled_gaps"]
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -55,7 +55,7 @@ def pair_gap_below(bodies, a, b, theta_a, phi_a, theta_b, phi_b, cutoff):
 def table_gap(table, a, b, theta_a, phi_a, theta_b, phi_b, cutoff):
     """Return pair_gap_below, from the table of the bodies."""
     psi_a, psi_b = theta_a + phi_a, theta_b + phi_b
-    return _posed_gap(
+    return posed_gap(
         table, a, b,
         math.cos(theta_a), math.sin(theta_a), math.cos(psi_a), math.sin(psi_a),
         math.cos(theta_b), math.sin(theta_b), math.cos(psi_b), math.sin(psi_b),
@@ -64,8 +64,10 @@ def table_gap(table, a, b, theta_a, phi_a, theta_b, phi_b, cutoff):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _posed_gap(table, a, b, ca, sa, cpa, spa, cb, sb, cpb, spb, cutoff):
-    # cosines and sines of theta (c, s) and of theta + phi (cp, sp) of both bodies
+def posed_gap(table, a, b, ca, sa, cpa, spa, cb, sb, cpb, spb, cutoff):
+    """Return pair_gap_below, from the table of the bodies, with their angles already turned
+    into cosines and sines of theta (c, s) and of theta + phi (cp, sp).
+    """
     x, y = table[b, X] - table[a, X], table[b, Y] - table[a, Y]
     elbow_a_x, elbow_a_y = table[a, ARM1] * ca, table[a, ARM1] * sa
     elbow_b_x, elbow_b_y = x + table[b, ARM1] * cb, y + table[b, ARM1] * sb
@@ -140,7 +142,7 @@ def _posed_gaps(table, pairs, poses):
         a, b = pairs[i]
         for k in range(poses.shape[1]):
             p, q = poses[a, k], poses[b, k]
-            out[i, k] = _posed_gap(
+            out[i, k] = posed_gap(
                 table, a, b, p[0], p[1], p[2], p[3], q[0], q[1], q[2], q[3], np.inf
             )
     return out

@@ -41,9 +41,17 @@ class Safety:
         profile = np.repeat(np.arange(2 * plane.n), np.diff(motion.offsets))
         fastest = np.zeros(2 * plane.n)
         np.maximum.at(fastest, profile, np.abs(motion.velocity_rad_s))
+        return self._required_mm(plane, fastest.reshape(-1, 2), motion.makespan_s, pairs)
+
+    def most_required_mm(self, plane: FocalPlane, makespan_s: float, pairs) -> np.ndarray:
+        """Gap enough for any motion within the speed limits that lasts so long [mm], shape (p,)."""
+        speeds = np.where(plane.enabled[:, None], plane.speeds, 0.0)
+        return self._required_mm(plane, speeds, makespan_s, pairs)
+
+    def _required_mm(self, plane, fastest, makespan_s, pairs):
         phi_reach = np.hypot(*np.moveaxis(plane.phi_vertices, -1, 0)).max(axis=1)
         levers = np.stack([plane.reach_mm, phi_reach + plane.phi_radius], axis=1)
-        speed = (fastest.reshape(-1, 2) * levers).sum(axis=1)
+        speed = (fastest * levers).sum(axis=1)
         speed = np.concatenate([speed, np.zeros(len(plane.obstacles))])
-        late = self.clock_ppm * 1e-6 * motion.makespan_s + self.start_skew_s
+        late = self.clock_ppm * 1e-6 * makespan_s + self.start_skew_s
         return self.margin_mm + late * speed[np.asarray(pairs)].sum(axis=1)
