@@ -5,7 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fiber_core.clearance import Safety, certify, neighbour_pairs, sampled_gaps
+from fiber_core.clearance import (
+    Safety,
+    bodies_of,
+    certify,
+    neighbour_pairs,
+    profiles_of,
+    sampled_gaps,
+    unproven,
+)
 from fiber_core.fields import random_field
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -134,6 +142,33 @@ def test_what_need_not_be_resolved_is_still_a_bound_and_the_smallest_gap_is_foun
             a, b = found.min_pair
             then = sampled_gaps(plane, [(a, b)], motion(found.min_time_s)[:, :, None])[0, 0]
             assert then == pytest.approx(found.min_gap_mm, abs=1e-3)
+
+
+@pytest.mark.parametrize("phi, theta", [(2, 0), (7, 13)])
+def test_a_certificate_without_figures_is_of_the_same_mind(phi, theta):
+    rng = np.random.default_rng(10 + phi)
+    plane, motion = _couples(rng, 120, phi, theta), _random_motion(rng, 240)
+    pairs = np.stack([2 * np.arange(120), 2 * np.arange(120) + 1], axis=1)
+    found = certify(plane, motion, Safety(0.3, 0.0, 0.0), pairs)
+    bare = unproven(bodies_of(plane), profiles_of(motion), pairs, found.required_mm)
+    doubtful = np.abs(_dense_minimum(plane, motion, pairs) - 0.3) < 2e-3
+    assert found.unsafe.sum() > 10 and (~found.unsafe).sum() > 10
+    np.testing.assert_array_equal(bare[~doubtful], found.unsafe[~doubtful])
+
+
+@pytest.mark.parametrize("name", ["desi", "desi_outlines", "sdss_v"])
+def test_no_motion_within_the_speed_limits_requires_more_than_the_most(name):
+    rng = np.random.default_rng(4)
+    plane = preset(name, 40)
+    safety, pairs = Safety(0.1, 200.0, 1e-3), neighbour_pairs(plane)
+    fast = np.arange(81), np.full(80, 2.0), plane.speeds.ravel()
+    full = SegmentMotion(np.zeros((40, 2)), *fast)
+    most = safety.most_required_mm(plane, 2.0, pairs)
+    np.testing.assert_allclose(most, safety.required_mm(plane, full, pairs))
+    slower = SegmentMotion(np.zeros((40, 2)), fast[0], fast[1], rng.uniform(-1, 1, 80) * fast[2])
+    assert np.all(safety.required_mm(plane, slower, pairs) <= most + 1e-12)
+    resting = plane.with_enabled(rng.random(40) < 0.5)
+    assert np.all(safety.most_required_mm(resting, 2.0, pairs) <= most)
 
 
 _MARGIN_ONLY = Safety(margin_mm=0.05, clock_ppm=0.0, start_skew_s=0.0)

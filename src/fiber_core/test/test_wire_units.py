@@ -44,6 +44,16 @@ def test_decoded_is_counted(seed):
     assert decoded.makespan_s == pytest.approx(max(ticks) * units.tick_s, rel=1e-12)
 
 
+def test_robots_held_rest_and_the_others_are_as_before():
+    motion = random_motion(8, WireUnits())
+    held = np.arange(30) % 3 == 0
+    rest, decoded = motion.without(held), motion.decoded().without(held)
+    assert np.array_equal(rest.end[held], motion.start[held])
+    assert np.array_equal(rest.end[~held], motion.end[~held])
+    assert np.array_equal(rest.decoded().offsets, decoded.offsets)
+    assert np.array_equal(rest.decoded().velocity_rad_s, decoded.velocity_rad_s)
+
+
 def test_at_every_tick_a_joint_stands_on_a_whole_quantum():
     units = WireUnits()
     motion = random_motion(7, units)

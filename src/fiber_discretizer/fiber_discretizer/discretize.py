@@ -108,6 +108,5 @@ def _by_turns(plane, trajectory, start_counts, units, safety, options, reason, t
     idle = np.flatnonzero(candidates.motors.astype(bool) & ~draft.counts().any(axis=1))
     reason[idle] = Reason.UNSAFE
     reason[candidates.too_many_segments(idle)] = Reason.TOO_MANY_SEGMENTS
-    segments = draft.segments
-    wire = WireMotion(units, start_counts, segments.offsets, segments.ticks, segments.velocity)
-    return wire, rounds
+    offsets, (ticks, velocity) = draft.segments.offsets, draft.segments.whole()
+    return WireMotion(units, start_counts, offsets, ticks, velocity), rounds

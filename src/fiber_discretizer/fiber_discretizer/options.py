@@ -45,7 +45,7 @@ class DiscretizeOptions:
     rounds: int = 4
     reach_rad: float = 1.6
     allowance_mm: float = 0.005
-    slack_rad: float = 0.002
+    slack_rad: float = 0.005
     start_tolerance_rad: float = 1e-3
     speed_tolerance: float = 0.01
     rounding: Rounding = field(default_factory=Rounding)

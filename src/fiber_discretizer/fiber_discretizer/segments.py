@@ -48,6 +48,10 @@ class Segments:
         offsets = np.concatenate([[0], np.cumsum(counts)])
         return cls(offsets, ticks[keep], quanta[keep] / ticks[keep])
 
+    def whole(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return ticks and velocity, whole numbers by now, as integers, each of shape (m,)."""
+        return np.rint(self.ticks).astype(np.int64), np.rint(self.velocity).astype(np.int64)
+
     def rows(self, rows) -> "Segments":
         """Return the profiles `rows`, shape (r,), alone."""
         return Segments.none(len(rows)).replaced(np.arange(len(rows)), self, rows)

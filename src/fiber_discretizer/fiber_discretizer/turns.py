@@ -83,7 +83,7 @@ class _Turns:
         self.draft, self.candidates, self.options = draft, candidates, options
         self.motors = candidates.motors
         self.enough = self.motors + 2
-        # Nobody who is stuck has to be faster than the plan, nor slower than all others.
+        # Who is stuck may take as long as its plan, and longer than all others need alone.
         slowest = 1.5 * candidates.fastest_s.max(initial=0.0)
         self.horizon_s = min(candidates.time_s[-1], slowest)
 
@@ -146,7 +146,8 @@ class _Turns:
         draft, candidates, rows = self.draft, self.candidates, choice.rows
         enough = self.enough[rows]
         fastest = candidates.fastest_s[rows]
-        end = np.maximum(self.horizon_s, fastest)
+        as_planned = candidates.arrival_s[rows].max(axis=1)[:, None]
+        end = np.maximum(np.maximum(self.horizon_s, as_planned), fastest)
         spans = np.stack([[0 * end, fastest], [0 * end, end], [end - fastest, end]])
         # shape (m, 2, 3, 2): robot, joint, fast, slow or late, (begin, end)
         spans = spans.transpose(2, 3, 0, 1)
