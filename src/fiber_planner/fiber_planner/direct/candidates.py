@@ -4,6 +4,7 @@ import math
 
 import numba as nb
 
+from fiber_core.clearance import pair_gap_below
 from fiber_planner.direct.draws import (
     copy_profile,
     fold_profile,
@@ -27,6 +28,29 @@ def nearer_fold(fold, phi):
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _option(crowd, draft, i, step_s, state):
+    # The option to end in: the robot's own, or now and then another one that is in reach
+    # and clear of where its neighbours end. The goals chosen at first are clear of each
+    # other, and so they stay.
+    own = draft.choice[i]
+    if crowd.options[i] < 2 or next_uniform(state) >= _OTHER_OPTION:
+        return own
+    other = int(next_uniform(state) * crowd.options[i])
+    last = draft.q.shape[2] - 1
+    for joint in range(2):
+        turn = crowd.option[i, other, joint] - crowd.start[i, joint]
+        if least_intervals(turn, crowd.speed[i, joint] * step_s) > last:
+            return own
+    theta, phi = crowd.option[i, other]
+    for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
+        j, required = crowd.neighbours[e], draft.required[crowd.pair[e]]
+        theta_j, phi_j = draft.q[j, 0, last], draft.q[j, 1, last]
+        if pair_gap_below(crowd.bodies, i, j, theta, phi, theta_j, phi_j, required) < required:
+            return own
+    return other
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def draw_any(crowd, draft, i, number, many, step_s, folding, state, profile):
     """Draw a whole new profile; simple ones first, then third angles farther and farther out.
 
@@ -47,14 +71,7 @@ def draw_any(crowd, draft, i, number, many, step_s, folding, state, profile):
     choice = draft.choice[i]
     theta, phi = crowd.start[i]
     if choice >= 0:
-        if crowd.options[i] > 1 and next_uniform(state) < _OTHER_OPTION:
-            choice = int(next_uniform(state) * crowd.options[i])
-        theta, phi = crowd.option[i, choice]
-        for joint in range(2):
-            goal = crowd.option[i, choice, joint]
-            turn = goal - crowd.start[i, joint]
-            if least_intervals(turn, crowd.speed[i, joint] * step_s) > last:
-                choice = draft.choice[i]
+        choice = _option(crowd, draft, i, step_s, state)
         theta, phi = crowd.option[i, choice]
     elif number > 0:
         ease = (number / many) ** 2
@@ -174,8 +191,8 @@ def draw_folded(crowd, draft, i, step_s, state, profile, legs):
     choice = draft.choice[i]
     turn_step, bend_step = crowd.speed[i, 0] * step_s, crowd.speed[i, 1] * step_s
     theta, phi = profile[0, last], profile[1, last]
-    if second and choice >= 0 and crowd.options[i] > 1 and next_uniform(state) < _OTHER_OPTION:
-        choice = int(next_uniform(state) * crowd.options[i])
+    if second and choice >= 0:
+        choice = _option(crowd, draft, i, step_s, state)
         theta, phi = crowd.option[i, choice]
     v1, v2 = profile[1, t1], profile[1, t2]
     theta1, theta2 = profile[0, t1], profile[0, t2]

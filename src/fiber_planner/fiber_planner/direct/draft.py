@@ -8,7 +8,15 @@ import numpy as np
 from fiber_planner.direct.draws import copy_profile
 from fiber_planner.direct.penetration import penetration
 
-__all__ = ["Draft", "adopt", "count_conflicts", "measure", "most_neighbours", "weigh"]
+__all__ = [
+    "Draft",
+    "adopt",
+    "count_conflicts",
+    "measure",
+    "most_neighbours",
+    "weigh",
+    "worst_first",
+]
 
 
 class Draft(NamedTuple):
@@ -74,7 +82,23 @@ def most_neighbours(crowd):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def weigh(crowd, draft, i, profile, best, depths):
+def worst_first(crowd, draft, i, order):
+    """Write the neighbours of a robot as weigh counts them, most weighted conflict first."""
+    begin, count = crowd.offsets[i], crowd.offsets[i + 1] - crowd.offsets[i]
+    for e in range(count):
+        p = crowd.pair[begin + e]
+        at = e
+        while at > 0:
+            q = crowd.pair[begin + order[at - 1]]
+            if draft.weight[q] * draft.depth[q] >= draft.weight[p] * draft.depth[p]:
+                break
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = e
+
+
+@nb.njit(cache=True, error_model="numpy")
+def weigh(crowd, draft, i, profile, best, order, depths):
     """Return the weighted penetration of a robot with another profile.
 
     Args:
@@ -83,17 +107,20 @@ def weigh(crowd, draft, i, profile, best, depths):
         i: row of the robot.
         profile: its joint angles on the grid [rad], shape (2, k + 1).
         best: value beyond which the exact result is of no interest.
+        order: order in which the neighbours are looked at, from worst_first.
         depths: penetration with each neighbour, written as far as looked at.
     """
     total = 0.0
-    for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
+    begin = crowd.offsets[i]
+    for at in range(crowd.offsets[i + 1] - begin):
+        e = begin + order[at]
         p = crowd.pair[e]
         limit = (best - total) / draft.weight[p]
         a, b = crowd.pairs[p]  # always in this order: no digit depends on who is asking
         qa = profile if a == i else draft.q[a]
         qb = profile if b == i else draft.q[b]
         depth = _depth(crowd, draft, p, qa, qb, limit)
-        depths[e - crowd.offsets[i]] = depth
+        depths[e - begin] = depth
         total += draft.weight[p] * depth
         if total > best:
             return total

@@ -10,7 +10,7 @@ from fiber_planner.direct.candidates import (
     draw_half,
     nearer_fold,
 )
-from fiber_planner.direct.draft import adopt, most_neighbours, weigh
+from fiber_planner.direct.draft import adopt, most_neighbours, weigh, worst_first
 from fiber_planner.direct.draws import (
     copy_profile,
     least_intervals,
@@ -66,6 +66,7 @@ def sweep(crowd, draft, step_s, folding, number, first, last, draws):
     best_profile = np.empty_like(profile)
     depths = np.empty(most_neighbours(crowd))
     best_depths = np.empty_like(depths)
+    order = np.empty(len(depths), dtype=np.int64)
     legs = np.zeros(2, dtype=np.int64)
     best_legs = np.zeros(2, dtype=np.int64)
     spent = 0
@@ -78,6 +79,7 @@ def sweep(crowd, draft, step_s, folding, number, first, last, draws):
             best += draft.weight[crowd.pair[e]] * draft.depth[crowd.pair[e]]
         if best == 0.0:
             continue
+        worst_first(crowd, draft, i, order)
         found = False
         best_choice = draft.choice[i]
         state = seeded(crowd.key[i], 2 * number + 1)
@@ -98,7 +100,7 @@ def sweep(crowd, draft, step_s, folding, number, first, last, draws):
             else:
                 choice = draw_any(crowd, draft, i, draw, draws, step_s, folding, state, profile)
             spent += 1
-            total = weigh(crowd, draft, i, profile, best, depths)
+            total = weigh(crowd, draft, i, profile, best, order, depths)
             if total < best:
                 found, best, best_choice = True, total, choice
                 best_legs[0], best_legs[1] = legs[0], legs[1]
@@ -176,16 +178,18 @@ def restore(crowd, draft, step_s, folding, rows, number, draws):
     """
     profile = np.empty((2, draft.q.shape[2]))
     depths = np.empty(most_neighbours(crowd))
+    order = np.empty(len(depths), dtype=np.int64)
     count = 0
     for i in rows:
         before = draft.choice[i]
         if before >= 0 or crowd.options[i] == 0:
             continue
         draft.choice[i] = 0
+        worst_first(crowd, draft, i, order)
         state = seeded(crowd.key[i], 2 * number + 1)
         for draw in range(draws):
             choice = draw_any(crowd, draft, i, draw, draws, step_s, folding, state, profile)
-            if weigh(crowd, draft, i, profile, 0.0, depths) == 0.0:
+            if weigh(crowd, draft, i, profile, 0.0, order, depths) == 0.0:
                 adopt(crowd, draft, i, profile, depths)
                 draft.legs[i, 0] = draft.legs[i, 1] = 0
                 before = choice

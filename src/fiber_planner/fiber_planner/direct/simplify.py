@@ -3,7 +3,7 @@
 import numba as nb
 import numpy as np
 
-from fiber_planner.direct.draft import adopt, most_neighbours, weigh
+from fiber_planner.direct.draft import adopt, most_neighbours, weigh, worst_first
 from fiber_planner.direct.draws import copy_profile, trapezoid
 
 __all__ = ["simplify"]
@@ -28,7 +28,7 @@ def _breaks(row, out):
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _whole(crowd, draft, i, profile, depths):
+def _whole(crowd, draft, i, profile, order, depths):
     # straight lines all the way; False where the robot goes so already or meets somebody
     last = profile.shape[1] - 1
     straight = True
@@ -38,18 +38,18 @@ def _whole(crowd, draft, i, profile, depths):
         trapezoid(profile[joint], s, g, g, 0, last, last, last)
         for k in range(last + 1):
             straight = straight and abs(draft.q[i, joint, k] - profile[joint, k]) < _STRAIGHT_RAD
-    return not straight and weigh(crowd, draft, i, profile, 0.0, depths) == 0.0
+    return not straight and weigh(crowd, draft, i, profile, 0.0, order, depths) == 0.0
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _without_one(crowd, draft, i, joint, at, breaks, profile, depths):
+def _without_one(crowd, draft, i, joint, at, breaks, profile, order, depths):
     # the profile without its break number `at`: a line from the one before to the one after
     copy_profile(draft.q[i], profile)
     row = profile[joint]
     begin, end = breaks[at - 1], breaks[at + 1]
     for k in range(begin + 1, end):
         row[k] = row[begin] + (row[end] - row[begin]) * ((k - begin) / (end - begin))
-    return weigh(crowd, draft, i, profile, 0.0, depths) == 0.0
+    return weigh(crowd, draft, i, profile, 0.0, order, depths) == 0.0
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -70,20 +70,22 @@ def simplify(crowd, draft):
     steps = draft.q.shape[2]
     profile = np.empty((2, steps))
     depths = np.empty(most_neighbours(crowd))
+    order = np.empty(len(depths), dtype=np.int64)
     breaks = np.empty(steps + 1, dtype=np.int64)
     changed = 0
     for i in range(len(crowd.start)):
         if not crowd.movable[i]:
             continue
+        worst_first(crowd, draft, i, order)
         simpler = False
-        if _whole(crowd, draft, i, profile, depths):
+        if _whole(crowd, draft, i, profile, order, depths):
             adopt(crowd, draft, i, profile, depths)
             simpler = True
         for joint in range(2):
             count = _breaks(draft.q[i, joint], breaks)
             at = 1
             while at < count - 1:
-                if _without_one(crowd, draft, i, joint, at, breaks, profile, depths):
+                if _without_one(crowd, draft, i, joint, at, breaks, profile, order, depths):
                     adopt(crowd, draft, i, profile, depths)
                     simpler = True
                     count = _breaks(draft.q[i, joint], breaks)
