@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Run planners on planes and seeds and write one table: who arrives, how fast, how safe.
+"""Take planners through planes and seeds to the bytes: who arrives, how fast, how safe.
 
-Every motion is judged as it is: its straight pieces, with nothing rounded, go through the
-certificate. A small plan is made first, so that compilation is not counted; cpu_s is the
-processor time of the planner, plan_s the time on the clock. Results are JSON lines and a
-table in markdown.
+Every plan is discretized and rounded as it would be sent; the certificate judges the motion
+decoded from that. A small plan is made first, so that compilation is not counted; cpu_s is
+processor time, wall_s the time on the clock. One JSON line for each run is appended to the
+results, and a table in markdown is made of all lines there.
 """
 
 import argparse
@@ -13,7 +13,9 @@ import os
 import sys
 import time
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
@@ -21,36 +23,40 @@ from fiber_core.clearance import Safety, certify, neighbour_pairs
 from fiber_core.fields import random_problem
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
+from fiber_core.problem import Problem
 from fiber_core.report import lower_bound_s
 from fiber_core.tables import read_layout
+from fiber_core.wire_units import WireUnits
+from fiber_discretizer import discretize
 from fiber_planner import make_planner
-from fiber_planner.direct import reachable, straight_pieces
+from fiber_planner.direct import reachable
 
-__all__ = ["main", "run"]
+__all__ = ["main", "problem_of", "run"]
 
 _DATA = Path(os.environ.get("FIBER_DATA", Path(__file__).parents[2] / "shared" / "data"))
+_RESULTS = Path(__file__).parent / "results"
 
 # name -> (preset or layout and obstacle files, robots, share disabled, phi radius [mm] or
 # None for the preset's)
 PLANES = {
     "desi": ("desi", None, 0.0, None),
-    "pfs": ("pfs", None, 0.0, None),
     "desi_outlines": ("desi_outlines", None, 0.0, None),
+    "pfs": ("pfs", None, 0.0, None),
+    "desi_2021": (("desi_2021-06-25.csv", None), None, 0.0, None),
     "desi_15": ("desi", None, 0.15, None),
     "desi_wide_15": ("desi", None, 0.15, 1.6),
-    "desi_2021": (("desi_2021-06-25.csv", None), None, 0.0, None),
     "sdss_v": ("sdss_v", None, 0.0, None),
-    "sdss_v_15": ("sdss_v", None, 0.15, None),
     "sdss_v_real": (("sdss_v_positioners.csv", "sdss_v_fiducials.csv"), None, 0.0, None),
     "sdss_v_4921": ("sdss_v", 4921, 0.0, None),
     "moons": ("moons", None, 0.0, 2.25),
+    "sdss_v_15": ("sdss_v", None, 0.15, None),
     "moons_15": ("moons", None, 0.15, 2.25),
     "desi_100k": ("desi", 100_000, 0.0, None),
 }
 
 
-def problem_of(name: str, seed: int):
-    """Return the random problem of a plane in PLANES for a seed."""
+def problem_of(name: str, seed: int) -> Problem:
+    """Return the random problem of a plane in PLANES for a seed, its starts as encoders read."""
     source, robots, disabled, radius = PLANES[name]
     if isinstance(source, str):
         plane = preset(source, robots)
@@ -61,11 +67,14 @@ def problem_of(name: str, seed: int):
     rng = np.random.default_rng(seed)
     if disabled:
         plane = plane.with_enabled(plane.enabled & (rng.random(plane.n) >= disabled))
-    return random_problem(plane, rng)
+    problem = random_problem(plane, rng)
+    units = WireUnits.for_plane(plane)
+    counts = units.encoder_counts(plane, problem.start)
+    return Problem(plane, units.to_angles(counts), problem.targets)
 
 
 def run(name: str, planner, seed: int) -> dict:
-    """Plan one problem and return its row of the table.
+    """Plan and discretize one problem and return its line of the results.
 
     Args:
         name: one of PLANES.
@@ -73,29 +82,36 @@ def run(name: str, planner, seed: int) -> dict:
         seed: of the problem.
     """
     problem = problem_of(name, seed)
+    plane, safety, units = problem.plane, Safety(), WireUnits.for_plane(problem.plane)
     begin, begin_cpu = time.perf_counter(), time.process_time()
     planned = planner.plan(problem)
-    plan_s, cpu_s = time.perf_counter() - begin, time.process_time() - begin_cpu
-    motion = straight_pieces(planned.motion)
-    begin = time.perf_counter()
-    certificate = certify(problem.plane, motion, Safety())
-    certify_s = time.perf_counter() - begin
-    can = reachable(problem, neighbour_pairs(problem.plane), Safety().margin_mm)
+    wall_s, cpu_s = time.perf_counter() - begin, time.process_time() - begin_cpu
+    begin_cpu = time.process_time()
+    counts = units.encoder_counts(plane, problem.start)
+    sent = discretize(plane, planned.motion, units, safety, counts)
+    discretize_s = time.process_time() - begin_cpu
+    motion = sent.wire.decoded()
+    begin_cpu = time.process_time()
+    certificate = certify(plane, motion, safety)
+    certify_s = time.process_time() - begin_cpu
+    can = reachable(problem, neighbour_pairs(plane), safety.margin_mm)
     bound = lower_bound_s(problem)
     segments = motion.counts[motion.counts > 0]
     return {
         "plane": name,
         "planner": planner.name,
         "seed": seed,
-        "robots": problem.plane.n,
-        "enabled": int(problem.plane.enabled.sum()),
+        "robots": plane.n,
+        "enabled": int(plane.enabled.sum()),
         "reachable": int(can.sum()),
-        "reached": int((planned.reason == Reason.OK).sum()),
+        "planned": int((planned.reason == Reason.OK).sum()),
+        "reached": int(((planned.reason == Reason.OK) & (sent.reason == Reason.OK)).sum()),
         "makespan_s": round(motion.makespan_s, 4),
         "lower_bound_s": round(bound, 4),
-        "ratio": round(motion.makespan_s / bound, 4) if bound else None,
-        "plan_s": round(plan_s, 3),
+        "ratio": round(motion.makespan_s / bound, 4),
+        "wall_s": round(wall_s, 3),
         "cpu_s": round(cpu_s, 3),
+        "discretize_s": round(discretize_s, 3),
         "certify_s": round(certify_s, 3),
         "certified": bool(certificate.ok),
         "min_gap_mm": round(certificate.min_gap_mm, 4),
@@ -104,36 +120,65 @@ def run(name: str, planner, seed: int) -> dict:
     }
 
 
-def markdown(rows: list[dict]) -> str:
-    """Return the rows as a table in markdown."""
-    columns = list(rows[0])
-    lines = [columns, ["---"] * len(columns)] + [[str(row[c]) for c in columns] for row in rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+def markdown(lines: list[dict]) -> str:
+    """Return the table of all results: one row for each plane and planner."""
+    columns = (
+        "plane | planner | robots | seeds | reached of reachable, worst seed | all seeds | "
+        "certified | makespan / lower bound, median and worst | planning cpu [s], median and "
+        "worst | discretizing cpu [s] | least clearance [mm] | segments a moving motor, mean "
+        "and most"
+    )
+    rows = [columns, " | ".join("---" for _ in columns.split(" | "))]
+    order = list(PLANES)
+    lines = sorted(lines, key=lambda line: (order.index(line["plane"]), line["planner"]))
+    for (plane, planner), group in groupby(lines, lambda line: (line["plane"], line["planner"])):
+        group = list(group)
+        of = {key: [line[key] for line in group] for key in group[0]}
+        share = [reached / can for reached, can in zip(of["reached"], of["reachable"])]
+        robots, enabled = of["robots"][0], sorted({min(of["enabled"]), max(of["enabled"])})
+        working = "" if enabled == [robots] else f", {'-'.join(map(str, enabled))} working"
+        rows.append(
+            f"{plane} | {planner} | "
+            f"{robots}{working} | "
+            f"{len(group)} | {100 * min(share):.2f} % | "
+            f"{100 * sum(of['reached']) / sum(of['reachable']):.3f} % | "
+            f"{sum(of['certified'])} of {len(group)} | "
+            f"{median(of['ratio']):.3f}, {max(of['ratio']):.3f} | "
+            f"{median(of['cpu_s']):.2f}, {max(of['cpu_s']):.2f} | "
+            f"{median(of['discretize_s']):.2f} | {min(of['min_gap_mm']):.3f} | "
+            f"{np.mean(of['segments_mean']):.2f}, {max(of['segments_max'])}"
+        )
+    return "\n".join(f"| {row} |" for row in rows) + "\n"
 
 
 def main(argv=None) -> int:
-    """Run the table from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--planes", nargs="+", default=["desi", "pfs"], choices=list(PLANES))
+    """Run the campaign from the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--planes", nargs="+", default=list(PLANES), choices=list(PLANES))
     parser.add_argument("--planners", nargs="+", default=["direct"])
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=None, help="folder for the two tables")
+    parser.add_argument("--seeds", type=int, default=20, help="fields of each plane")
+    parser.add_argument("--first-seed", type=int, default=100)
+    parser.add_argument("--out", type=Path, default=_RESULTS, help="folder of the results")
     options = parser.parse_args(argv)
-    rows = []
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "planners.jsonl"
+    lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     for planner_name in options.planners:
         planner = make_planner(planner_name)
         for small in (preset("pfs", 60), preset("sdss_v", 37)):  # compile
-            planner.plan(random_problem(small, np.random.default_rng(0)))
+            problem = random_problem(small, np.random.default_rng(0))
+            motion = planner.plan(problem).motion
+            discretize(small, motion, WireUnits.for_plane(small), Safety())
         for name in options.planes:
             for seed in range(options.first_seed, options.first_seed + options.seeds):
-                rows.append(run(name, planner, seed))
-                print(json.dumps(rows[-1]), flush=True)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        text = "".join(json.dumps(row) + "\n" for row in rows)
-        (options.out / "planners.jsonl").write_text(text)
-        (options.out / "planners.md").write_text(markdown(rows))
+                line = run(name, planner, seed)
+                print(json.dumps(line), flush=True)
+                key = [line[each] for each in ("plane", "planner", "seed")]
+                lines = [x for x in lines if [x["plane"], x["planner"], x["seed"]] != key] + [line]
+                path.write_text("".join(json.dumps(each) + "\n" for each in lines))
+    (options.out / "planners.md").write_text(markdown(lines))
     return 0
 
 
