@@ -15,7 +15,7 @@ __all__ = ["Candidates"]
 
 _INTERVALS = 48  # of the time grid of a tube
 _SHARES = np.linspace(0.0, 1.0, _INTERVALS + 1)
-_FINEST_RAD = 2e-4  # how closely the plan is followed at most (1.2 um at 6 mm)
+_FINEST_MM = 0.001  # how closely the plan is followed at most
 _PAD_RAD = 0.01  # kept from the walls of a tube: nothing is known between samples
 _FREE_SLACK_RAD = 0.1  # how far rounding may shift a straight line
 _SPEED = 0.998  # part of the speed limit that paths may use; rounding takes from the rest
@@ -56,8 +56,6 @@ class Candidates:
         most = units.max_velocity * units.velocity_rad_s
         self._speeds = np.maximum(_SPEED * np.minimum(plane.speeds, most), 1e-9)
         self.fastest_s = travel / self._speeds
-        phi = np.hypot(*np.moveaxis(plane.phi_vertices, -1, 0)).max(axis=1) + plane.phi_radius
-        self._levers_mm = np.stack([plane.reach_mm, phi], axis=1)
 
     def straight(self, rows, windows=None) -> Segments:
         """Return motions of one line a motor, in two where it has to wait first.
@@ -116,28 +114,30 @@ class Candidates:
             wish[:, joint] = lines[joint].at(times)
         return self._rounded(rows, lines), found
 
-    def planned(self, rows, width_rad: float) -> Segments:
-        """Return the plan itself, followed within a width [rad], nothing rounded."""
-        return Segments.along(self._along(rows, width_rad), self._draft.units)
+    def planned(self, rows, width_mm: float) -> Segments:
+        """Return the plan itself, followed so closely [mm], nothing rounded."""
+        return Segments.along(self._along(rows, width_mm)[0], self._draft.units)
 
-    def rounded_plan(self, rows, width_rad: float) -> Segments:
-        """Return the plan, followed within a width [rad], in whole units."""
+    def rounded_plan(self, rows, width_mm: float) -> Segments:
+        """Return the plan, followed so closely [mm], in whole units."""
+        lines, width_rad = self._along(rows, width_mm)
         joints = np.tile([0, 1], len(rows))
-        lines = self._along(rows, width_rad)
-        return self._quantized(lines, np.repeat(rows, 2), joints, self._options.slack_rad)
+        return self._quantized(lines, np.repeat(rows, 2), joints, width_rad)
 
     def too_many_segments(self, rows) -> np.ndarray:
         """Return which of some robots, shape (m,), at rest could go with more segments."""
-        finest = self.rounded_plan(rows, _FINEST_RAD)
+        finest = self.rounded_plan(rows, _FINEST_MM)
         crowded = finest.counts.reshape(-1, 2).max(axis=1) > self._options.max_segments
         pairs = self._draft.pairs_of(rows)
         unsafe = self._draft.robots_in(pairs[self._draft.unproven(pairs, rows, finest)])
         return rows[crowded & ~unsafe[rows]]
 
-    def _along(self, rows, width_rad):
+    def _along(self, rows, width_mm):
+        # the plan as lines within a width, half of it for each motor, and that in angles
         profiles = self._planned[rows].reshape(2 * len(rows), len(self.time_s))
-        low, high = profiles - width_rad, profiles + width_rad
-        return linearize(self.time_s, profiles, low, high, "greedy")
+        width_rad = 0.5 * width_mm / self._draft.levers_mm[rows].ravel()
+        low, high = profiles - width_rad[:, None], profiles + width_rad[:, None]
+        return linearize(self.time_s, profiles, low, high, "greedy"), width_rad
 
     def planned_windows(self, rows) -> np.ndarray:
         """Return when each motor turns as planned [s], shape (m, 2, 2).
@@ -168,7 +168,7 @@ class Candidates:
     def _walls(self, rows, profiles, required_mm, joint, times, wish, side):
         draft = self._draft
         return free_walls(
-            draft.bodies.table, self._levers_mm, draft.plane.limits, profiles, draft.beside,
+            draft.bodies.table, self._draft.levers_mm, draft.plane.limits, profiles, draft.beside,
             required_mm, rows, joint, times, wish, side, self._options.reach_rad,
         )  # fmt: skip
 
@@ -206,7 +206,7 @@ class Candidates:
             self.goal[rows, joints],
             self._ranges[rows, joints],
             self._draft.plane.speeds[rows, joints],
-            np.full(len(rows), slack),
+            np.broadcast_to(slack, len(rows)),
             self._draft.units,
             self._options.rounding,
         )

@@ -35,7 +35,7 @@ class Choice:
         in_trouble[rows] = False
         self._ignored = in_trouble[draft.pairs].any(axis=1)
         self.asked_mm = np.where(
-            self._ignored, _NOT_IN_THE_WAY_MM, draft.required_mm + allowance_mm
+            self._ignored, _NOT_IN_THE_WAY_MM, draft.most_required_mm + allowance_mm
         )
         content = draft.settled[rows] & ~in_conflict[rows] & ~idle
         self._before = self._cost(draft.counts()[rows])

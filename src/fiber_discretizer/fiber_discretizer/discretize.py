@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiber_core.clearance import Certificate, Safety, hold_until_safe, neighbour_pairs
+from fiber_core.clearance import Certificate, Safety, hold_until_safe
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
@@ -18,6 +18,8 @@ from fiber_discretizer.options import DiscretizeOptions
 from fiber_discretizer.turns import take_turns
 
 __all__ = ["Discretization", "discretize"]
+
+_LATER_TICKS = 20  # how much longer than planned rounding makes a motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +99,8 @@ def _resting(trajectory, robots):
 
 
 def _by_turns(plane, trajectory, start_counts, units, safety, options, reason, tell):
-    makespan_s = trajectory.time_s[-1] + 100 * units.tick_s
-    with_itself = np.repeat(np.arange(plane.n)[:, None], 2, axis=1)
-    most = safety.most_required_mm(plane, makespan_s, with_itself).max(initial=0.0)
-    pairs = neighbour_pairs(plane, max(1.0, most))
-    required = safety.most_required_mm(plane, makespan_s, pairs)
-    draft = Draft(plane, units, start_counts, pairs, required)
+    makespan_s = trajectory.time_s[-1] + _LATER_TICKS * units.tick_s
+    draft = Draft(plane, units, start_counts, safety, makespan_s)
     candidates = Candidates(draft, trajectory, options)
     rounds = take_turns(draft, candidates, safety, options, tell)
     idle = np.flatnonzero(candidates.motors.astype(bool) & ~draft.counts().any(axis=1))

@@ -2,7 +2,16 @@
 
 import numpy as np
 
-from fiber_core.clearance import Profiles, bodies_of, profiles_of, unproven
+from fiber_core.clearance import (
+    Profiles,
+    Safety,
+    bodies_of,
+    levers_of,
+    neighbour_pairs,
+    point_speeds,
+    profiles_of,
+    unproven,
+)
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.wire_units import WireUnits
@@ -19,22 +28,32 @@ class Draft:
         plane: the focal plane.
         units: size of tick and quantum, and the widths of the fields.
         start: where the motors are [quanta], shape (n, 2).
-        pairs: rows a, b as from neighbour_pairs, shape (p, 2).
-        required_mm: gap each pair must keep, whatever is made of it [mm], shape (p,).
+        safety: gap asked for and timing errors to survive.
+        makespan_s: how long any motion may last [s].
 
     Attributes:
         segments: of profiles 2 i + j, robot i, joint j.
         settled: robots whose segments are in whole units, shape (n,).
         unsafe: pairs not proven to keep their gap, shape (p,).
+        pairs: who may ever come too close, rows a, b as from neighbour_pairs, shape (p, 2).
+        most_required_mm: gap each of them must keep at full speed [mm], shape (p,).
+        levers_mm: from levers_of, shape (n, 2).
         bodies: outlines, from bodies_of.
         beside: who is beside whom, from neighbours_of.
     """
 
-    def __init__(self, plane: FocalPlane, units: WireUnits, start, pairs, required_mm):
+    def __init__(
+        self, plane: FocalPlane, units: WireUnits, start, safety: Safety, makespan_s: float
+    ):
         self.plane, self.units, self.start = plane, units, start
-        self.pairs = np.asarray(pairs, dtype=np.int32)
-        self.required_mm = required_mm
-        self.bodies, self.beside = bodies_of(plane), neighbours_of(plane.n, pairs)
+        self._safety, self._makespan_s = safety, makespan_s
+        self.levers_mm = levers_of(plane)
+        speeds = point_speeds(self.levers_mm, plane.speeds * plane.enabled[:, None])
+        two = np.repeat(np.argsort(speeds)[-1:], 2)  # the fastest, beside one like itself
+        most = safety.required_at(speeds, makespan_s, two).max(initial=0.0)
+        self.pairs = neighbour_pairs(plane, max(1.0, most))
+        self.most_required_mm = safety.required_at(speeds, makespan_s, self.pairs)
+        self.bodies, self.beside = bodies_of(plane), neighbours_of(plane.n, self.pairs)
         self.segments = Segments.none(2 * plane.n)
         self.settled = np.ones(plane.n, dtype=bool)
         self.unsafe = np.zeros(len(self.pairs), dtype=bool)
@@ -96,7 +115,9 @@ class Draft:
         if segments is not None:
             theirs = profiles_of(self.motion_of(rows, segments))
             profiles = profiles_of_robots(profiles, rows, theirs)
-        return unproven(self.bodies, profiles, self.pairs[pairs], self.required_mm[pairs])
+        speeds = point_speeds(self.levers_mm, profiles.fastest)
+        required = self._safety.required_at(speeds, self._makespan_s, self.pairs[pairs])
+        return unproven(self.bodies, profiles, self.pairs[pairs], required)
 
     def give(self, rows, segments: Segments, settled: bool = True) -> None:
         """Let robots, shape (m,), have other segments, of 2 m profiles."""
@@ -139,5 +160,5 @@ def profiles_of_robots(everybody: Profiles, rows, theirs: Profiles) -> Profiles:
         velocity=joined("velocity"),
         low=everybody.low,
         high=everybody.high,
-        fastest=everybody.fastest,
+        fastest=replaced("fastest"),
     )

@@ -21,8 +21,8 @@ from fiber_discretizer.options import DiscretizeOptions
 
 __all__ = ["take_turns"]
 
-_PLAN_RAD = 5e-4  # how closely the plan is followed by who waits for its turn (3 um at 6 mm)
-_FINE_RAD = (2e-3, 2e-4)  # and by who finds nothing better
+_PLAN_MM = 0.002  # how closely the plan is followed by who waits for its turn
+_FINE_MM = (0.02, 0.004, 0.001)  # and by who finds nothing better
 _SIDES = (1, -1)
 # When a robot that is stuck may turn theta and phi: as soon as possible, as slowly as
 # possible, or as late as possible.
@@ -100,7 +100,7 @@ class _Turns:
         fresh = draft.in_conflict & moves
         while fresh.any():
             rows = np.flatnonzero(fresh)
-            draft.give(rows, self.candidates.planned(rows, _PLAN_RAD), settled=False)
+            draft.give(rows, self.candidates.planned(rows, _PLAN_MM), settled=False)
             fresh = draft.in_conflict & draft.settled & moves
 
     def sweep(self, todo):
@@ -137,7 +137,7 @@ class _Turns:
                 choice.consider(which, *along)
         if len(which := choice.longer_than(self.enough[rows])):
             self._other_times(choice)
-        for width in _FINE_RAD:
+        for width in _FINE_MM:
             if len(which := choice.without()):
                 choice.consider(which, candidates.rounded_plan(rows[which], width))
         return len(choice.settle())

@@ -8,6 +8,7 @@ from fiber_core.clearance import (
     Safety,
     certify,
     neighbour_pairs,
+    point_speeds,
     profiles_of,
     sampled_gaps,
     unproven,
@@ -86,9 +87,7 @@ def test_straight_lines_would_not_do_in_the_case_of_three(plane_at):
 
 
 def draft_of(plane, start):
-    pairs = neighbour_pairs(plane)
-    required = SAFETY.most_required_mm(plane, 3.0, pairs)
-    return Draft(plane, UNITS, UNITS.to_counts(start), pairs, required)
+    return Draft(plane, UNITS, UNITS.to_counts(start), SAFETY, 3.0)
 
 
 def turning(plane, start, goal, seconds=2.0):
@@ -107,7 +106,10 @@ def test_a_draft_knows_its_unsafe_pairs_as_the_certificate_does(plane_at):
         order = rng.permutation(3)
         for row in order:  # given one by one, in any order
             draft.give(np.array([row]), segments.rows([2 * row, 2 * row + 1]))
-        every = unproven(draft.bodies, profiles_of(draft.motion), draft.pairs, draft.required_mm)
+        required = SAFETY.required_at(
+            point_speeds(draft.levers_mm, draft.profiles.fastest), 3.0, draft.pairs
+        )
+        every = unproven(draft.bodies, profiles_of(draft.motion), draft.pairs, required)
         np.testing.assert_array_equal(draft.unsafe, every)
         again = draft.unproven(np.arange(len(draft.pairs)), np.arange(3), segments)
         np.testing.assert_array_equal(again, every)

@@ -6,7 +6,7 @@ from fiber_core.clearance.hold import hold_until_safe
 from fiber_core.clearance.neighbours import neighbour_pairs
 from fiber_core.clearance.pair_gaps import gaps, pair_gap, pair_gap_below, posed_gap, sampled_gaps
 from fiber_core.clearance.profiles import Profiles, profiles_of
-from fiber_core.clearance.safety import Safety
+from fiber_core.clearance.safety import Safety, levers_of, point_speeds
 
 __all__ = [
     "Bodies",
@@ -17,9 +17,11 @@ __all__ = [
     "certify",
     "gaps",
     "hold_until_safe",
+    "levers_of",
     "neighbour_pairs",
     "pair_gap",
     "pair_gap_below",
+    "point_speeds",
     "posed_gap",
     "profiles_of",
     "sampled_gaps",

@@ -7,7 +7,7 @@ import numpy as np
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 
-__all__ = ["Safety"]
+__all__ = ["Safety", "levers_of", "point_speeds"]
 
 
 @dataclass(frozen=True)
@@ -41,17 +41,30 @@ class Safety:
         profile = np.repeat(np.arange(2 * plane.n), np.diff(motion.offsets))
         fastest = np.zeros(2 * plane.n)
         np.maximum.at(fastest, profile, np.abs(motion.velocity_rad_s))
-        return self._required_mm(plane, fastest.reshape(-1, 2), motion.makespan_s, pairs)
+        speeds = point_speeds(levers_of(plane), fastest.reshape(-1, 2))
+        return self.required_at(speeds, motion.makespan_s, pairs)
 
-    def most_required_mm(self, plane: FocalPlane, makespan_s: float, pairs) -> np.ndarray:
-        """Gap enough for any motion within the speed limits that lasts so long [mm], shape (p,)."""
-        speeds = np.where(plane.enabled[:, None], plane.speeds, 0.0)
-        return self._required_mm(plane, speeds, makespan_s, pairs)
+    def required_at(self, speeds_mm_s, makespan_s: float, pairs) -> np.ndarray:
+        """As required_mm, for robots whose points move no faster than some speeds.
 
-    def _required_mm(self, plane, fastest, makespan_s, pairs):
-        phi_reach = np.hypot(*np.moveaxis(plane.phi_vertices, -1, 0)).max(axis=1)
-        levers = np.stack([plane.reach_mm, phi_reach + plane.phi_radius], axis=1)
-        speed = (fastest * levers).sum(axis=1)
-        speed = np.concatenate([speed, np.zeros(len(plane.obstacles))])
-        late = self.clock_ppm * 1e-6 * makespan_s + self.start_skew_s
-        return self.margin_mm + late * speed[np.asarray(pairs)].sum(axis=1)
+        Args:
+            speeds_mm_s: V of each robot, as from point_speeds [mm/s], shape (n,).
+            makespan_s: how long the motion lasts at most [s].
+            pairs: rows a, b as from neighbour_pairs, shape (p, 2).
+        """
+        late_s = self.clock_ppm * 1e-6 * makespan_s + self.start_skew_s
+        a, b = np.asarray(pairs).reshape(-1, 2).T
+        n = len(speeds_mm_s)
+        speed = np.append(speeds_mm_s, 0.0)  # obstacles stand still
+        return self.margin_mm + late_s * (speed[np.minimum(a, n)] + speed[np.minimum(b, n)])
+
+
+def levers_of(plane: FocalPlane) -> np.ndarray:
+    """Return the farthest any point of a robot can be from the axis of each joint [mm], (n, 2)."""
+    phi_reach = np.hypot(*np.moveaxis(plane.phi_vertices, -1, 0)).max(axis=1)
+    return np.stack([plane.reach_mm, phi_reach + plane.phi_radius], axis=1)
+
+
+def point_speeds(levers_mm, speed_rad_s) -> np.ndarray:
+    """Return how fast any point of a robot may be [mm/s], shape (n,), from both joint speeds."""
+    return (np.asarray(speed_rad_s) * levers_mm).sum(axis=1)
