@@ -24,6 +24,7 @@ __all__ = ["take_turns"]
 _PLAN_MM = 0.002  # how closely the plan is followed by who waits for its turn
 _FINE_MM = (0.02, 0.004, 0.001)  # and by who finds nothing better
 _SIDES = (1, -1)
+_MANY = 3  # who has more segments of a motor looks once more for something else
 # When a robot that is stuck may turn theta and phi: as soon as possible, as slowly as
 # possible, or as late as possible.
 _FAST, _SLOW, _LATE = range(3)
@@ -74,7 +75,7 @@ def take_turns(
         done += 1
         if not (taken or held.any()):
             break
-    table.sweep(draft.counts().max(axis=1) > 3)
+    table.sweep(draft.counts().max(axis=1) > _MANY)
     return done
 
 
