@@ -6,7 +6,7 @@ comes too close to somebody goes back to the plan, and whoever is in the way of 
 with them, until what remains is as safe as the plan. From there robots take turns, no two
 neighbours at a time. Each chooses the fewest segments that are proven safe beside all
 others as they are then: straight lines, one motor around what is in its way, both motors
-along the plan. Nothing that was safe becomes unsafe, so the order only decides who bends.
+along the plan. Whoever is not in conflict stays so; the order decides who bends.
 """
 
 from collections.abc import Callable
