@@ -33,6 +33,7 @@ class Reason(IntEnum):
     # planning
     GOAL_BLOCKED = 30  # no elbow and turn is clear of the neighbours' chosen goals
     NOT_CONVERGED = 31  # the planner's horizon ended before the robot arrived
+    TANGLED = 32  # too close to a neighbour at the start: it waits while that one leaves
 
     # discretization
     UNSAFE = 40  # no motion of it could be certified beside its neighbours

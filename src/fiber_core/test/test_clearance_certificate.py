@@ -19,10 +19,18 @@ from fiber_core.clearance import (
 from fiber_core.fields import random_field
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
-from fiber_core.presets import preset
+from fiber_core.presets import PRESETS, plane_from, preset
 
 _TOLERANCE = 0.5e-3
-_RESOLVE_ALL = Safety(margin_mm=1e3)
+
+
+class _Fixed(Safety):
+    # the same gap for all pairs, however they start
+    def required_mm(self, plane, motion, pairs):
+        return np.full(len(pairs), self.margin_mm)
+
+
+_RESOLVE_ALL = _Fixed(margin_mm=1e3)
 
 
 def _couples(rng: np.random.Generator, count: int, phi: int, theta: int) -> FocalPlane:
@@ -133,7 +141,7 @@ def test_what_need_not_be_resolved_is_still_a_bound_and_the_smallest_gap_is_foun
     for margin in (0.3, 5.0):
         apart = dense > margin + 0.05  # without the unsafe ones the smallest gap is a safe one
         for some in (np.ones(count, dtype=bool), apart):
-            found = certify(plane, motion, Safety(margin, 0.0, 0.0), pairs[some])
+            found = certify(plane, motion, _Fixed(margin), pairs[some])
             assert (found.gap_mm <= dense[some]).all()
             below = dense[some] < margin
             assert (found.unsafe == below)[np.abs(dense[some] - margin) > 2e-3].all()
@@ -362,7 +370,8 @@ def _gap_lost(plane, motion, safety, pairs, clocks):
         clocks: for each trial, rates of the robots' clocks and how late they start [s].
     """
     nominal = certify(plane, motion, _RESOLVE_ALL, pairs).gap_mm
-    allowance = replace(safety, margin_mm=0.0).required_mm(plane, motion, pairs)
+    # so far below any gap at the start that pairs too close at the start do not matter
+    allowance = 1e3 + replace(safety, margin_mm=-1e3).required_mm(plane, motion, pairs)
     t = np.linspace(0.0, 1.1 * motion.makespan_s + safety.start_skew_s, 800)
     lost = np.zeros(len(pairs))
     for rate, late in clocks:
@@ -407,3 +416,22 @@ def test_allowance_covers_clock_error_and_start_skew_of_random_motions(name):
         lost, allowance = _gap_lost(plane, motion, safety, neighbour_pairs(plane), clocks)
         assert (lost <= allowance + 1e-9).all()
         assert lost.max() > 0.05
+
+
+@pytest.mark.parametrize("gap_mm", [0.03, 0.0, -0.4])
+def test_one_of_a_pair_that_starts_too_close_may_leave_but_not_come_closer(gap_mm):
+    # two robots tip to tip
+    plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [14.0 + gap_mm, 0.0]])
+    start = np.array([[0.0, 0.0], [np.pi, 0.0]])
+
+    def turned(first, second, start=start):
+        motion = SegmentMotion(start, [0, 1, 1, 2, 2], [2.0, 2.0], [first, second])
+        return certify(plane, motion, Safety())
+
+    for alone in (turned(0.2, 0.0), turned(0.0, -0.2)):
+        assert alone.ok
+        assert alone.required_mm[0] == pytest.approx(gap_mm - 1e-3, abs=1e-9)
+    assert not turned(0.2, 0.2).ok  # timing errors of two that move could let them touch
+    assert not turned(0.0, 0.0).ok
+    beside = np.array([[0.1, 0.0], [np.pi, 0.0]])
+    assert not turned(-0.1, 0.0, beside).ok  # through the other

@@ -6,6 +6,7 @@ from fiber_core.clearance import (
     Profiles,
     Safety,
     bodies_of,
+    gaps,
     levers_of,
     neighbour_pairs,
     point_speeds,
@@ -52,7 +53,10 @@ class Draft:
         two = np.repeat(np.argsort(speeds)[-1:], 2)  # the fastest, beside one like itself
         most = safety.required_at(speeds, makespan_s, two).max(initial=0.0)
         self.pairs = neighbour_pairs(plane, max(1.0, most))
-        self.most_required_mm = safety.required_at(speeds, makespan_s, self.pairs)
+        self._at_start_mm = gaps(plane, self.pairs, units.to_angles(start))
+        self.most_required_mm = safety.required_at(
+            speeds, makespan_s, self.pairs, self._at_start_mm
+        )
         self.bodies, self.beside = bodies_of(plane), neighbours_of(plane.n, self.pairs)
         self.segments = Segments.none(2 * plane.n)
         self.settled = np.ones(plane.n, dtype=bool)
@@ -116,7 +120,9 @@ class Draft:
             theirs = profiles_of(self.motion_of(rows, segments))
             profiles = profiles_of_robots(profiles, rows, theirs)
         speeds = point_speeds(self.levers_mm, profiles.fastest)
-        required = self._safety.required_at(speeds, self._makespan_s, self.pairs[pairs])
+        required = self._safety.required_at(
+            speeds, self._makespan_s, self.pairs[pairs], self._at_start_mm[pairs]
+        )
         return unproven(self.bodies, profiles, self.pairs[pairs], required)
 
     def give(self, rows, segments: Segments, settled: bool = True) -> None:

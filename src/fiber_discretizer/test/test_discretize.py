@@ -290,15 +290,32 @@ def test_robots_that_need_more_segments_than_an_order_has_are_held(past_a_post):
         assert result.certificate.ok and not result.wire.decoded().counts.any()
 
 
-def test_robots_that_touch_already_rest_and_the_certificate_says_so(plane_at):
+def _touching(plane_at):
     plane = plane_at([[0.0, 0.0], [10.0, 0.0], [50.0, 0.0]])
-    start = [[0.0, 0.0], [np.pi, 0.0], [0.0, 0.0]]
-    trajectory = eased(start, np.add(start, [[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]]))
+    return plane, np.array([[0.0, 0.0], [np.pi, 0.0], [0.0, 0.0]])
+
+
+def test_of_robots_that_touch_already_one_leaves(plane_at):
+    plane, start = _touching(plane_at)
+    trajectory = eased(start, start + [1.0, 0.0])
+    result = discretize(plane, trajectory, UNITS, SAFETY)
+    assert result.certificate.ok
+    assert sorted(result.reason[:2]) == [Reason.OK, Reason.UNSAFE]
+    assert result.reason[2] == Reason.OK
+    at_start = gaps(plane, [[0, 1]], start)[0]
+    motion = result.wire.decoded()
+    later = [gaps(plane, [[0, 1]], motion(t))[0] for t in np.linspace(0.0, 3.0, 200)]
+    assert min(later) > at_start - 2e-3 and later[-1] > 0.1
+
+
+def test_robots_that_touch_and_rest_are_named_and_the_others_go(plane_at):
+    plane, start = _touching(plane_at)
+    trajectory = eased(start, start + [[0.0, 0.0], [0.0, 0.0], [1.0, 0.0]])
     result = discretize(plane, trajectory, UNITS, SAFETY)
     assert not result.certificate.ok
     np.testing.assert_array_equal(result.certificate.unsafe_robots, [True, True, False])
     np.testing.assert_array_equal(result.wire.decoded().counts[:2], 0)
-    np.testing.assert_array_equal(result.reason, [Reason.UNSAFE, Reason.UNSAFE, Reason.OK])
+    assert result.reason[2] == Reason.OK and result.wire.decoded().counts[2, 0] > 0
 
 
 def test_motion_begins_where_the_robots_are(plane_at):

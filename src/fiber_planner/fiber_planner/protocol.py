@@ -25,7 +25,7 @@ class PlannedMotion:
         goal: configuration each robot aims at [rad], shape (n, 2); its start where
             nothing is asked of it or nothing can be done for it.
         reason: fiber_core.outcomes.Reason of each robot, shape (n,): OK (it arrives),
-            NO_TARGET, GOAL_BLOCKED or NOT_CONVERGED.
+            NO_TARGET, GOAL_BLOCKED, NOT_CONVERGED, TANGLED, or why it cannot be moved.
         tangled: pairs that start closer than they may come, rows a < b of robots and
             obstacles, shape (k, 2); the plan never brings them closer.
 

@@ -260,9 +260,14 @@ def test_a_pair_that_starts_too_close_never_comes_closer():
     before = gaps(plane, [[0, 1]], problem.start)[0]
     assert before < 0.0
     planned = DirectPlanner().plan(problem)
+    _judge(problem, planned)
     certificate = certify(plane, straight_pieces(planned.motion), DirectParameters().safety)
     assert certificate.gap_mm[0] > before - 2e-3
-    assert (planned.reason == Reason.OK).all()
+    assert planned.reason.tolist() == [Reason.OK, Reason.TANGLED]
+    # it waited for the other; now it can go
+    again = Problem(plane, planned.motion.end, problem.targets)
+    _, ok = _judge(again, DirectPlanner().plan(again))
+    assert ok.all()
 
 
 def test_the_real_plane_of_2021():
@@ -309,6 +314,7 @@ def test_a_pair_too_close_at_the_start_is_parted_and_reported(gap_mm, enabled):
     targets = np.full((3, 2), np.nan)
     targets[2] = kinematics.forward(plane, start + [0.0, 1.0])[1][2]
     planned = DirectPlanner().plan(Problem(plane, start, targets))
+    _judge(Problem(plane, start, targets), planned)
     assert planned.tangled.tolist() == [[0, 1]]
     assert planned.reason.tolist() == [Reason.NO_TARGET, Reason.NO_TARGET, Reason.OK]
     motion = straight_pieces(planned.motion)

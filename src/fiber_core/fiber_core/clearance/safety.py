@@ -4,10 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fiber_core.clearance.pair_gaps import gaps
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 
 __all__ = ["Safety", "levers_of", "point_speeds"]
+
+_MEASURED_MM = 1e-3  # more than the tolerance with which a certificate resolves a gap
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,10 @@ class Safety:
         moves faster than V = |w_theta| reach + |w_phi| reach of the phi link, with the
         highest speeds of this motion. So a pair (a, b) needs margin + (V_a + V_b) |dt|.
 
+        A pair that starts closer than that may only be left by one of the two, the other
+        at rest, and without coming closer: the gap it starts with is what it must keep.
+        Timing does not matter then, as only one of them moves.
+
         Args:
             plane: the focal plane.
             motion: the nominal motion.
@@ -42,21 +49,26 @@ class Safety:
         fastest = np.zeros(2 * plane.n)
         np.maximum.at(fastest, profile, np.abs(motion.velocity_rad_s))
         speeds = point_speeds(levers_of(plane), fastest.reshape(-1, 2))
-        return self.required_at(speeds, motion.makespan_s, pairs)
+        at_start = gaps(plane, pairs, motion.start)
+        return self.required_at(speeds, motion.makespan_s, pairs, at_start)
 
-    def required_at(self, speeds_mm_s, makespan_s: float, pairs) -> np.ndarray:
+    def required_at(self, speeds_mm_s, makespan_s: float, pairs, at_start_mm=np.inf) -> np.ndarray:
         """As required_mm, for robots whose points move no faster than some speeds.
 
         Args:
             speeds_mm_s: V of each robot, as from point_speeds [mm/s], shape (n,).
             makespan_s: how long the motion lasts at most [s].
             pairs: rows a, b as from neighbour_pairs, shape (p, 2).
+            at_start_mm: gaps with which the pairs start [mm], shape (p,).
         """
         late_s = self.clock_ppm * 1e-6 * makespan_s + self.start_skew_s
         a, b = np.asarray(pairs).reshape(-1, 2).T
         n = len(speeds_mm_s)
         speed = np.append(speeds_mm_s, 0.0)  # obstacles stand still
-        return self.margin_mm + late_s * (speed[np.minimum(a, n)] + speed[np.minimum(b, n)])
+        first, second = speed[np.minimum(a, n)], speed[np.minimum(b, n)]
+        required = self.margin_mm + late_s * (first + second)
+        one_moves = (first > 0.0) != (second > 0.0)
+        return np.where(one_moves, np.minimum(required, at_start_mm - _MEASURED_MM), required)
 
 
 def levers_of(plane: FocalPlane) -> np.ndarray:

@@ -87,6 +87,7 @@ def straight_draft(
     wanted = np.minimum(least + parameters.allowance_mm, at_end)
     wanted = np.where(tangled, wanted, np.minimum(wanted, at_start))
     required = np.maximum(wanted, least)
+    required[~crowd.movable[crowd.pairs].any(axis=1)] = -np.inf  # nothing can be done there
     release = max(1, round(_UNTANGLING * ends.alone_s / grid.step_s))
     draft = Draft(
         q=q,

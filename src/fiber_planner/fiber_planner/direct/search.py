@@ -42,7 +42,6 @@ _GIVE_UP_ROUNDS = 12
 _LAST_EFFORT = 900  # candidates per robot granted to each of these rounds
 _RESTORE_DRAWS = 300
 _SMALL_PLANE = 100  # the effort granted to a plane of fewer robots
-_MEASURED_MM = 1e-3  # how closely the certificate resolves a gap, and a little more
 _MORE_MM = 0.005  # asked for beyond what the certificate misses
 
 
@@ -109,7 +108,22 @@ class Search:
         self._draft, self._tangled = straight_draft(
             problem, self._crowd, parameters, self._ends, self._grid
         )
+        self._let_wait()
         return measure(self._crowd, self._draft)
+
+    def _let_wait(self):
+        # Of two that start too close one rests, best one without a target: timing errors
+        # of two that move could let them touch.
+        ends, movable = self._ends, self._crowd.movable
+        for a, b in self._crowd.pairs[self._tangled]:
+            if movable[a] and movable[b]:
+                row = a if ends.choice[a] < 0 <= ends.choice[b] else b
+                movable[row] = False
+                self._draft.q[row] = self._problem.start[row][:, None]
+                self._draft.choice[row] = ends.choice[row] = -1
+                ends.angles[row] = self._problem.start[row]
+                if self._reason[row] == Reason.OK:
+                    self._reason[row] = Reason.TANGLED
 
     def _stretches(self, usual):
         # The makespans to try, in units of the time alone: at least long enough to fold,
@@ -208,27 +222,24 @@ class Search:
         return short.sum()
 
     def _short(self):
-        # Pairs the certificate does not confirm. Those that start too close must not come
-        # closer at first, and are asked for all of it once they had time to get apart.
-        motion, tangled, early = self._motion(), self._tangled, self._draft.early
-        asked = np.where(tangled, early - _MEASURED_MM, np.inf)
-        missing = self._missing_mm(motion, np.ones(len(tangled), dtype=bool), asked)
+        # Pairs the certificate does not confirm. Those that start too close are asked for
+        # all of their gap once they had time to get apart.
+        motion, tangled, crowd = self._motion(), self._tangled, self._crowd
+        missing = self._missing_mm(motion, crowd.movable[crowd.pairs].any(axis=1))
         if tangled.any():
-            everything = np.full(len(tangled), np.inf)
             later = self._draft.release[tangled].max()
             rest = SampledMotion(motion.time_s[later:], motion.angles[:, :, later:])
-            missing = np.maximum(missing, self._missing_mm(rest, tangled, everything))
+            missing = np.maximum(missing, self._missing_mm(rest, tangled))
         short = missing > 0.0
         self._draft.required[short] += missing[short] + _MORE_MM
         return short
 
-    def _missing_mm(self, motion, which, asked):
-        # by how much some pairs miss what the certificate asks, at most `asked` (p,)
+    def _missing_mm(self, motion, which):
+        # by how much the gaps of some pairs fall short of what the certificate asks, (p,)
         pairs, missing = self._crowd.pairs, np.zeros(len(which))
         safety = self._parameters.safety
         found = certify(self._problem.plane, straight_pieces(motion), safety, pairs[which])
-        required = np.minimum(found.required_mm, asked[which])
-        missing[which] = np.where(found.unsafe, required - found.gap_mm, 0.0)
+        missing[which] = np.where(found.unsafe, found.required_mm - found.gap_mm, 0.0)
         return missing
 
     # -- best effort
