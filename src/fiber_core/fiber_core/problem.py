@@ -11,7 +11,17 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome
 
-__all__ = ["Problem", "load_plan", "load_problem", "save_plan", "save_problem"]
+__all__ = [
+    "Problem",
+    "load_plan",
+    "load_problem",
+    "problem_columns",
+    "problem_of",
+    "save_plan",
+    "save_problem",
+]
+
+_NEEDED = "id center_mm arm_mm radius_mm start_rad target_mm enabled speed_rad_s limits_rad".split()
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,29 +62,36 @@ class Problem:
         return np.isfinite(self.targets).all(axis=1)
 
 
+def problem_columns(problem: Problem) -> dict[str, np.ndarray]:
+    """Return a problem as named arrays, with units in the names; outlines join the plain capsule.
+
+    The dictionary is what a problem.npz holds, and part of what a recording holds.
+    """
+    plane = problem.plane
+    return {
+        "id": plane.ids,
+        "center_mm": plane.centers,
+        "arm_mm": plane.arms,
+        "radius_mm": plane.phi_radius,
+        "start_rad": problem.start,
+        "target_mm": problem.targets,
+        "enabled": plane.enabled,
+        "speed_rad_s": plane.speeds,
+        "limits_rad": plane.limits,
+        "disc_mm": plane.obstacles,
+        "phi_outline_mm": plane.phi_vertices,
+        "theta_outline_mm": plane.theta_vertices,
+        "theta_radius_mm": plane.theta_radius,
+        "bus": plane.bus,
+        "address": plane.address,
+        "spacing_mm": np.array(plane.spacing_mm),
+        "name": np.array(plane.name),
+    }
+
+
 def save_problem(path, problem: Problem) -> None:
     """Write a problem as .npz with units in the names; outlines are added to the plain capsule."""
-    plane = problem.plane
-    np.savez_compressed(
-        path,
-        id=plane.ids,
-        center_mm=plane.centers,
-        arm_mm=plane.arms,
-        radius_mm=plane.phi_radius,
-        start_rad=problem.start,
-        target_mm=problem.targets,
-        enabled=plane.enabled,
-        speed_rad_s=plane.speeds,
-        limits_rad=plane.limits,
-        disc_mm=plane.obstacles,
-        phi_outline_mm=plane.phi_vertices,
-        theta_outline_mm=plane.theta_vertices,
-        theta_radius_mm=plane.theta_radius,
-        bus=plane.bus,
-        address=plane.address,
-        spacing_mm=plane.spacing_mm,
-        name=plane.name,
-    )
+    np.savez_compressed(path, **problem_columns(problem))
 
 
 def load_problem(path) -> Problem:
@@ -83,8 +100,19 @@ def load_problem(path) -> Problem:
     Raises:
         LayoutError: the file is not one, a field is missing or does not fit; names it.
     """
-    needed = "id center_mm arm_mm radius_mm start_rad target_mm enabled speed_rad_s limits_rad"
-    data = _read(path, needed.split(), LayoutError)
+    return problem_of(_read(path, _NEEDED, LayoutError), str(path))
+
+
+def problem_of(data, name: str) -> Problem:
+    """Return the problem in named arrays.
+
+    Args:
+        data: named arrays, at least those every problem has.
+        name: what to call a plane that does not tell its name.
+
+    Raises:
+        LayoutError: a field does not fit; names it.
+    """
     n = np.size(data["id"])
     arms = frozen_array(data["arm_mm"], float, (n, 2), "arm_mm", LayoutError)
     elbow_to_tip = np.zeros((n, 2, 2))
@@ -104,7 +132,7 @@ def load_problem(path) -> Problem:
         bus=data.get("bus"),
         address=data.get("address"),
         spacing_mm=float(data.get("spacing_mm", 4 * data["radius_mm"].max(initial=0.0))),
-        name=str(data.get("name", path)),
+        name=str(data.get("name", name)),
     )
     return Problem(plane, data["start_rad"], data["target_mm"])
 
