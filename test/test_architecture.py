@@ -40,14 +40,17 @@ ARROWS = {
     "fiber_bus_bridge.node": {"fiber_bus_bridge", "fiber_node"} | ROS,
     "fiber_viewer": {"fiber_core", "matplotlib"},
     "fiber_viewer.node": {"fiber_viewer", "fiber_node"} | ROS,
-    "fiber_bringup": {"fiber_viewer", "fiber_viewer.node", "ament_index_python", "rich"} | NODES,
+    "fiber_bringup": {"fiber_viewer", "fiber_viewer.node", "ament_index_python", "rich", "rosbags"}
+    | NODES,
     "bench": {"fiber_planner", "fiber_discretizer", "fiber_bus_bridge", "fiber_viewer"},
 }
 # import name -> rosdep key or package name, where they differ
 KEYS = {
     name: f"python3-{name}" for name in ("numpy", "numba", "scipy", "astropy", "matplotlib", "rich")
 } | {"pytest": "python3-pytest", "hypothesis": "python3-hypothesis", "yaml": "python3-yaml"}
-UNDECLARED = {"fastcrc"}  # has no rosdep key; only tests may use it
+# Without a rosdep key: fastcrc and selenium are for tests, rosbags for the command `bag` alone,
+# which says what to install.
+UNDECLARED = {"fastcrc", "selenium", "rosbags"}
 
 
 def starts(module: str, prefix: str) -> bool:
@@ -194,7 +197,8 @@ def test_package_xml_names_what_is_imported_and_nothing_else(package):
     for path in (SOURCE / package).glob("launch/*.launch.py"):
         used |= outside(imports(path.read_text(), "launch", False, set(MODULES)), package)
         used |= set(re.findall(r"package=\"(\w+)\"", path.read_text()))
-    wanted, declared = {key_of(name) for name in used}, depends(package, "depend", "exec_depend")
+    wanted = {key_of(name) for name in used - UNDECLARED}
+    declared = depends(package, "depend", "exec_depend")
     assert wanted - declared == set(), "imported, not in package.xml"
     assert declared - wanted == set(), "in package.xml, not imported"
 

@@ -25,6 +25,8 @@ setup(
             "reconfigure = fiber_bringup.reconfigure:main",
             "demo = fiber_bringup.demo:main",
             "graph = fiber_bringup.graph:main",
+            "recorder = fiber_bringup.recorder:main",
+            "bag = fiber_bringup.bag:main",
         ]
     },
 )

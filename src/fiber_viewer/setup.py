@@ -8,6 +8,7 @@ setup(
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
     packages=find_packages(exclude=["test", "test.*"]),
+    package_data={"fiber_viewer": ["player/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fiber_viewer"]),
         ("share/fiber_viewer", ["package.xml"]),
@@ -15,5 +16,10 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
     zip_safe=False,  # compiled loops are cached beside the modules
-    entry_points={"console_scripts": ["snapshot = fiber_viewer.snapshot:main"]},
+    entry_points={
+        "console_scripts": [
+            "player = fiber_viewer.page:main",
+            "snapshot = fiber_viewer.snapshot:main",
+        ]
+    },
 )

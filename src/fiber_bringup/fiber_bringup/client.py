@@ -33,6 +33,7 @@ from fiber_node import Peer
 __all__ = ["PlanEnd", "PlaneClient"]
 
 _STAGES = ("planner", "discretizer", "bridge")
+_LISTENERS = ("planner", "bridge")
 _PLANS_KEPT = 4
 
 
@@ -280,8 +281,15 @@ class PlaneClient:
                 missing.append(f"diagnostics of {stage}")
             elif stage != "bridge" and status.values.get("robots") != str(self.plane.n):
                 missing.append(f"{stage} to know the plane")
-        listening = self._targets.get_subscription_count()
-        return missing + (["listeners to targets"] if listening < 2 else [])
+        return missing + [f"{name} to listen to targets" for name in self._deaf()]
+
+    def _deaf(self):
+        # others may listen too, so counting alone would not tell that these two do
+        found = self.node.get_subscriptions_info_by_topic(self._targets.topic_name)
+        names = {info.node_name for info in found}
+        if self._targets.get_subscription_count() < len(found):
+            return ["everybody known"]
+        return [name for name in _LISTENERS if name not in names]
 
     def _on_layout(self, message):
         self.plane, self.units = layout.decode(message)

@@ -2,8 +2,8 @@
 
 Makes a problem, starts bridge, planner and discretizer as processes of their own on this
 machine, moves the robots, and writes into the output folder: problem.npz, plan.npz (the
-motion decoded from the bytes that went over the buses), report.json, plane.png, and the
-nodes' logs.
+motion decoded from the bytes that went over the buses), report.json, recording.npz (all of
+it in one file), player.html (open it in a browser), plane.png, and the nodes' logs.
 """
 
 import argparse
@@ -21,6 +21,7 @@ from fiber_bringup.display import ProgressDisplay, table
 from fiber_bringup.environment import own_domain, stay_on_this_machine
 from fiber_bringup.processes import Processes
 from fiber_bringup.reconfigure import summary, went_well
+from fiber_bringup.recorder import recording_name
 from fiber_bringup.replay import Replay, settled_replay
 from fiber_core.clearance import Safety, certify
 from fiber_core.errors import FiberError
@@ -31,10 +32,11 @@ from fiber_core.sources import problem_from
 from fiber_core.tables import read_targets
 from fiber_core.targets import assign
 from fiber_planner import DEFAULT_PLANNER
-from fiber_viewer import before_and_after
+from fiber_viewer import before_and_after, write_player
 
 __all__ = ["main"]
 
+_FILES = ("report.json", "problem.npz", "plan.npz", "plane.png", "recording.npz", "player.html")
 _SETTLE_S = 30.0  # for the last frames and encoder readings to come in
 
 
@@ -75,7 +77,7 @@ def main(argv=None) -> int:
     print()
     print(summary(run.ended.of(problem.plane.ids[problem.asked])))
     print("\nin", options.out)
-    for name in ("report.json", "problem.npz", "plan.npz", "plane.png"):
+    for name in _FILES:
         print("  ", name)
     good = went_well(run.ended.of(problem.plane.ids[problem.asked])) and report["certified"]
     return 0 if good else 1
@@ -126,6 +128,7 @@ def _reconfigure(problem, options, display) -> _Run:
         processes.start("fiber_bus_bridge", "bridge", bridge)
         processes.start("fiber_planner", "planner", {"planner": options.planner})
         processes.start("fiber_discretizer", "discretizer", {})
+        processes.start("fiber_bringup", "recorder", _recorder(problem, options))
         with PlaneClient(on_progress=display, guard=processes.check) as client:
             client.wait_for_graph(options.timeout)
             before = client.units.to_counts(client.angles)
@@ -140,12 +143,23 @@ def _reconfigure(problem, options, display) -> _Run:
             times.append(time.monotonic())
             told = settled_replay(client, ended, before, _SETTLE_S)
             heard = client.times[stamp]
+            client.until(lambda: "recorder" in heard, options.timeout, "the recording")
+    (options.out / recording_name(stamp)).replace(options.out / "recording.npz")
     graph, ready, start, move = np.diff(times)
     plan = heard["planner"] - heard["sent"]
     wall_s = {
         "graph": graph, "plan": plan, "discretize": ready - plan, "start": start, "move": move
     }  # fmt: skip
     return _Run(ended, told, wall_s)
+
+
+def _recorder(problem, options) -> dict:
+    return {
+        "folder": str(options.out.resolve()),
+        "plane": problem.plane.name,
+        "seed": options.seed,
+        "planner": options.planner,
+    }
 
 
 def _report(problem, run) -> dict:
@@ -167,6 +181,7 @@ def _write(out, problem, run, report):
     motion = run.told.motion.decoded()
     save_plan(out / "plan.npz", motion, run.ended.outcome, run.ended.reason)
     before_and_after(problem, motion, run.ended.outcome).savefig(out / "plane.png", dpi=110)
+    write_player(out / "player.html", out / "recording.npz")
     (out / "report.json").write_text(json.dumps(_plain(report), indent=2) + "\n")
 
 

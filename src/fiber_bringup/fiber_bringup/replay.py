@@ -8,11 +8,11 @@ import numpy as np
 from fiber_bringup.client import PlaneClient, PlanEnd
 from fiber_bus_bridge.wire import CALL_PREFIX, Addresses, Frames, Opcode, decode_load
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import Outcome
+from fiber_core.outcomes import Outcome, Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import FrameLog
 
-__all__ = ["Replay", "replay", "settled_replay"]
+__all__ = ["Replay", "replay", "settled_replay", "unexplained"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,14 +105,13 @@ def settled_replay(client: PlaneClient, ended: PlanEnd, counts, timeout_s: float
     Raises:
         WaitError: they did not; names the first robot that is elsewhere.
     """
-    obeyed = ended.outcome != Outcome.FAILED
     told = None
 
     def elsewhere():
         nonlocal told
         told = replay(client.plane, client.units, counts, client.frames.get(ended.stamp, ()))
-        off = (told.motion.end != client.units.to_counts(client.angles)).any(axis=1)
-        return client.plane.ids[off & obeyed]
+        off = unexplained(client.plane, told, ended, client.units.to_counts(client.angles))
+        return client.plane.ids[off]
 
     client.until(
         lambda: not len(elsewhere()),
@@ -120,6 +119,20 @@ def settled_replay(client: PlaneClient, ended: PlanEnd, counts, timeout_s: float
         lambda: f"frames that explain where robot {elsewhere()[0]} is",
     )
     return told
+
+
+def unexplained(plane: FocalPlane, told: Replay, ended: PlanEnd, counts) -> np.ndarray:
+    """Return the robots that are elsewhere than a replay takes them, shape (n,).
+
+    Args:
+        plane: the focal plane.
+        told: the replay.
+        ended: what became of its plan; robots that failed or were stopped may be anywhere.
+        counts: encoders now [quanta], shape (n, 2).
+    """
+    ended = ended.of(plane.ids)
+    obeyed = (ended.outcome != Outcome.FAILED) & (ended.reason != Reason.STOPPED)
+    return (told.motion.end != counts).any(axis=1) & obeyed
 
 
 def _heads(log, written, called):

@@ -1,5 +1,33 @@
-"""Pictures of the focal plane, from the exchange files."""
+"""Recordings of a focal plane's reconfigurations, and pictures of them."""
 
+from fiber_viewer.closest import closest_approaches
 from fiber_viewer.figures import before_and_after
+from fiber_viewer.page import write_player
+from fiber_viewer.recording import (
+    Approaches,
+    BusLoad,
+    EventKind,
+    Events,
+    Measured,
+    Recording,
+    RecordingError,
+)
+from fiber_viewer.recording_file import load_recording, save_recording
 
-__all__ = ["before_and_after"]
+__all__ = [
+    "SOFTWARE",
+    "Approaches",
+    "BusLoad",
+    "EventKind",
+    "Events",
+    "Measured",
+    "Recording",
+    "RecordingError",
+    "before_and_after",
+    "closest_approaches",
+    "load_recording",
+    "save_recording",
+    "write_player",
+]
+
+SOFTWARE = "fiber_viewer 0.1.0"  # what a recording says it was written by

@@ -1,0 +1,175 @@
+"""Listens to the graph and writes a recording of every plan that ends.
+
+A process of its own: while robots move it keeps messages and does nothing with them; the
+work begins when a plan has ended. It asks the graph for nothing.
+"""
+
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from rclpy.node import Node
+
+from fiber_bringup.client import PlanEnd
+from fiber_bringup.record import record
+from fiber_bringup.replay import replay, unexplained
+from fiber_core.clearance import Safety
+from fiber_core.errors import FiberError
+from fiber_msgs_py import (
+    FrameLog,
+    PlanStamp,
+    frames,
+    joint_states,
+    layout,
+    outcome,
+    targets,
+    topics,
+    trajectory,
+)
+from fiber_node import Reporter, declare_settings, run
+from fiber_viewer import save_recording
+
+__all__ = ["RecorderNode", "main", "recording_name"]
+
+_PLANS_KEPT = 4
+_LOOK_S = 0.2  # how often a plan that has ended is looked at
+_SETTLE_S = 10.0  # for the last frames and encoder readings to come in
+
+
+def recording_name(stamp: PlanStamp) -> str:
+    """Return the file name of the recording of a plan."""
+    return f"plan-{stamp}.npz"
+
+
+@dataclass
+class _Heard:
+    """What was heard of a plan."""
+
+    counts: np.ndarray | None = None  # encoders before its first frame
+    targets: object = None
+    trajectory: object = None
+    logs: list[FrameLog] = field(default_factory=list)
+    ended: PlanEnd | None = None
+    give_up_s: float = 0.0
+
+
+class RecorderNode(Node):
+    """Writes `plan-STAMP.npz` into a folder for every plan with an outcome.
+
+    Args:
+        options: keyword arguments of rclpy.node.Node.
+    """
+
+    def __init__(self, **options):
+        super().__init__("recorder", **options)
+        self._folder = Path(self.declare_parameter("folder", "recordings").value)
+        self._about = {
+            "seed": self.declare_parameter("seed", -1).value,
+            "planner": self.declare_parameter("planner", "").value,
+        }
+        self._name = self.declare_parameter("plane", "").value  # the layout does not tell it
+        self._safety = declare_settings(self, Safety, "safety")
+        self._plane = self._units = self._state = self._rest = None
+        self._heard: dict[PlanStamp, _Heard] = {}
+        self._report = Reporter(self, "recorder")
+        for topic, heard in (
+            (topics.LAYOUT, self._on_layout),
+            (topics.JOINT_STATES, self._on_joint_states),
+            (topics.TARGETS, self._on_targets),
+            (topics.TRAJECTORY, self._on_trajectory),
+            (topics.FRAMES, self._on_frames),
+            (topics.OUTCOME, self._on_outcome),
+        ):
+            topic.subscription(self, heard)
+        self.create_timer(_LOOK_S, self._write_ended)
+
+    def _of(self, message) -> _Heard:
+        stamp = PlanStamp.of(message)
+        for old in sorted(self._heard)[: -(_PLANS_KEPT - 1)]:
+            if old < stamp:
+                del self._heard[old]
+        return self._heard.setdefault(stamp, _Heard())
+
+    def _on_layout(self, message):
+        try:
+            plane, self._units = layout.decode(message)
+            self._plane = replace(plane, name=self._name)
+        except FiberError as error:
+            self._report.refuse(f"layout refused: {error}")
+
+    def _on_joint_states(self, message):
+        self._state = message
+        if not np.any(message.velocity):
+            self._rest = message
+
+    def _on_targets(self, message):
+        self._of(message).targets = message
+
+    def _on_trajectory(self, message):
+        self._of(message).trajectory = message
+
+    def _on_frames(self, message):
+        heard = self._of(message)
+        try:
+            if heard.counts is None and self._rest is not None and self._units is not None:
+                heard.counts = self._counts(self._rest)
+            heard.logs.append(frames.decode(message))
+        except FiberError as error:
+            self._report.refuse(f"frames refused: {error}")
+
+    def _on_outcome(self, message):
+        heard = self._of(message)
+        try:
+            heard.ended = PlanEnd(PlanStamp.of(message), *outcome.decode(message))
+        except FiberError as error:
+            self._report.refuse(f"outcome refused: {error}")
+            return
+        heard.give_up_s = time.monotonic() + _SETTLE_S
+
+    def _counts(self, message):
+        return self._units.to_counts(joint_states.decode(message)[1])
+
+    def _write_ended(self):
+        for stamp, heard in list(self._heard.items()):
+            if heard.ended is None or self._plane is None or self._state is None:
+                continue
+            try:
+                late = time.monotonic() > heard.give_up_s
+                if self._complete(heard) or late:
+                    self._write(stamp, heard, late)
+                    del self._heard[stamp]
+            except (FiberError, OSError) as error:
+                self._report.refuse(f"plan {stamp} not recorded: {error}")
+                del self._heard[stamp]
+
+    def _complete(self, heard) -> bool:
+        if heard.counts is None:  # no frame yet: perhaps there will be none
+            return False
+        told = replay(self._plane, self._units, heard.counts, heard.logs)
+        now = self._counts(self._state)
+        return not unexplained(self._plane, told, heard.ended, now).any()
+
+    def _write(self, stamp, heard, late):
+        self._report.progress(stamp, 0.0, "writing the recording")
+        asked = np.zeros(0, np.int64), np.zeros((0, 2))
+        if heard.targets is not None:
+            asked = targets.decode(heard.targets)
+        planned = None
+        if heard.trajectory is not None:
+            planned = trajectory.decode(heard.trajectory)[:2]
+        notes = ["the frames heard do not explain where all robots are"] if late else []
+        counts = heard.counts if heard.counts is not None else self._counts(self._state)
+        recording = record(
+            self._plane, self._units, counts, asked, planned, heard.logs, heard.ended,
+            self._safety, self._about | {"notes": notes},
+        )  # fmt: skip
+        self._folder.mkdir(parents=True, exist_ok=True)
+        path = self._folder / recording_name(stamp)
+        save_recording(path, recording)
+        self._report.done(stamp, f"recorded in {path}")
+
+
+def main(args=None) -> int:
+    """Run the recorder until it is interrupted."""
+    return run(RecorderNode, args)

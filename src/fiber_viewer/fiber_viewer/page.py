@@ -1,0 +1,74 @@
+"""One self-contained page that plays a recording: no network, no library, opened from disk."""
+
+import argparse
+import base64
+import html
+import re
+import sys
+from pathlib import Path
+
+from fiber_core.errors import FiberError
+from fiber_viewer.recording_file import load_recording
+
+__all__ = ["SCRIPTS", "main", "write_player"]
+
+_SOURCES = Path(__file__).parent / "player"
+# in the order in which they may refer to each other
+SCRIPTS = (
+    "npz", "kinematics", "clearance", "recording", "theme", "camera", "drawing", "plane",
+    "neighbourhood", "axes", "profiles", "buses", "timeline", "headline", "lists", "address",
+    "keys", "app",
+)  # fmt: skip
+_IMPORT = re.compile(r"^import .*;\n", re.MULTILINE)
+_EXPORT = re.compile(r"^export (?=const|class|function|async)", re.MULTILINE)
+
+
+def write_player(page: Path, recording: Path) -> None:
+    """Write the page that plays a recording.
+
+    Args:
+        page: the .html file to write.
+        recording: the .npz file, which goes into the page as it is.
+
+    Raises:
+        RecordingError: the file is no recording this software can read.
+    """
+    about = load_recording(recording).about  # refuses what the page could not show
+    title = f"{about['report']['plane'] or 'Focal plane'}, plan {about['plan_ns']}"
+    text = (_SOURCES / "page.html").read_text()
+    for mark, value in {
+        "TITLE": html.escape(title),
+        "STYLE": (_SOURCES / "style.css").read_text(),
+        "SCRIPT": script(),
+        "RECORDING": base64.b64encode(recording.read_bytes()).decode(),
+    }.items():
+        text = text.replace("{{" + mark + "}}", value)
+    page.write_text(text)
+
+
+def script() -> str:
+    """Return the modules of the page as one: end to end, without imports and exports."""
+    modules = ((_SOURCES / f"{name}.js").read_text() for name in SCRIPTS)
+    return "\n".join(_EXPORT.sub("", _IMPORT.sub("", module)) for module in modules)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="player", description=__doc__)
+    parser.add_argument("recording", type=Path, help="recording.npz")
+    parser.add_argument(
+        "-o", "--out", type=Path, help="page to write, by default beside the recording"
+    )
+    args = parser.parse_args(argv)
+    out = args.out or args.recording.with_suffix(".html")
+    try:
+        write_player(out, args.recording)
+    except (FiberError, OSError) as error:
+        print(f"player: {error}", file=sys.stderr)
+        return 1
+    print(out)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

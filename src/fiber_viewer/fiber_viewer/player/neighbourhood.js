@@ -1,0 +1,183 @@
+// Panels 2 and 3: the watched robot among its neighbours, now and at six moments.
+import { anglesOfAll } from "./kinematics.js";
+import { bodyName } from "./recording.js";
+import { Camera } from "./camera.js";
+import { cleared, colors, write } from "./theme.js";
+import { gapBetween } from "./clearance.js";
+import { drawDiscs, drawGap, drawMark, drawRing, drawRobot, drawTarget, hullsOf, reachOf } from "./drawing.js";
+
+const MOMENTS = 6;
+
+/** The pair a robot comes nearest to others in; of several robots, the pair they make. */
+export function nearestPair(recording, robots) {
+  const all = recording.pairs;
+  if (robots.length > 1) {
+    const among = all.find((pair) => robots.includes(pair.a) && robots.includes(pair.b));
+    if (among) return among;
+  }
+  return all.find((pair) => pair.a === robots[0] || pair.b === robots[0]);
+}
+
+export class NeighbourhoodPanel {
+  constructor(canvas, note, app) {
+    this.canvas = canvas;
+    this.note = note;
+    this.app = app;
+    this.camera = new Camera();
+  }
+
+  draw(t, angles) {
+    const { ctx, width, height } = cleared(this.canvas);
+    const { recording, robots } = this.app, { plane } = recording;
+    if (!robots.length) {
+      write(ctx, "Click a robot to watch it", width / 2, height / 2, colors.soft, "center");
+      this.note.textContent = "";
+      return;
+    }
+    const reach = reachOf(plane, robots[0]);
+    let [left, bottom, right, top] = [Infinity, Infinity, -Infinity, -Infinity];
+    for (const row of robots) {
+      const [x, y] = [plane.center[2 * row], plane.center[2 * row + 1]];
+      [left, right] = [Math.min(left, x), Math.max(right, x)];
+      [bottom, top] = [Math.min(bottom, y), Math.max(top, y)];
+    }
+    [this.camera.width, this.camera.height] = [width, height];
+    this.camera.fit(left - 1.5 * reach, bottom - 1.5 * reach, right + 1.5 * reach, top + 1.5 * reach, 1);
+    drawScene(ctx, this.camera, recording, robots, angles, t);
+    const gaps = this.gaps(ctx, angles);
+    const near = gaps[0];
+    this.note.textContent = near
+      ? `robot ${plane.ids[robots[0]]} is ${near.gap.toFixed(3)} mm from ${bodyName(recording, near.body)}`
+      : `nobody is near robot ${plane.ids[robots[0]]}`;
+    for (const row of robots) {
+      const [x, y] = this.camera.toPixel(plane.center[2 * row], plane.center[2 * row + 1]);
+      write(ctx, String(plane.ids[row]), x, y + 14, colors.ink, "center");
+    }
+    drawScale(ctx, this.camera, width, height);
+  }
+
+  /** Draws the gap from the first watched robot to whoever is nearest now; all gaps, least first. */
+  gaps(ctx, angles) {
+    const { recording, robots, partners } = this.app, { plane } = recording;
+    const own = hullsOf(plane, robots[0], angles);
+    const found = (partners.get(robots[0]) ?? [])
+      .map((body) => ({ body, gap: gapBetween(own, hullsOf(plane, body, angles)).gap }))
+      .sort((a, b) => a.gap - b.gap);
+    if (found.length) drawGap(ctx, this.camera, plane, robots[0], found[0].body, angles);
+    return found;
+  }
+}
+
+export class SnapshotsPanel {
+  constructor(canvas, note, app) {
+    this.canvas = canvas;
+    this.note = note;
+    this.app = app;
+    this.moments = [];
+    canvas.addEventListener("click", (event) => {
+      const box = canvas.getBoundingClientRect();
+      const moment = this.moments.find(({ x, y, w, h }) => {
+        const [px, py] = [event.clientX - box.left, event.clientY - box.top];
+        return px >= x && px < x + w && py >= y && py < y + h;
+      });
+      if (moment) app.seek(moment.time);
+    });
+  }
+
+  draw(t) {
+    // only a moment that is reached or left, another robot, size or theme changes the picture
+    const reached = this.moments.findIndex(({ time }) => Math.abs(t - time) < 1e-9);
+    const { clientWidth, clientHeight } = this.canvas;
+    const picture = [clientWidth, clientHeight, colors.card, reached, ...this.app.robots].join();
+    if (picture === this.picture) return;
+    this.picture = picture;
+    const { ctx, width, height } = cleared(this.canvas);
+    const { recording, robots } = this.app, { plane, motion } = recording;
+    const pair = robots.length ? nearestPair(recording, robots) : null;
+    this.moments = [];
+    if (!pair) {
+      write(ctx, "Nobody comes near", width / 2, height / 2, colors.soft, "center");
+      this.note.textContent = "";
+      return;
+    }
+    this.note.textContent =
+      `robots ${bodyName(recording, pair.a)} and ${bodyName(recording, pair.b)}: ` +
+      `${pair.gap.toFixed(3)} mm at ${pair.time.toFixed(3)} s; click a moment to go there`;
+    const across = width > 640 ? MOMENTS : 2, gutter = 8;
+    const w = (width - gutter * (across - 1)) / across;
+    const down = Math.ceil(MOMENTS / across);
+    const h = (height - gutter * (down - 1)) / down;
+    const reach = reachOf(plane, Math.min(pair.a, pair.b));
+    const middle = [pair.a, pair.b].filter((body) => body < plane.n);
+    const [cx, cy] = [0, 1].map((axis) => middle.reduce((sum, row) => sum + plane.center[2 * row + axis], 0) / middle.length);
+    const ends = Math.max(...middle.flatMap((row) => [motion.end[2 * row], motion.end[2 * row + 1]]));
+    momentsAround(pair.time, Math.max(ends, pair.time)).forEach((time, i) => {
+      const [x, y] = [(i % across) * (w + gutter), Math.floor(i / across) * (h + gutter)];
+      const angles = anglesOfAll(motion, time, new Float64Array(2 * plane.n));
+      const camera = new Camera();
+      [camera.width, camera.height] = [w, h];
+      camera.fit(cx - 1.55 * reach, cy - 1.55 * reach, cx + 1.55 * reach, cy + 1.55 * reach, 1);
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(x, y, w, h);
+      ctx.clip();
+      ctx.fillStyle = colors.faint;
+      ctx.fillRect(x, y, w, h);
+      ctx.translate(x, y);
+      drawScene(ctx, camera, recording, middle, angles, time, false);
+      const gap = drawGap(ctx, camera, plane, pair.a, pair.b, angles, false);
+      ctx.fillStyle = colors.faint;
+      ctx.globalAlpha = 0.85;
+      ctx.fillRect(0, 0, w, 19);
+      ctx.globalAlpha = 1;
+      write(ctx, `${time.toFixed(3)} s`, 7, 10, colors.ink);
+      write(ctx, `${gap.toFixed(3)} mm`, w - 7, 10, colors.ink, "right");
+      ctx.restore();
+      if (Math.abs(t - time) < 1e-9) {
+        ctx.strokeStyle = colors.accent;
+        ctx.lineWidth = 2;
+        ctx.strokeRect(x + 1, y + 1, w - 2, h - 2);
+      }
+      this.moments.push({ x, y, w, h, time });
+    });
+  }
+}
+
+/** Six times with the nearest one among them, while the pair moves: from 0 to `ends`. */
+export function momentsAround(time, ends) {
+  const step = 0.12 * Math.max(ends, 1e-3);
+  const first = Math.min(Math.max(0, time - 3 * step), Math.max(0, ends - (MOMENTS - 1) * step));
+  const times = Array.from({ length: MOMENTS }, (_, i) => first + i * step);
+  // the moment nearest to the approach is the approach itself
+  const at = times.reduce((best, now, i) => (Math.abs(now - time) < Math.abs(times[best] - time) ? i : best), 0);
+  times[at] = time;
+  return times;
+}
+
+function drawScene(ctx, camera, recording, robots, angles, t, targets = true) {
+  const { plane } = recording;
+  drawDiscs(ctx, camera, plane);
+  const near = [];
+  for (let row = 0; row < plane.n; row++) {
+    const [x, y] = [plane.center[2 * row], plane.center[2 * row + 1]];
+    if (camera.sees(x, y, reachOf(plane, row))) near.push(row);
+  }
+  for (const row of robots) drawRing(ctx, camera, recording, row, colors.line, 1.2);
+  for (const row of near) {
+    drawRobot(ctx, camera, recording, row, angles, t, { faded: !robots.includes(row) });
+    drawMark(ctx, camera, recording, row, t);
+  }
+  if (targets) for (const row of robots) drawTarget(ctx, camera, recording, row);
+}
+
+function drawScale(ctx, camera, width, height) {
+  const length = [0.5, 1, 2, 5, 10, 20, 50].find((mm) => mm * camera.scale > 46) ?? 100;
+  const x = width - 12 - length * camera.scale, y = height - 12;
+  ctx.strokeStyle = colors.soft;
+  ctx.lineWidth = 1.5;
+  ctx.beginPath();
+  ctx.moveTo(x, y);
+  ctx.lineTo(width - 12, y);
+  ctx.stroke();
+  write(ctx, `${length} mm`, width - 12, y - 9, colors.soft, "right");
+}

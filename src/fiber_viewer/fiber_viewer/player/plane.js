@@ -1,0 +1,175 @@
+// Panel 1: the whole focal plane. Thin lines from afar, true outlines near by.
+import { STATE_NAMES, stateAt } from "./recording.js";
+import { Camera } from "./camera.js";
+import { cleared, colors } from "./theme.js";
+import { drawDiscs, drawMark, drawRing, drawRobot, drawTarget, reachOf } from "./drawing.js";
+
+const OUTLINES_FROM = 7; // scale from which outlines are drawn [pixels a mm]
+const ARMS_A_PATH = 250; // longer paths are slower to stroke
+const CLICK_PX = 5; // a pointer that moves less than this between down and up has clicked
+
+export class PlanePanel {
+  constructor(canvas, app) {
+    this.canvas = canvas;
+    this.app = app;
+    this.camera = new Camera();
+    this.fitted = false;
+    this.pointers = new Map();
+    const { plane } = app.recording;
+    this.reach = Array.from({ length: plane.n }, (_, row) => reachOf(plane, row));
+    this.listen();
+  }
+
+  /** Shows the whole plane. */
+  fit() {
+    const { plane } = this.app.recording;
+    let [left, bottom, right, top] = [Infinity, Infinity, -Infinity, -Infinity];
+    for (let row = 0; row < plane.n; row++) {
+      const [x, y, r] = [plane.center[2 * row], plane.center[2 * row + 1], this.reach[row]];
+      left = Math.min(left, x - r);
+      right = Math.max(right, x + r);
+      bottom = Math.min(bottom, y - r);
+      top = Math.max(top, y + r);
+    }
+    this.camera.fit(left, bottom, right, top);
+    this.fitted = true;
+    this.app.redraw();
+  }
+
+  /** Brings a robot into view. */
+  reveal(row) {
+    const { center } = this.app.recording.plane;
+    if (this.camera.sees(center[2 * row], center[2 * row + 1], 0)) return;
+    [this.camera.x, this.camera.y] = [center[2 * row], center[2 * row + 1]];
+  }
+
+  draw(t, angles, places) {
+    const { ctx, width, height } = cleared(this.canvas);
+    const resized = this.camera.width !== width || this.camera.height !== height;
+    [this.camera.width, this.camera.height] = [width, height];
+    if (!this.fitted || (resized && this.whole)) this.fit();
+    const { recording, robots } = this.app, { plane } = recording;
+    drawDiscs(ctx, this.camera, plane);
+    const seen = this.visible();
+    if (this.camera.scale >= OUTLINES_FROM) {
+      for (const row of seen) drawRobot(ctx, this.camera, recording, row, angles, t);
+      for (const row of seen) drawTarget(ctx, this.camera, recording, row);
+    } else {
+      this.drawLines(ctx, t, seen, places);
+    }
+    for (const row of this.app.marked) drawMark(ctx, this.camera, recording, row, t);
+    robots.forEach((row, i) => drawRing(ctx, this.camera, recording, row, colors.watch, i ? 1.2 : 2));
+  }
+
+  get whole() {
+    return this.fitted && this.untouched !== false;
+  }
+
+  visible() {
+    const { plane } = this.app.recording, rows = [];
+    for (let row = 0; row < plane.n; row++) {
+      if (this.camera.sees(plane.center[2 * row], plane.center[2 * row + 1], this.reach[row])) rows.push(row);
+    }
+    return rows;
+  }
+
+  drawLines(ctx, t, rows, places) {
+    const { recording } = this.app, { center } = recording.plane;
+    const byState = STATE_NAMES.map(() => []);
+    for (const row of rows) byState[stateAt(recording, row, t)].push(row);
+    const { scale, x: cx, y: cy, width, height } = this.camera;
+    const px = (x) => width / 2 + (x - cx) * scale, py = (y) => height / 2 - (y - cy) * scale;
+    ctx.lineWidth = Math.max(1, 0.35 * scale);
+    byState.forEach((inState, state) => {
+      ctx.strokeStyle = colors.states[state];
+      for (let begin = 0; begin < inState.length; begin += ARMS_A_PATH) {
+        ctx.beginPath();
+        for (const row of inState.slice(begin, begin + ARMS_A_PATH)) {
+          ctx.moveTo(px(center[2 * row]), py(center[2 * row + 1]));
+          ctx.lineTo(px(places[4 * row]), py(places[4 * row + 1]));
+          ctx.lineTo(px(places[4 * row + 2]), py(places[4 * row + 3]));
+        }
+        ctx.stroke();
+      }
+    });
+  }
+
+  /** The robot under a pixel, -1 where there is none: the one whose arms are nearest. */
+  robotAt(px, py) {
+    const { center, n } = this.app.recording.plane, { places } = this.app;
+    const [x, y] = this.camera.toPlane(px, py);
+    let best = -1, least = Infinity;
+    for (let row = 0; row < n; row++) {
+      const [cx, cy] = [center[2 * row], center[2 * row + 1]];
+      if (Math.hypot(x - cx, y - cy) > this.reach[row]) continue;
+      const [ex, ey, tx, ty] = places.subarray(4 * row, 4 * row + 4);
+      const away = Math.min(awayFrom(x, y, cx, cy, ex, ey), awayFrom(x, y, ex, ey, tx, ty));
+      if (away < least) [best, least] = [row, away];
+    }
+    return best;
+  }
+
+  listen() {
+    const { canvas } = this;
+    const place = (event) => {
+      const box = canvas.getBoundingClientRect();
+      return [event.clientX - box.left, event.clientY - box.top];
+    };
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.zoom(Math.exp(-event.deltaY * 0.0016), ...place(event));
+    }, { passive: false });
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      this.pointers.set(event.pointerId, place(event));
+      this.travelled = 0;
+    });
+    canvas.addEventListener("pointermove", (event) => this.onMove(event, place(event)));
+    canvas.addEventListener("pointerup", (event) => {
+      const clicked = this.pointers.size === 1 && this.travelled < CLICK_PX;
+      this.pointers.delete(event.pointerId);
+      if (!clicked) return;
+      const row = this.robotAt(...place(event));
+      if (row >= 0) this.app.watch(row, event.shiftKey);
+    });
+    canvas.addEventListener("pointercancel", (event) => this.pointers.delete(event.pointerId));
+  }
+
+  onMove(event, [x, y]) {
+    const before = this.pointers.get(event.pointerId);
+    if (!before) {
+      this.app.point(this.robotAt(x, y));
+      return;
+    }
+    this.travelled += Math.hypot(x - before[0], y - before[1]);
+    if (this.pointers.size === 2) {
+      // two fingers: zoom about the one that rests
+      const [other] = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
+      const was = Math.hypot(before[0] - other[0], before[1] - other[1]);
+      this.zoom(Math.hypot(x - other[0], y - other[1]) / Math.max(was, 1), ...other);
+    } else if (this.travelled >= CLICK_PX) {
+      this.camera.x -= (x - before[0]) / this.camera.scale;
+      this.camera.y += (y - before[1]) / this.camera.scale;
+      this.untouched = false;
+      this.app.redraw();
+    }
+    this.pointers.set(event.pointerId, [x, y]);
+  }
+
+  zoom(factor, px, py) {
+    this.camera.zoom(factor, px, py);
+    this.untouched = false;
+    this.app.redraw();
+  }
+
+  reset() {
+    this.untouched = true;
+    this.fit();
+  }
+}
+
+function awayFrom(x, y, ax, ay, bx, by) {
+  const [ux, uy] = [bx - ax, by - ay], square = ux * ux + uy * uy;
+  const s = square > 0 ? Math.min(1, Math.max(0, ((x - ax) * ux + (y - ay) * uy) / square)) : 0;
+  return Math.hypot(x - ax - s * ux, y - ay - s * uy);
+}

@@ -1,0 +1,127 @@
+// Panels 4 and 5: velocities and positions of both motors of the watched robot.
+import { angleAt, velocityAt } from "./kinematics.js";
+import { Axes } from "./axes.js";
+import { cleared, colors, write } from "./theme.js";
+
+const DEGREE = Math.PI / 180;
+const MOST_RINGS = 40; // encoder readings drawn of a joint
+const JOINTS = ["theta", "phi"];
+
+/** Speeds of the segments of a profile as steps: time, deg/s, time, deg/s, ... */
+export function velocitySteps(motion, profile, end) {
+  const points = [0, 0];
+  for (let k = motion.offsets[profile]; k < motion.offsets[profile + 1]; k++) {
+    const v = motion.velocity[k] / DEGREE;
+    points.push(motion.begin[k], v, motion.begin[k] + motion.duration[k], v);
+  }
+  points.push(motion.end[profile], 0, end, 0);
+  return points;
+}
+
+/** Angles at the ends of the segments of a profile: time, deg, ... */
+export function breakPoints(motion, profile) {
+  const points = [0, motion.start[profile] / DEGREE];
+  for (let k = motion.offsets[profile]; k < motion.offsets[profile + 1]; k++) {
+    const end = motion.angle[k] + motion.duration[k] * motion.velocity[k];
+    points.push(motion.begin[k] + motion.duration[k], end / DEGREE);
+  }
+  return points;
+}
+
+/** The planner's curve of a profile: its angles [deg] or its speeds [deg/s] over time. */
+export function plannedCurve(planned, profile, speeds) {
+  const { times, angles } = planned, count = times.length, first = profile * count;
+  const points = [];
+  for (let k = 0; k < count; k++) {
+    if (!speeds) points.push(times[k], angles[first + k] / DEGREE);
+    else if (k + 1 < count) {
+      const v = (angles[first + k + 1] - angles[first + k]) / (times[k + 1] - times[k]) / DEGREE;
+      points.push(times[k], v, times[k + 1], v);
+    }
+  }
+  return points;
+}
+
+/** Encoder readings of a joint: time, deg, ... A reading is where the orders lead plus what it is off. */
+export function readings(recording, row, joint) {
+  const { measured, motion } = recording, points = [];
+  for (let i = measured.offsets[row]; i < measured.offsets[row + 1]; i++) {
+    const at = measured.order[i], time = measured.time[at];
+    const angle = angleAt(motion, 2 * row + joint, time) + measured.off[2 * at + joint] * measured.quantum;
+    points.push(time, angle / DEGREE);
+  }
+  return points;
+}
+
+class ProfilesPanel {
+  constructor(canvas, note, app) {
+    Object.assign(this, { canvas, note, app });
+    canvas.addEventListener("pointerdown", (event) => {
+      const x = event.clientX - canvas.getBoundingClientRect().left;
+      const axes = this.plots?.find((plot) => x >= plot.left - 4 && x <= plot.left + plot.width + 4);
+      if (axes) app.seek(axes.xLow + ((x - axes.left) / axes.width) * (axes.xHigh - axes.xLow));
+    });
+  }
+
+  draw(t) {
+    const { ctx, width, height } = cleared(this.canvas);
+    const { recording, robots } = this.app;
+    if (!robots.length) {
+      write(ctx, "Click a robot to watch it", width / 2, height / 2, colors.soft, "center");
+      this.note.textContent = "";
+      return;
+    }
+    const row = robots[0], end = Math.max(recording.motion.makespan, 1e-3);
+    const stacked = width < 560, gap = 52;
+    const w = stacked ? width - 56 : (width - 62 - gap) / 2;
+    const h = stacked ? (height - 96) / 2 : height - 50;
+    this.plots = JOINTS.map((name, joint) => {
+      const box = stacked
+        ? { left: 48, top: 18 + joint * (h + 50), width: w, height: h }
+        : { left: 48 + joint * (w + gap), top: 18, width: w, height: h };
+      return this.plot(ctx, box, row, joint, end, t);
+    });
+    this.note.textContent = `robot ${recording.plane.ids[row]} — ${this.legend}`;
+  }
+}
+
+export class VelocityPanel extends ProfilesPanel {
+  legend = "planned thin, segments as sent bold, limits dashed";
+
+  plot(ctx, box, row, joint, end, t) {
+    const { motion, planned, plane } = this.app.recording, profile = 2 * row + joint;
+    const limit = plane.speeds[profile] / DEGREE;
+    const axes = new Axes(box, [0, end], [-1.12 * limit, 1.12 * limit]);
+    const now = Math.round((velocityAt(motion, profile, t) / DEGREE) * 10) / 10;
+    axes.frame(ctx, "s", `${JOINTS[joint]}: ${(now || 0).toFixed(1)} deg/s`);
+    for (const sign of [-1, 1]) axes.curve(ctx, [0, sign * limit, end, sign * limit], colors.soft, 1, [5, 4]);
+    if (planned) axes.curve(ctx, plannedCurve(planned, profile, true), colors.plan, 1.2);
+    axes.curve(ctx, velocitySteps(motion, profile, end), colors[JOINTS[joint]], 2.4);
+    axes.cursor(ctx, t);
+    return axes;
+  }
+}
+
+export class PositionPanel extends ProfilesPanel {
+  legend = "planned thin, segments bold with their ends, encoder readings as rings";
+
+  plot(ctx, box, row, joint, end, t) {
+    const { recording } = this.app, { motion, planned } = recording, profile = 2 * row + joint;
+    const sent = breakPoints(motion, profile), read = readings(recording, row, joint);
+    const plan = planned ? plannedCurve(planned, profile, false) : [];
+    const values = [...sent, ...read, ...plan].filter((_, i) => i % 2);
+    const low = Math.min(...values), high = Math.max(...values), room = Math.max(0.08 * (high - low), 1);
+    const axes = new Axes(box, [0, end], [low - room, high + room]);
+    const now = angleAt(motion, profile, t) / DEGREE;
+    axes.frame(ctx, "s", `${JOINTS[joint]}: ${now.toFixed(2)} deg`);
+    const color = colors[JOINTS[joint]];
+    axes.curve(ctx, [...sent, end, sent.at(-1)], color, 2.4);
+    axes.curve(ctx, plan, colors.plan, 1.2);
+    axes.dots(ctx, sent, color, 3.4, true);
+    const every = 2 * Math.ceil(read.length / 2 / MOST_RINGS);
+    axes.dots(ctx, read.filter((_, i) => i % every < 2), colors.ink, 3, false);
+    axes.cursor(ctx, t);
+    axes.dots(ctx, [Math.min(Math.max(t, 0), end), now], colors.accent, 4, true);
+    return axes;
+  }
+}

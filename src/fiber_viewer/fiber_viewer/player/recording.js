@@ -1,0 +1,170 @@
+// A recording opened: plain typed arrays by name. docs/recording.md describes the file.
+import { readNpz } from "./npz.js";
+import { unroll } from "./kinematics.js";
+
+const NEWEST_VERSION = 1;
+const MICRORADIAN = 1e-6;
+
+// What a robot looks like at a time.
+export const MOVING = 0, REACHED = 1, HELD = 2, FAILED = 3, IDLE = 4, DISABLED = 5;
+export const STATE_NAMES = ["moving", "reached", "held", "failed", "nothing asked", "disabled"];
+
+/** Opens the bytes of a recording. Throws an Error that says what is wrong with them. */
+export async function openRecording(bytes) {
+  const arrays = await readNpz(bytes);
+  if (!arrays.about) throw new Error("this file is no recording");
+  const about = JSON.parse(new TextDecoder().decode(arrays.about.data));
+  if (about.format !== "fiber recording") throw new Error("this file is no recording");
+  if (about.version > NEWEST_VERSION) {
+    throw new Error(`version ${about.version} is newer than this page, which reads ${NEWEST_VERSION}`);
+  }
+  const plane = planeOf(arrays);
+  const motion = motionOf(arrays, about.units);
+  const recording = {
+    about,
+    plane,
+    motion,
+    planned: plannedOf(arrays),
+    measured: measuredOf(arrays, about.units, plane.n),
+    load: loadOf(arrays, about),
+    events: eventsOf(arrays, about),
+    pairs: pairsOf(arrays, plane.n),
+    started: arrays.started.data,
+    outcome: arrays.outcome.data,
+    reason: arrays.reason.data,
+    error: arrays.error_mm.data,
+  };
+  const late = recording.events.at(-1)?.time ?? 0;
+  recording.end = Math.max(motion.makespan, late, 1e-3);
+  recording.begin = Math.max(Math.min(0, recording.load.begin), -0.25 * recording.end);
+  return recording;
+}
+
+function planeOf(arrays) {
+  const outline = (name, radius) => ({
+    count: arrays[name].shape[1],
+    vertices: arrays[name].data,
+    radius: arrays[radius].data,
+  });
+  const ids = arrays.id.data;
+  return {
+    n: ids.length,
+    ids,
+    rowOf: new Map(Array.from(ids, (id, row) => [id, row])),
+    center: arrays.center_mm.data,
+    arm: arrays.arm_mm.data,
+    target: arrays.target_mm.data,
+    enabled: arrays.enabled.data,
+    limits: arrays.limits_rad.data,
+    speeds: arrays.speed_rad_s.data,
+    bus: arrays.bus.data,
+    discs: arrays.disc_mm.data,
+    phi: outline("phi_outline_mm", "radius_mm"),
+    theta: outline("theta_outline_mm", "theta_radius_mm"),
+  };
+}
+
+function motionOf(arrays, units) {
+  const quantum = units.quantum_prad * 1e-12, tick = units.tick_us * 1e-6;
+  return unroll({
+    start: Float64Array.from(arrays.start_counts.data, (c) => c * quantum),
+    offsets: arrays.offsets.data,
+    duration: Float64Array.from(arrays.ticks.data, (k) => k * tick),
+    velocity: Float64Array.from(arrays.velocity.data, (v) => v * (quantum / tick)),
+    quantum,
+    tick,
+  });
+}
+
+// The planner's curves: angle k of profile p is angles[p * times.length + k].
+function plannedOf(arrays) {
+  if (!arrays.planned_time_s) return null;
+  const times = arrays.planned_time_s.data, steps = arrays.planned_step_urad.data;
+  const angles = new Float64Array(steps.length);
+  for (let at = 0, sum = 0; at < steps.length; at++) {
+    sum = at % times.length === 0 ? steps[at] : sum + steps[at];
+    angles[at] = sum * MICRORADIAN;
+  }
+  return { times, angles };
+}
+
+// Encoder readings by robot: those of a row are order[offsets[row] .. offsets[row + 1]].
+function measuredOf(arrays, units, n) {
+  const row = arrays.measured_row.data, off = arrays.measured_off_counts.data;
+  const time = new Float64Array(row.length);
+  let sum = 0;
+  arrays.measured_step_us.data.forEach((step, i) => { time[i] = (sum += step) * 1e-6; });
+  const offsets = new Int32Array(n + 1), order = new Int32Array(row.length);
+  for (const r of row) offsets[r + 1]++;
+  for (let r = 0; r < n; r++) offsets[r + 1] += offsets[r];
+  const next = offsets.slice();
+  row.forEach((r, i) => { order[next[r]++] = i; });
+  return { offsets, order, time, off, quantum: units.quantum_prad * 1e-12 };
+}
+
+function loadOf(arrays, about) {
+  const [buses, bins] = arrays.bus_frames.shape;
+  return {
+    ids: arrays.bus_id.data, buses, bins,
+    begin: about.bus_begin_s, bin: about.bus_bin_s,
+    frames: arrays.bus_frames.data, bytes: arrays.bus_bytes.data,
+  };
+}
+
+function eventsOf(arrays, about) {
+  const kind = arrays.event_kind.data, names = about.names.event;
+  return Array.from(arrays.event_time_s.data, (time, i) => ({
+    time,
+    kind: names[kind[i]],
+    bus: arrays.event_bus.data[i],
+    row: arrays.event_row.data[i],
+    detail: arrays.event_detail.data[i],
+    bad: !["go", "stop"].includes(names[kind[i]]),
+  }));
+}
+
+// Pairs of robots by how near they came, nearest first; pairs with a disc have b >= n.
+function pairsOf(arrays) {
+  const rows = arrays.pair_row.data;
+  return Array.from(arrays.pair_gap_mm.data, (gap, i) => ({
+    a: rows[2 * i], b: rows[2 * i + 1], gap, time: arrays.pair_time_s.data[i],
+  }));
+}
+
+/** Returns the state of a robot at a time. */
+export function stateAt(recording, row, t) {
+  const { plane, motion, started, outcome, reason } = recording;
+  if (!plane.enabled[row]) return DISABLED;
+  const ends = Math.max(motion.end[2 * row], motion.end[2 * row + 1]);
+  if (started[row] && t < ends) return MOVING;
+  if (outcome[row] === 0) return REACHED;
+  if (outcome[row] === 2) return FAILED;
+  return recording.about.names.reason[reason[row]] === "no_target" ? IDLE : HELD;
+}
+
+/** Returns why a robot ended as it did, in words. */
+export function reasonOf(recording, row) {
+  const { names } = recording.about;
+  const word = (name) => (name ?? "unknown").replaceAll("_", " ");
+  const outcome = word(names.outcome[recording.outcome[row]]);
+  const reason = word(names.reason[recording.reason[row]]);
+  return reason === "ok" ? outcome : `${outcome}: ${reason}`;
+}
+
+/** Returns the name of a body of a pair: a robot's id, or the number of a disc. */
+export function bodyName(recording, body) {
+  const { n, ids } = recording.plane;
+  return body < n ? String(ids[body]) : `disc ${body - n}`;
+}
+
+/** Returns everything that went wrong: bad events, then robots that failed without one. */
+export function faultsOf(recording) {
+  const faults = recording.events.filter((event) => event.bad);
+  const told = new Set(faults.map((fault) => fault.row));
+  recording.outcome.forEach((outcome, row) => {
+    if (outcome === 2 && !told.has(row)) {
+      faults.push({ time: recording.end, kind: reasonOf(recording, row), row, bus: recording.plane.bus[row] });
+    }
+  });
+  return faults.sort((a, b) => a.time - b.time);
+}
