@@ -6,12 +6,12 @@ with its latest reading, as the bridge does.
 """
 
 import argparse
+import array
 import sys
 from pathlib import Path
 
 import numpy as np
 from rclpy.qos import DurabilityPolicy
-from rclpy.serialization import serialize_message
 
 try:  # from pip: neither Debian nor Ubuntu packages it, so nothing else may need it
     from rosbags import interfaces, rosbag2, typesys
@@ -59,15 +59,38 @@ def write_bag(folder: Path, recording: Recording) -> None:
     with writer:
         connections = {}
         for time_ns, topic, message in sorted(_messages(recording), key=lambda entry: entry[0]):
+            kind = _kind(message)
             if topic.name not in connections:
-                package, name = topic.type.__module__.split(".")[0], topic.type.__name__
                 connections[topic.name] = writer.add_connection(
                     f"/{topic.name.lstrip('/')}",
-                    f"{package}/msg/{name}",
+                    kind,
                     typestore=store,
                     offered_qos_profiles=[_qos(topic.qos)],
                 )
-            writer.write(connections[topic.name], time_ns, serialize_message(message))
+            data = store.serialize_cdr(_foreign(message, store), kind)
+            writer.write(connections[topic.name], time_ns, data)
+
+
+def _kind(message) -> str:
+    return f"{type(message).__module__.split('.')[0]}/msg/{type(message).__name__}"
+
+
+def _foreign(value, store):
+    """Return a message as rosbags knows it.
+
+    rclpy's own serialization leaves what happened to be in memory behind the last field of
+    some messages; a strict reader refuses them, and no two files would be the same.
+    """
+    if isinstance(value, array.array):
+        return np.asarray(value)
+    if isinstance(value, list):
+        return [_foreign(entry, store) for entry in value]
+    if not hasattr(value, "get_fields_and_field_types"):
+        return value
+    fields = value.get_fields_and_field_types()
+    return store.types[_kind(value)](
+        **{field: _foreign(getattr(value, field), store) for field in fields}
+    )
 
 
 def _messages(recording):

@@ -156,7 +156,7 @@ def _reconfigure(problem, options, display) -> _Run:
 def _recorder(problem, options) -> dict:
     return {
         "folder": str(options.out.resolve()),
-        "plane": problem.plane.name,
+        "preset": problem.plane.name,
         "seed": options.seed,
         "planner": options.planner,
     }

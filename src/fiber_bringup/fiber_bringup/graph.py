@@ -10,13 +10,14 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, Sh
 from rclpy.parameter import Parameter
 
 from fiber_bringup.environment import stay_on_this_machine
+from fiber_bringup.recorder import RecorderNode
 from fiber_bus_bridge.node import BridgeNode
 from fiber_discretizer.node import DiscretizerNode
 from fiber_planner.node import PlannerNode
 
 __all__ = ["Graph", "main"]
 
-_THREADS = 4  # one a node, and one for the bridge's stop
+_THREADS = 5  # one a node, and one for the bridge's stop
 _LOOK_S = 0.1  # how long a quiet graph takes at most to see that it shall end
 
 
@@ -31,16 +32,21 @@ class Graph:
         planner: parameters of the planner node, by name.
         discretizer: parameters of the discretizer node.
         bridge: parameters of the bridge node.
+        recorder: parameters of the recorder node; None for no recorder.
         domain: ROS domain; by default that of the environment.
         args: command line for ROS, as ``["--ros-args", "-p", "bridge:robots:=61"]``.
     """
 
-    def __init__(self, planner=None, discretizer=None, bridge=None, domain=None, args=()):
-        self._parameters = (
+    def __init__(
+        self, planner=None, discretizer=None, bridge=None, recorder=None, domain=None, args=()
+    ):
+        self._parameters = [
             (BridgeNode, bridge or {}),
             (PlannerNode, planner or {}),
             (DiscretizerNode, discretizer or {}),
-        )
+        ]
+        if recorder is not None:
+            self._parameters.append((RecorderNode, recorder))
         self._domain, self._args = domain, list(args)
         self._error: BaseException | None = None
         self.nodes: list = []

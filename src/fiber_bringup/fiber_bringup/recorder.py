@@ -68,7 +68,7 @@ class RecorderNode(Node):
             "seed": self.declare_parameter("seed", -1).value,
             "planner": self.declare_parameter("planner", "").value,
         }
-        self._name = self.declare_parameter("plane", "").value  # the layout does not tell it
+        self._name = self.declare_parameter("preset", "").value  # the layout does not tell it
         self._safety = declare_settings(self, Safety, "safety")
         self._plane = self._units = self._state = self._rest = None
         self._heard: dict[PlanStamp, _Heard] = {}

@@ -1,4 +1,4 @@
-"""Planner, discretizer and bus bridge of one focal plane, on this machine.
+"""Planner, discretizer, bus bridge and recorder of one focal plane, on this machine.
 
 ros2 launch fiber_bringup focal_plane.launch.py preset:=desi robots:=500
 """
@@ -26,6 +26,9 @@ def generate_launch_description():
             DeclareLaunchArgument("problem", default_value="", description="problem.npz"),
             DeclareLaunchArgument("planner", default_value="direct", description="or dnf"),
             DeclareLaunchArgument("time_scale", default_value="1.0", description="simulated s / s"),
+            DeclareLaunchArgument(
+                "folder", default_value="recordings", description="of recordings, one a plan"
+            ),
             # set in the environment, these win: a profile of another machine, another range
             SetEnvironmentVariable(
                 "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -70,6 +73,21 @@ def generate_launch_description():
                 name="discretizer",
                 output="screen",
                 parameters=[parameters],
+            ),
+            Node(
+                package="fiber_bringup",
+                executable="recorder",
+                name="recorder",
+                output="screen",
+                parameters=[
+                    parameters,
+                    {
+                        "folder": ParameterValue(LaunchConfiguration("folder"), value_type=str),
+                        "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
+                        "planner": ParameterValue(LaunchConfiguration("planner"), value_type=str),
+                        "preset": ParameterValue(LaunchConfiguration("preset"), value_type=str),
+                    },
+                ],
             ),
         ]
     )

@@ -1,0 +1,275 @@
+"""The page's own arithmetic, run by Node, against the cores, on robots and times at random."""
+
+import json
+import re
+import shutil
+import subprocess
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fiber_viewer
+from fiber_core import kinematics
+from fiber_core.clearance import gaps, neighbour_pairs
+from fiber_core.presets import preset
+from fiber_viewer import load_recording
+from fiber_viewer.page import SCRIPTS, script
+
+PLAYER = Path(fiber_viewer.__file__).parent / "player"
+DRAWS = 300
+OUTLINES = Path(__file__).parent / "data" / "recording-1.npz"  # of a plane with polygons
+
+
+@pytest.fixture
+def node(tmp_path):
+    """Runs a script that has `recording` and `asked`, and returns what it puts in `answer`."""
+    if shutil.which("node") is None:
+        pytest.skip("NOT TESTED: the page's arithmetic, because node is not installed")
+
+    def run(recording_file, body, **asked):
+        (tmp_path / "asked.json").write_text(json.dumps(asked))
+        imports = "".join(
+            f"import * as {name} from {json.dumps((PLAYER / f'{name}.js').as_uri())};\n"
+            for name in ("recording", "kinematics", "clearance", "neighbourhood", "profiles")
+            + ("address", "headline", "axes")
+        )
+        (tmp_path / "run.mjs").write_text(
+            imports.replace("* as recording", "* as opened")
+            + f"""
+            import fs from "node:fs";
+            const asked = JSON.parse(fs.readFileSync({json.dumps(str(tmp_path / "asked.json"))}));
+            const bytes = new Uint8Array(fs.readFileSync({json.dumps(str(recording_file))}));
+            const recording = await opened.openRecording(bytes);
+            let answer;
+            {body}
+            console.log(JSON.stringify(answer));
+            """
+        )
+        ran = subprocess.run(
+            ["node", tmp_path / "run.mjs"], capture_output=True, text=True, check=False
+        )
+        assert ran.returncode == 0, ran.stderr
+        return json.loads(ran.stdout)
+
+    return run
+
+
+def drawn_times(recording, rng):
+    """Times before, in and after the motion, and every instant at which a segment ends."""
+    motion = recording.decoded
+    ends = [motion.duration_s[a:b].sum() for a, b in zip(motion.offsets[:-1], motion.offsets[1:])]
+    return np.concatenate([rng.uniform(-0.2, 1.1 * motion.makespan_s, DRAWS), ends, [0.0]])
+
+
+def test_angles_speeds_and_segments_are_those_of_the_motion(node, recording, recording_file):
+    rng = np.random.default_rng(3)
+    times = drawn_times(recording, rng)
+    profiles = rng.integers(0, 2 * recording.decoded.n, len(times))
+    told = node(
+        recording_file,
+        """
+        const { motion } = recording, { angleAt, segmentAt, velocityAt } = kinematics;
+        const asking = [angleAt, velocityAt, segmentAt];
+        answer = asked.times.map((t, i) => asking.map((f) => f(motion, asked.profiles[i], t)));
+        """,
+        times=times.tolist(),
+        profiles=profiles.tolist(),
+    )
+    motion = recording.decoded
+    angle, speed, segment = np.array(told).T
+    np.testing.assert_allclose(
+        angle, [motion(t).ravel()[p] for t, p in zip(times, profiles)], rtol=0, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        speed, [motion.velocity(t).ravel()[p] for t, p in zip(times, profiles)], atol=1e-9
+    )
+    for t, p, k in zip(times, profiles, segment.astype(int)):
+        lasts = motion.duration_s[slice(*motion.offsets[p : p + 2])]
+        begins = np.concatenate([[0.0], np.cumsum(lasts)])
+        inside = 0 <= t < begins[-1]
+        assert (k >= 0) == inside
+        if inside:
+            at = k - motion.offsets[p]
+            assert begins[at] <= t + 1e-12 and t <= begins[at + 1] + 1e-12
+
+
+@pytest.mark.parametrize("file", ["capsules", "outlines"])
+def test_elbows_tips_and_outlines_are_where_the_kinematics_puts_them(node, recording_file, file):
+    path = recording_file if file == "capsules" else OUTLINES
+    plane = load_recording(path).problem.plane
+    rng = np.random.default_rng(4)
+    angles = rng.uniform(-4, 4, (plane.n, 2))
+    places, hulls = node(
+        path,
+        """
+        const { plane } = recording, n = plane.n;
+        const angles = Float64Array.from(asked.angles.flat());
+        answer = [
+          Array.from(kinematics.placesOfAll(plane, angles, new Float64Array(4 * n))),
+          asked.angles.map((both, row) => kinematics.outlinesOf(plane, row, ...both)
+            .map((hull) => [Array.from(hull.points), hull.radius])),
+        ];
+        """,
+        angles=angles.tolist(),
+    )
+    elbow, tip = kinematics.forward(plane, angles)
+    np.testing.assert_allclose(np.reshape(places, (-1, 4)), np.hstack([elbow, tip]), atol=1e-9)
+    assert all(len(links) == 1 + bool(plane.theta_vertices.shape[1]) for links in hulls)
+    for row, links in enumerate(hulls):
+        for (points, radius), vertices, origin, turn, rounding in zip(
+            links,
+            (plane.phi_vertices[row], plane.theta_vertices[row]),
+            (elbow[row], plane.centers[row]),
+            (angles[row].sum(), angles[row, 0]),
+            (plane.phi_radius[row], plane.theta_radius[row]),
+        ):
+            c, s = np.cos(turn), np.sin(turn)
+            placed = origin + vertices @ np.array([[c, s], [-s, c]])
+            np.testing.assert_allclose(np.reshape(points, (-1, 2)), placed, atol=1e-9)
+            assert radius == pytest.approx(rounding)
+
+
+@pytest.mark.parametrize("file", ["capsules", "outlines"])
+def test_gaps_are_those_of_the_core(node, recording_file, file):
+    path = recording_file if file == "capsules" else OUTLINES
+    plane = load_recording(path).problem.plane
+    pairs = neighbour_pairs(plane)
+    rng = np.random.default_rng(5)
+    poses = rng.uniform(-4, 4, (12, plane.n, 2))
+    told = node(
+        path,
+        """
+        const { plane } = recording;
+        answer = asked.poses.flatMap((angles) => {
+          const hulls = angles.map((both, row) => kinematics.outlinesOf(plane, row, ...both));
+          return asked.pairs.map(([a, b]) => {
+            const { gap, from, to } = clearance.gapBetween(hulls[a], hulls[b]);
+            return [gap, Math.hypot(from[0] - to[0], from[1] - to[1])];
+          });
+        });
+        """,
+        pairs=pairs.tolist(),
+        poses=poses.tolist(),
+    )
+    gap, drawn = np.array(told).T
+    exact = np.maximum(np.concatenate([gaps(plane, pairs, angles) for angles in poses]), 0.0)
+    assert (exact == 0).any() and (exact > 0).any()
+    np.testing.assert_allclose(gap, exact, atol=1e-7)
+    apart = exact > 0
+    np.testing.assert_allclose(drawn[apart], exact[apart], atol=1e-7)  # the line drawn is the gap
+
+
+def test_the_page_reads_what_python_wrote(node, recording, recording_file):
+    told = node(
+        recording_file,
+        """
+        const { planned, plane, motion, pairs, events, load } = recording;
+        const rows = Array.from(plane.ids.keys()), both = [0, 1];
+        const late = rows.map((row) => opened.stateAt(recording, row, 1e9));
+        answer = {
+          ids: Array.from(plane.ids), makespan: motion.makespan, late,
+          planned: Array.from(planned.angles), times: Array.from(planned.times),
+          readings: rows.map((row) => both.map((j) => profiles.readings(recording, row, j))),
+          nearest: [pairs[0].a, pairs[0].b, pairs[0].gap], kinds: events.map((e) => e.kind),
+          reason: opened.reasonOf(recording, asked.failed), frames: Array.from(load.frames),
+          faults: opened.faultsOf(recording).map((f) => [f.row, f.time]),
+          verdict: headline.verdict(headline.figuresOf(recording)),
+        };
+        """,
+        failed=11,
+    )
+    plane, quantum = recording.problem.plane, recording.units.quantum_rad
+    assert told["ids"] == plane.ids.tolist()
+    assert told["makespan"] == pytest.approx(recording.decoded.makespan_s)
+    np.testing.assert_allclose(
+        np.reshape(told["planned"], recording.planned.angles.shape),
+        recording.planned.angles,
+        atol=0.51e-6,
+    )
+    for row in range(plane.n):
+        chosen = recording.measured.row == row
+        for joint in (0, 1):
+            time_s, angle = np.reshape(told["readings"][row][joint], (-1, 2)).T
+            np.testing.assert_allclose(time_s, recording.measured.time_us[chosen] * 1e-6)
+            counts = recording.measured.counts[chosen, joint]
+            exact = recording.units.to_angles(counts)
+            # whole numbers are floored once in each of up to five segments
+            assert np.abs(np.deg2rad(angle) - exact).max(initial=0) < 6 * quantum
+    moving, reached, held, failed, idle, disabled = range(6)
+    states = dict(enumerate(told["late"]))
+    assert (states[5], states[11], states[3], states[20]) == (held, failed, idle, disabled)
+    assert Counter(states.values())[reached] == plane.n - 4
+    assert told["nearest"][:2] == recording.approaches.pairs[0].tolist()
+    assert told["kinds"] == ["go", "no_address", "fault"]
+    assert told["reason"] == "failed: not acknowledged"
+    assert told["faults"] == [[11, 0.3], [11, 0.4]]
+    assert told["frames"] == recording.load.frames.ravel().tolist()
+    assert told["verdict"] == "33 of 36 robots reached their targets; 2 held, 1 failed."
+
+
+def test_six_moments_hold_the_nearest_and_stay_inside(node, recording_file):
+    cases = [(0.0, 2.0), (0.04, 0.8), (1.0, 2.0), (2.0, 2.0), (0.0, 0.0)]
+    told = node(
+        recording_file,
+        "answer = asked.cases.map(([t, ends]) => neighbourhood.momentsAround(t, ends));",
+        cases=cases,
+    )
+    for (time, ends), moments in zip(cases, told):
+        assert len(moments) == 6 and time in moments
+        assert min(moments) >= 0 and max(moments) <= max(ends, 1e-3) + 1e-9
+        assert moments == sorted(moments)
+
+
+def test_an_address_says_what_was_seen(node, recording_file):
+    told = node(
+        recording_file,
+        """
+        const there = address.toAddress({ t: 1.25, ids: [12, 40], panel: 2 });
+        answer = [there, address.readAddress(there), address.readAddress("#t=x&robots=a,7&what=1")];
+        """,
+    )
+    assert told[0] == "#t=1.2500&robots=12,40&panel=2"
+    assert told[1] == {"t": 1.25, "panel": 2, "robots": [12, 40]}
+    assert told[2] == {"t": None, "panel": None, "robots": [7]}
+
+
+@pytest.mark.parametrize(
+    ("version", "said"), [(99, "newer than this page"), (1, None)], ids=["newer", "this"]
+)
+def test_a_newer_recording_is_refused_by_the_page(node, recording_file, tmp_path, version, said):
+    data = dict(np.load(recording_file))
+    about = json.loads(bytes(data["about"])) | {"version": version}
+    data["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
+    np.savez_compressed(tmp_path / "other.npz", **data)
+    path = json.dumps(str(tmp_path / "other.npz"))
+    told = node(
+        recording_file,
+        f"""
+        answer = await opened.openRecording(new Uint8Array(fs.readFileSync({path})))
+          .then(() => null, (error) => error.message);
+        """,
+    )
+    assert (told is None) if said is None else (said in told)
+
+
+def test_the_modules_make_one_script():
+    assert sorted(SCRIPTS) == sorted(path.stem for path in PLAYER.glob("*.js"))
+    text = script()
+    assert not re.search(r"^(import|export)\b", text, re.MULTILINE)
+    # end to end they share their top-level names
+    names = re.findall(r"^(?:async )?(?:const|let|class|function) (\w+)", text, re.MULTILINE)
+    assert not [name for name, count in Counter(names).items() if count > 1]
+
+
+@pytest.mark.parametrize("path", sorted(PLAYER.glob("*.*")), ids=lambda path: path.name)
+def test_a_file_of_the_page_stays_readable(path):
+    lines = path.read_text().splitlines()
+    assert len(lines) < 400 and max(map(len, lines)) <= 160
+    assert not re.search(r"https?://", path.read_text()), "the page asks nobody for anything"
+
+
+def test_presets_with_and_without_theta_outlines_are_both_tested():
+    assert load_recording(OUTLINES).problem.plane.theta_vertices.shape[1]
+    assert not preset("desi", 3).theta_vertices.shape[1]

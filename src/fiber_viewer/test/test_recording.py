@@ -1,0 +1,139 @@
+"""A recording is on disk what it was in memory, and what is older still opens."""
+
+import json
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fiber_core.problem import load_problem
+from fiber_viewer import Recording, RecordingError, load_recording, save_recording
+from fiber_viewer.recording_file import VERSION, ordered_counts
+
+DATA = Path(__file__).parent / "data"
+
+
+def same(one, two, name=""):
+    """Hold every array of two records against each other; returns how many there were."""
+    if one is None or isinstance(one, (dict, str)):
+        assert one == two, name
+        return 1
+    if is_dataclass(one):
+        return sum(
+            same(getattr(one, f.name), getattr(two, f.name), f"{name}.{f.name}")
+            for f in fields(one)
+        )
+    if isinstance(one, np.ndarray) and one.dtype.kind == "f":
+        np.testing.assert_allclose(one, two, rtol=1e-6, atol=1e-6, err_msg=name)
+    else:
+        np.testing.assert_array_equal(one, two, err_msg=name)
+    return 1
+
+
+def test_everything_comes_back(recording, recording_file):
+    assert same(recording, load_recording(recording_file)) > 40
+    read = load_recording(recording_file)
+    for name in ("start", "ticks", "velocity"):
+        np.testing.assert_array_equal(getattr(read.motion, name), getattr(recording.motion, name))
+    np.testing.assert_array_equal(read.measured.counts, recording.measured.counts)
+    assert np.abs(read.planned.angles - recording.planned.angles).max() <= 0.5001e-6
+
+
+def test_without_planned_curves_there_are_none(recording, tmp_path):
+    path = tmp_path / "no_curves.npz"
+    save_recording(path, replace(recording, planned=None))
+    assert load_recording(path).planned is None
+
+
+def test_a_recording_is_a_problem_too(recording, recording_file):
+    problem = load_problem(recording_file)
+    np.testing.assert_array_equal(problem.start, recording.problem.start)
+    np.testing.assert_array_equal(problem.plane.phi_vertices, recording.problem.plane.phi_vertices)
+    assert problem.plane.name == "desi"
+
+
+def test_the_same_recording_is_the_same_arrays_and_leaves_nothing_else(recording, tmp_path):
+    for name in "ab":
+        save_recording(tmp_path / f"{name}.npz", recording)
+    one, two = (dict(np.load(tmp_path / f"{name}.npz")) for name in "ab")
+    assert {k: v.tobytes() for k, v in one.items()} == {k: v.tobytes() for k, v in two.items()}
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+def test_orders_in_whole_numbers_are_the_motion(recording):
+    motion, rng = recording.decoded, np.random.default_rng(0)
+    row = rng.integers(0, len(recording.outcome), 400)
+    time_us = rng.integers(-100_000, 4_000_000, 400)
+    counts = ordered_counts(recording.motion, row, time_us)
+    exact = np.array([motion(t)[r] for r, t in zip(row, time_us * 1e-6)])
+    off = recording.units.to_angles(counts) - exact
+    assert np.abs(off).max() < 1.001 * 5 * recording.units.quantum_rad  # floored in each segment
+    ends = ordered_counts(recording.motion, np.arange(len(motion.start)), np.full(motion.n, 10**9))
+    np.testing.assert_array_equal(ends, recording.motion.end)
+
+
+def changed(path, tmp_path, **about):
+    data = dict(np.load(path))
+    said = json.loads(bytes(data["about"])) | about
+    data["about"] = np.frombuffer(json.dumps(said).encode(), np.uint8)
+    np.savez(tmp_path / "changed.npz", **data)
+    return tmp_path / "changed.npz"
+
+
+def test_a_newer_version_is_refused_by_number(recording_file, tmp_path):
+    with pytest.raises(RecordingError, match=r"version 99, this software reads up to 1"):
+        load_recording(changed(recording_file, tmp_path, version=99))
+
+
+def test_what_is_no_recording_is_refused(recording_file, tmp_path):
+    np.savez(tmp_path / "other.npz", a=[1])
+    (tmp_path / "text.npz").write_text("hello")
+    other = changed(recording_file, tmp_path, format="something else")
+    for path in (tmp_path / "other.npz", tmp_path / "text.npz", tmp_path / "none.npz", other):
+        with pytest.raises(RecordingError, match="no recording"):
+            load_recording(path)
+
+
+@pytest.mark.parametrize("name", ["ticks", "outcome", "event_kind"])
+def test_a_field_that_is_missing_is_named(recording_file, tmp_path, name):
+    data = dict(np.load(recording_file))
+    del data[name]
+    np.savez(tmp_path / "part.npz", **data)
+    with pytest.raises(RecordingError, match=name):
+        load_recording(tmp_path / "part.npz")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("outcome", np.zeros(3, int), "outcome has shape"),
+        ("started", np.zeros(2, bool), "started has shape"),
+    ],
+)
+def test_what_does_not_fit_the_plane_is_refused(recording, field, value, said):
+    with pytest.raises(RecordingError, match=said):
+        replace(recording, **{field: value})
+
+
+def test_a_robot_that_is_not_there_is_named(recording):
+    with pytest.raises(RecordingError, match=r"\[999\]"):
+        recording.rows_of([1, 999])
+
+
+@pytest.mark.parametrize("path", sorted(DATA.glob("recording-*.npz")), ids=lambda path: path.stem)
+def test_recordings_of_older_versions_still_open(path):
+    read = load_recording(path)
+    assert isinstance(read, Recording)
+    # written down when the file was made
+    told = json.loads((DATA / f"{path.stem}.json").read_text())
+    plane = read.problem.plane
+    assert plane.n == told["robots"] and plane.name == told["plane"]
+    assert read.decoded.makespan_s == pytest.approx(told["makespan_s"])
+    assert read.measured.counts.sum() == told["sum_of_counts"]
+    assert read.outcome.tolist() == told["outcome"]
+    assert read.about["seed"] == told["seed"]
+
+
+def test_there_is_a_recording_of_every_version():
+    assert {p.stem for p in DATA.glob("*.npz")} == {f"recording-{v}" for v in range(1, VERSION + 1)}
