@@ -196,7 +196,7 @@ def test_package_xml_names_what_is_imported_and_nothing_else(package):
             used |= outside(imports_of(module), package)
     for path in (SOURCE / package).glob("launch/*.launch.py"):
         used |= outside(imports(path.read_text(), "launch", False, set(MODULES)), package)
-        used |= set(re.findall(r"package=\"(\w+)\"", path.read_text()))
+        used |= set(re.findall(r"package=\"(\w+)\"", path.read_text())) - {package}
     wanted = {key_of(name) for name in used - UNDECLARED}
     declared = depends(package, "depend", "exec_depend")
     assert wanted - declared == set(), "imported, not in package.xml"
