@@ -18,6 +18,7 @@ setup(
     zip_safe=False,  # compiled loops are cached beside the modules
     entry_points={
         "console_scripts": [
+            "figures = fiber_viewer.draw:main",
             "player = fiber_viewer.page:main",
             "snapshot = fiber_viewer.snapshot:main",
         ]

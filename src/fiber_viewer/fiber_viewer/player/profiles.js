@@ -71,7 +71,10 @@ class ProfilesPanel {
       this.note.textContent = "";
       return;
     }
-    const row = robots[0], end = Math.max(recording.motion.makespan, 1e-3);
+    const row = robots[0], { motion } = recording;
+    // not the whole plane's time: others may move for long after this one
+    const own = Math.max(motion.end[2 * row], motion.end[2 * row + 1]) || motion.makespan;
+    const end = Math.max(Math.min(1.15 * own, motion.makespan), 1e-3);
     const stacked = width < 560, gap = 52;
     const w = stacked ? width - 56 : (width - 62 - gap) / 2;
     const h = stacked ? (height - 96) / 2 : height - 50;

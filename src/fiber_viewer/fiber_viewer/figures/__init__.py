@@ -1,0 +1,20 @@
+"""Figures of a reconfiguration, for papers and for the night log; each returns a Figure."""
+
+from fiber_viewer.figures.conflict import conflict, conflict_rows
+from fiber_viewer.figures.night import bus_load, clearances, makespan, segments
+from fiber_viewer.figures.plane import before_and_after, outcomes, plane
+from fiber_viewer.figures.profiles import positions, velocities
+
+__all__ = [
+    "before_and_after",
+    "bus_load",
+    "clearances",
+    "conflict",
+    "conflict_rows",
+    "makespan",
+    "outcomes",
+    "plane",
+    "positions",
+    "segments",
+    "velocities",
+]
