@@ -80,6 +80,10 @@ demo: build ## take 5000 simulated robots through one reconfiguration, into out/
 	@$(INSTALLED) && install/fiber_bringup/lib/fiber_bringup/demo $(OPTIONS) \
 		$(if $(TARGETS),--targets $(TARGETS)) --out $(OUT)
 
+.PHONY: screenshots
+screenshots: build ## take the pictures of docs/images from the last demo (needs chromium)
+	@$(INSTALLED) && $(PYTHON) tools/screenshots.py $(OUT)/recording.npz
+
 .PHONY: bench
 bench: build ## plan one field with no ROS and print one JSON line, into OUT
 	@$(INSTALLED) && $(PYTHON) bench/plan_field.py $(OPTIONS) \

@@ -231,8 +231,8 @@ def test_an_address_says_what_was_seen(node, recording_file):
         """,
     )
     assert told[0] == "#t=1.2500&robots=12,40&panel=2"
-    assert told[1] == {"t": 1.25, "panel": 2, "robots": [12, 40]}
-    assert told[2] == {"t": None, "panel": None, "robots": [7]}
+    assert told[1] == {"t": 1.25, "panel": 2, "robots": [12, 40], "theme": None}
+    assert told[2] == {"t": None, "panel": None, "robots": [7], "theme": None}
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,11 @@
 // Time, watched robots and panel in the address line, so that a link shows what was seen.
 
-/** Reads "#t=1.25&robots=12,40&panel=2". */
+/** Reads "#t=1.25&robots=12,40&panel=2&theme=dark". */
 export function readAddress(hash) {
   const found = new URLSearchParams(hash.replace(/^#/, ""));
   const number = (name) => (found.has(name) && Number.isFinite(Number(found.get(name))) ? Number(found.get(name)) : null);
   const robots = (found.get("robots") ?? "").split(",").filter((s) => /^\d+$/.test(s)).map(Number);
-  return { t: number("t"), panel: number("panel"), robots };
+  return { t: number("t"), panel: number("panel"), robots, theme: found.get("theme") };
 }
 
 /** Returns the address of a moment; ids are robots' ids. */

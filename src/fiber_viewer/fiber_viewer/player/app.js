@@ -247,6 +247,6 @@ function listen() {
   });
 }
 
-setTheme(null);
+setTheme(readAddress(location.hash).theme);
 listen();
 start(fromBase64(byId("recording").textContent));

@@ -74,7 +74,7 @@ export function drawMark(ctx, camera, recording, row, t) {
   if (state !== HELD && state !== FAILED) return;
   const { center } = recording.plane;
   const [x, y] = camera.toPixel(center[2 * row], center[2 * row + 1]);
-  const r = Math.min(8, Math.max(2.2, 0.8 * camera.scale));
+  const r = Math.min(8, Math.max(1.8, 0.8 * camera.scale));
   if (state === FAILED) {
     line(ctx, [x - r, y - r], [x + r, y + r], colors.failed, 2);
     line(ctx, [x - r, y + r], [x + r, y - r], colors.failed, 2);
@@ -83,7 +83,7 @@ export function drawMark(ctx, camera, recording, row, t) {
   ctx.beginPath();
   ctx.arc(x, y, r, 0, 2 * Math.PI);
   ctx.strokeStyle = colors.held;
-  ctx.lineWidth = 1.4;
+  ctx.lineWidth = r > 2.5 ? 1.4 : 1.1;
   ctx.stroke();
 }
 

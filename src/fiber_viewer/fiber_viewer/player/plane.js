@@ -4,7 +4,7 @@ import { Camera } from "./camera.js";
 import { cleared, colors } from "./theme.js";
 import { drawDiscs, drawMark, drawRing, drawRobot, drawTarget, reachOf } from "./drawing.js";
 
-const OUTLINES_FROM = 7; // scale from which outlines are drawn [pixels a mm]
+const OUTLINES_FROM_PX = 6; // width of an arm from which outlines are drawn
 const ARMS_A_PATH = 250; // longer paths are slower to stroke
 const CLICK_PX = 5; // a pointer that moves less than this between down and up has clicked
 
@@ -17,6 +17,7 @@ export class PlanePanel {
     this.pointers = new Map();
     const { plane } = app.recording;
     this.reach = Array.from({ length: plane.n }, (_, row) => reachOf(plane, row));
+    this.outlinesFrom = OUTLINES_FROM_PX / widthOf(plane);
     this.listen();
   }
 
@@ -51,7 +52,7 @@ export class PlanePanel {
     const { recording, robots } = this.app, { plane } = recording;
     drawDiscs(ctx, this.camera, plane);
     const seen = this.visible();
-    if (this.camera.scale >= OUTLINES_FROM) {
+    if (this.camera.scale >= this.outlinesFrom) {
       for (const row of seen) drawRobot(ctx, this.camera, recording, row, angles, t);
       for (const row of seen) drawTarget(ctx, this.camera, recording, row);
     } else {
@@ -166,6 +167,13 @@ export class PlanePanel {
     this.untouched = true;
     this.fit();
   }
+}
+
+// How wide the phi link of the first robot is [mm].
+function widthOf({ n, phi }) {
+  if (!n) return 1;
+  const across = Array.from({ length: phi.count }, (_, v) => phi.vertices[2 * v + 1]);
+  return Math.max(...across) - Math.min(...across) + 2 * phi.radius[0] || 1;
 }
 
 function awayFrom(x, y, ax, ay, bx, by) {
