@@ -63,6 +63,8 @@ def test_three_processes_take_a_plane_to_new_targets(executable, problem_file, t
         assert result["reached"] + result["held"] == result["asked"] and result["failed"] == 0
         assert result["reached"] > result["asked"] / 2
         assert len(result["not_reached"]) == result["held"]
+        assert result["done_s"]["planner"] <= result["done_s"]["ended"]
+        assert result["buses"]["retries"] == 0 and result["alerts"] == []
         assert "planner" in run.stderr and "100 %" in run.stderr
 
         # a file with a robot that does not exist is refused by the planner, by name

@@ -76,6 +76,7 @@ class PlaneClient:
     Args:
         domain: ROS domain of the graph; by default that of the environment.
         on_progress: told of all progress heard.
+        on_status: told of every status heard, with the one of that name before it, or None.
         guard: called over and over while waiting; ends the wait by raising.
         clock: seconds, for time-outs and for `times`.
     """
@@ -84,10 +85,13 @@ class PlaneClient:
         self,
         domain: int | None = None,
         on_progress: Callable[[Progress], None] = lambda _: None,
+        on_status: Callable[[diagnostics.Status, diagnostics.Status | None], None] = (
+            lambda _, before: None
+        ),
         guard: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ):
-        self._on_progress, self._clock = on_progress, clock
+        self._on_progress, self._on_status, self._clock = on_progress, on_status, clock
         self._peer = Peer("plane_client", domain, guard, clock)
         self.plane: FocalPlane | None = None
         self.units: WireUnits | None = None
@@ -213,6 +217,23 @@ class PlaneClient:
         self.until(lambda: stamp in self.ends, timeout_s, f"outcome of plan {stamp}")
         return self.ends[stamp]
 
+    def wait_recording(self, stamp: PlanStamp, timeout_s: float) -> None:
+        """Wait until a recorder of the graph has written the recording of a plan.
+
+        Raises:
+            PlaneRefusal: it could not.
+            WaitError: it did not.
+        """
+        known = self._of(self.times, stamp, dict)
+
+        def written():
+            status = self._statuses.get("recorder")
+            if status is not None and status.level is diagnostics.Level.ERROR:
+                raise PlaneRefusal("recorder", status.text)
+            return "recorder" in known
+
+        self.until(written, timeout_s, f"recording of plan {stamp}")
+
     def home(self, timeout_s: float) -> PlanEnd:
         """Fold the robots that can be; return what became of all.
 
@@ -323,6 +344,7 @@ class PlaneClient:
             if recent and before is not None and _refused(status) > _refused(before):
                 self._refusals.append(PlaneRefusal(status.name, status.text))
             self._statuses[status.name] = status
+            self._on_status(status, before)
 
     @staticmethod
     def _of(table, stamp, make):

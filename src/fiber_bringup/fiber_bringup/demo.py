@@ -129,7 +129,9 @@ def _reconfigure(problem, options, display) -> _Run:
         processes.start("fiber_planner", "planner", {"planner": options.planner})
         processes.start("fiber_discretizer", "discretizer", {})
         processes.start("fiber_bringup", "recorder", _recorder(problem, options))
-        with PlaneClient(on_progress=display, guard=processes.check) as client:
+        with PlaneClient(
+            on_progress=display, on_status=display.status, guard=processes.check
+        ) as client:
             client.wait_for_graph(options.timeout)
             before = client.units.to_counts(client.angles)
             times.append(time.monotonic())
@@ -143,7 +145,7 @@ def _reconfigure(problem, options, display) -> _Run:
             times.append(time.monotonic())
             told = settled_replay(client, ended, before, _SETTLE_S)
             heard = client.times[stamp]
-            client.until(lambda: "recorder" in heard, options.timeout, "the recording")
+            client.wait_recording(stamp, options.timeout)
     (options.out / recording_name(stamp)).replace(options.out / "recording.npz")
     graph, ready, start, move = np.diff(times)
     plan = heard["planner"] - heard["sent"]

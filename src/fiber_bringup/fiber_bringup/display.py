@@ -1,8 +1,11 @@
 """What a terminal shows: progress of the stages, and tables."""
 
 import sys
+import time
+from collections.abc import Callable
 
-from fiber_msgs_py import Progress
+from fiber_bringup.bus_totals import BusTotals
+from fiber_msgs_py import Level, Progress, Status
 
 __all__ = ["ProgressDisplay", "table"]
 
@@ -10,26 +13,39 @@ _LINE_EVERY = 0.25  # of a stage's work, where there are no bars
 
 
 class ProgressDisplay:
-    """Shows the progress of every stage: bars in a terminal, a few lines elsewhere.
+    """Shows the progress of every stage, what the buses carry, and alerts.
+
+    Bars and one line of rates in a terminal, a few plain lines elsewhere. It is what a
+    PlaneClient tells: `PlaneClient(on_progress=display, on_status=display.status)`.
 
     Args:
         stream: where to.
+        clock: seconds, for rates.
     """
 
-    def __init__(self, stream=sys.stderr):
+    def __init__(self, stream=sys.stderr, clock: Callable[[], float] = time.monotonic):
         self._stream, self._bars, self._tasks, self._shown = stream, None, {}, {}
+        self.buses = BusTotals(clock)
+        self.alerts: list[str] = []
 
     def __enter__(self) -> "ProgressDisplay":
         if self._stream.isatty():
             from rich.console import Console
-            from rich.progress import BarColumn, TaskProgressColumn, TextColumn
+            from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
             from rich.progress import Progress as Bars
+            from rich.table import Column
 
+            # in a narrow terminal the words give way, not the figures
             self._bars = Bars(
-                TextColumn("{task.fields[stage]:<12}"),
-                BarColumn(),
-                TaskProgressColumn(),
-                TextColumn("{task.description}", markup=False),
+                TextColumn("{task.fields[stage]}", table_column=Column(min_width=11)),
+                BarColumn(bar_width=None, table_column=Column(min_width=8, max_width=24)),
+                TaskProgressColumn(table_column=Column(min_width=4)),
+                TimeElapsedColumn(table_column=Column(min_width=7)),
+                TextColumn(
+                    "{task.description}",
+                    markup=False,
+                    table_column=Column(no_wrap=True, overflow="ellipsis"),
+                ),
                 console=Console(file=self._stream),
             )
             self._bars.start()
@@ -39,28 +55,42 @@ class ProgressDisplay:
         if self._bars is not None:
             self._bars.stop()
 
-    def say(self, text: str) -> None:
-        """Write a line of its own."""
+    def say(self, text: str, style: str | None = None) -> None:
+        """Write a line of its own; a style, as of rich, is for terminals."""
         if self._bars is None:
             print(text, file=self._stream, flush=True)
         else:
-            self._bars.console.print(text, markup=False, highlight=False)
+            self._bars.console.print(text, markup=False, highlight=False, style=style)
 
     def __call__(self, progress: Progress) -> None:
         """Show how far a stage is."""
         if self._bars is not None:
-            stage = progress.stage
-            if stage not in self._tasks:
-                self._tasks[stage] = self._bars.add_task("", total=1.0, stage=stage)
-            self._bars.update(
-                self._tasks[stage], completed=progress.fraction, description=progress.text
-            )
+            self._update(progress.stage, progress.fraction, progress.text)
             return
         before = self._shown.get(progress.stage, 1.0)
         begins = progress.fraction < before
         if begins or progress.fraction == 1.0 or progress.fraction >= before + _LINE_EVERY:
             self._shown[progress.stage] = progress.fraction
             self.say(f"{progress.stage:<12} {100 * progress.fraction:3.0f} %  {progress.text}")
+
+    def status(self, status: Status, before: Status | None) -> None:
+        """Show what the buses carry; tell of anything that gets worse, once."""
+        if self.buses.hear(status) and self._bars is not None:
+            self._update("buses", None, str(self.buses))
+        worse = status.level > (Level.OK if before is None else before.level)
+        if worse and status.level is not Level.STALE:
+            self.alerts.append(f"{status.name}: {status.text}")
+            style = "bold red" if status.level is Level.ERROR else "yellow"
+            self.say(f"{status.level.name:<12}        {self.alerts[-1]}", style)
+
+    def _update(self, stage, fraction, text):
+        if stage not in self._tasks:
+            total = None if fraction is None else 1.0
+            self._tasks[stage] = self._bars.add_task("", total=total, stage=stage)
+        task = self._tasks[stage]
+        if fraction is not None and fraction < self._bars.tasks[task].completed:
+            self._bars.reset(task)  # the stage is at work on another plan
+        self._bars.update(task, completed=fraction, description=text)
 
 
 def table(rows) -> str:

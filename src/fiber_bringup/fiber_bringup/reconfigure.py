@@ -2,7 +2,9 @@
 
 TARGETS is a table (.csv, .ecsv, .fits) with columns id, x_mm, y_mm, a problem.npz, or
 random[:SEED] for targets that all enabled robots can take at once, drawn for the plane
-that is running. Exit code 0 says that the motion ran and each robot asked reached its
+that is running. Progress, rates and alerts go to stderr, the result to stdout: a table, or
+with --json one line with the outcomes, when each stage was done, what the buses carried,
+and all alerts. Exit code 0 says that the motion ran and each robot asked reached its
 target or is held with a reason; anything else is 1.
 """
 
@@ -36,7 +38,7 @@ def main(argv=None) -> int:
     stay_on_this_machine()
     with ProgressDisplay() as display:
         try:
-            with PlaneClient(on_progress=display) as client:
+            with PlaneClient(on_progress=display, on_status=display.status) as client:
                 return _run(client, options, display)
         except FiberError as error:
             display.say(f"reconfigure: {error}")
@@ -79,7 +81,7 @@ def _run(client, options, display) -> int:
 
     ended = _moved(client, run, options.timeout).of(ids)
     if options.json:
-        print(json.dumps(_as_json(ended)))
+        print(json.dumps(_as_json(ended) | _how_it_went(client.times[stamp], display)))
     else:
         print(summary(ended))
     return 0 if went_well(ended) else 1
@@ -146,6 +148,12 @@ def summary(ended: PlanEnd) -> str:
         more = len(missed) - _SHOWN
         lines += ["", table(shown)] + ([f"and {more} more"] if more > 0 else [])
     return "\n".join(lines)
+
+
+def _how_it_went(times, display) -> dict:
+    # when each stage was done, from the sending of the targets on
+    done_s = {name: round(at - times["sent"], 3) for name, at in times.items() if name != "sent"}
+    return {"done_s": done_s, "buses": display.buses.totals, "alerts": display.alerts}
 
 
 def _as_json(ended: PlanEnd) -> dict:

@@ -5,11 +5,12 @@ import io
 import numpy as np
 import pytest
 
+from fiber_bringup.bus_totals import BusTotals
 from fiber_bringup.client import PlanEnd
 from fiber_bringup.display import ProgressDisplay, table
 from fiber_bringup.reconfigure import main, summary, went_well
 from fiber_core.outcomes import Outcome, Reason
-from fiber_msgs_py import PlanStamp, Progress
+from fiber_msgs_py import Level, PlanStamp, Progress, Status
 
 STAMP = PlanStamp(7)
 
@@ -69,6 +70,58 @@ def test_progress_is_a_few_lines_where_there_is_no_terminal():
     assert 4 <= len(lines) <= 7
     assert lines[-2].split() == ["planner", "100", "%", "step", "100"]
     assert lines[-1].startswith("bridge")
+
+
+def bus(number, frames, level=Level.OK, **counters):
+    return Status(f"bridge: bus {number}", level, "n frames failed", {"frames": frames} | counters)
+
+
+def test_totals_of_the_buses_count_from_where_they_were_first_heard():
+    now = [100.0]
+    totals = BusTotals(lambda: now[0])
+    for number, frames in ((0, 1000), (1, 50), (0, 1010), (1, 70)):
+        assert totals.hear(bus(number, frames, retries=frames // 10))
+    assert totals.totals["frames"] == 10 + 20 and totals.totals["retries"] == 1 + 2
+    assert not totals.hear(Status("planner", Level.OK, "waiting", {"frames": 9}))
+    now[0] += 2.0
+    totals.hear(bus(0, 1110, retries=101))
+    assert totals.frames_per_s == pytest.approx((30 + 100) / 2)
+    assert "130 frames" in str(totals) and "3 retries" in str(totals)
+
+
+def test_an_alert_is_told_once_until_it_gets_worse():
+    stream = io.StringIO()
+    with ProgressDisplay(stream) as display:
+        good, warn = bus(0, 1), bus(0, 9, Level.WARN)
+        error = Status("planner", Level.ERROR, "targets refused: robot 9")
+        for status, before in (
+            (good, None), (warn, good), (warn, warn), (good, warn), (warn, good), (error, None)
+        ):  # fmt: skip
+            display.status(status, before)
+    lines = [line.split(maxsplit=1) for line in stream.getvalue().splitlines()]
+    assert [line[0] for line in lines] == ["WARN", "WARN", "ERROR"]
+    assert "robot 9" in lines[-1][1] and len(display.alerts) == 3
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_a_terminal_shows_bars_rates_and_alerts(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "110")
+    stream = Terminal()
+    with ProgressDisplay(stream) as display:
+        display(Progress("planner", 0.5, "half way [here]", STAMP))
+        display(Progress("planner", 0.1, "the next plan", STAMP))
+        display.status(bus(0, 5), None)
+        display.status(bus(0, 25, Level.WARN), bus(0, 5))
+        display.say("a line of its own")
+    text = stream.getvalue()
+    for words in ("planner", "the next plan", "20 frames", "a line of its own", "n frames failed"):
+        assert words in text, words
+    assert "\x1b[" in text
 
 
 def test_help_says_what_targets_may_be(capsys):
