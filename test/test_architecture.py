@@ -39,7 +39,7 @@ ARROWS = {
     "fiber_bus_bridge": {"fiber_core"},
     "fiber_bus_bridge.node": {"fiber_bus_bridge", "fiber_node"} | ROS,
     "fiber_viewer": {"fiber_core", "matplotlib"},
-    "fiber_viewer.node": {"fiber_viewer", "fiber_node"} | ROS,
+    "fiber_viewer.node": {"fiber_viewer", "fiber_node", "visualization_msgs"} | ROS,
     "fiber_bringup": {"fiber_viewer", "fiber_viewer.node", "ament_index_python", "rich", "rosbags"}
     | NODES,
     "bench": {"fiber_planner", "fiber_discretizer", "fiber_bus_bridge", "fiber_viewer"},

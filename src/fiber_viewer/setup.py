@@ -3,7 +3,7 @@ from setuptools import find_packages, setup
 setup(
     name="fiber_viewer",
     version="0.1.0",
-    description="Pictures of a focal plane and of its motion.",
+    description="Recordings of a focal plane's motion, and pictures of it.",
     maintainer="fiber positioner team",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
@@ -20,6 +20,7 @@ setup(
         "console_scripts": [
             "figures = fiber_viewer.draw:main",
             "player = fiber_viewer.page:main",
+            "viewer = fiber_viewer.node:main",
             "snapshot = fiber_viewer.snapshot:main",
         ]
     },

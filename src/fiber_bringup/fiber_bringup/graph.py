@@ -14,10 +14,11 @@ from fiber_bringup.recorder import RecorderNode
 from fiber_bus_bridge.node import BridgeNode
 from fiber_discretizer.node import DiscretizerNode
 from fiber_planner.node import PlannerNode
+from fiber_viewer.node import ViewerNode
 
 __all__ = ["Graph", "main"]
 
-_THREADS = 5  # one a node, and one for the bridge's stop
+_THREADS = 6  # one a node, and one for the bridge's stop
 _LOOK_S = 0.1  # how long a quiet graph takes at most to see that it shall end
 
 
@@ -33,20 +34,29 @@ class Graph:
         discretizer: parameters of the discretizer node.
         bridge: parameters of the bridge node.
         recorder: parameters of the recorder node; None for no recorder.
+        viewer: parameters of the viewer node; None for no viewer.
         domain: ROS domain; by default that of the environment.
         args: command line for ROS, as ``["--ros-args", "-p", "bridge:robots:=61"]``.
     """
 
     def __init__(
-        self, planner=None, discretizer=None, bridge=None, recorder=None, domain=None, args=()
+        self,
+        planner=None,
+        discretizer=None,
+        bridge=None,
+        recorder=None,
+        viewer=None,
+        domain=None,
+        args=(),
     ):
         self._parameters = [
             (BridgeNode, bridge or {}),
             (PlannerNode, planner or {}),
             (DiscretizerNode, discretizer or {}),
         ]
-        if recorder is not None:
-            self._parameters.append((RecorderNode, recorder))
+        for node, parameters in ((RecorderNode, recorder), (ViewerNode, viewer)):
+            if parameters is not None:
+                self._parameters.append((node, parameters))
         self._domain, self._args = domain, list(args)
         self._error: BaseException | None = None
         self.nodes: list = []

@@ -1,4 +1,4 @@
-"""Planner, discretizer, bus bridge and recorder of one focal plane, on this machine.
+"""Planner, discretizer, bus bridge, recorder and viewer of one focal plane, on this machine.
 
 ros2 launch fiber_bringup focal_plane.launch.py preset:=desi robots:=500
 """
@@ -88,6 +88,13 @@ def generate_launch_description():
                         "preset": ParameterValue(LaunchConfiguration("preset"), value_type=str),
                     },
                 ],
+            ),
+            Node(
+                package="fiber_viewer",
+                executable="viewer",
+                name="viewer",
+                output="screen",
+                parameters=[parameters],
             ),
         ]
     )

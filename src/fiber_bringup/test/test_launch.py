@@ -1,13 +1,18 @@
 """Launch file, parameter file and nodes agree, checked without running any of it."""
 
+import array
 import ast
 import re
 from pathlib import Path
 
 import pytest
 import yaml
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
 
 from fiber_bringup.graph import Graph
+from fiber_msgs_py import FRAME_ID
+from fiber_viewer.node import ARMS, PLANE, TARGETS, WATCHED
 
 SHARE = Path(__file__).parents[1]
 TREE = ast.parse((SHARE / "launch" / "focal_plane.launch.py").read_text())
@@ -22,6 +27,10 @@ def calls(name):
         for node in ast.walk(TREE)
         if isinstance(node, ast.Call) and ast.unparse(node.func) == name
     ]
+
+
+def _plain(value):
+    return list(value) if isinstance(value, array.array) else value
 
 
 def keywords(call):
@@ -46,10 +55,10 @@ def nodes():
 @pytest.fixture(scope="module")
 def declared(new_domain):
     """Parameters of every node, with their values, as the nodes declare them."""
-    with Graph(bridge={"robots": 7}, recorder={}, domain=new_domain()) as graph:
+    with Graph(bridge={"robots": 7}, recorder={}, viewer={}, domain=new_domain()) as graph:
         return {
             node.get_name(): {
-                name: parameter.value
+                name: _plain(parameter.value)
                 for name, parameter in node.get_parameters_by_prefix("").items()
             }
             for node in graph.nodes
@@ -105,3 +114,21 @@ def test_discovery_stays_on_this_machine_by_default():
         for c in calls("SetEnvironmentVariable")
     }
     assert values["ROS_AUTOMATIC_DISCOVERY_RANGE"].value == "LOCALHOST"
+
+
+def test_rviz_shows_what_the_viewer_publishes():
+    (path,) = (SHARE / "rviz").glob("*.rviz")
+    content = yaml.safe_load(path.read_text())["Visualization Manager"]
+    assert content["Global Options"]["Fixed Frame"] == FRAME_ID
+    classes = {PointCloud2: "rviz_default_plugins/PointCloud2"}
+    classes[MarkerArray] = "rviz_default_plugins/MarkerArray"
+    shown = {}
+    for display in content["Displays"]:
+        if "Topic" in display:
+            durability = display["Topic"]["Durability Policy"]
+            shown[display["Topic"]["Value"]] = display["Class"], durability
+    assert shown == {
+        f"/{topic.name}": (classes[topic.type], "Transient Local")
+        for topic in (ARMS, PLANE, TARGETS, WATCHED)
+    }
+    assert 'glob("rviz/*.rviz")' in (SHARE / "setup.py").read_text()

@@ -1,0 +1,162 @@
+"""The live view shows arms where they are, and costs nothing when nobody looks."""
+
+import numpy as np
+import pytest
+
+from fiber_core import kinematics
+from fiber_core.outcomes import Outcome
+from fiber_core.presets import preset
+from fiber_core.wire_units import WireUnits
+from fiber_msgs_py import PlanStamp, joint_states, layout, outcome, targets, topics
+from fiber_node import Peer
+from fiber_viewer.clouds import POINTS, ViewState, arms_cloud, outlines, plane_cloud, view_states
+from fiber_viewer.node import ARMS, PLANE, TARGETS, WATCHED, ViewerNode
+
+N, WAIT_S = 12, 20.0
+
+
+@pytest.fixture
+def plane():
+    return preset("desi_outlines", N).with_enabled(np.arange(N) != 4)
+
+
+@pytest.fixture
+def angles():
+    return np.random.default_rng(2).uniform(0.2, 2.5, (N, 2))
+
+
+def points(rows):
+    return np.stack([rows["x"], rows["y"]], axis=1)
+
+
+def test_points_run_along_both_arms_in_metres(plane, angles):
+    rows = arms_cloud(plane, angles, np.arange(N))
+    elbow, tip = kinematics.forward(plane, angles)
+    links = points(rows).reshape(2, N, POINTS, 2) * 1e3
+    for link, (begin, end) in zip(links, ((plane.centers, elbow), (elbow, tip))):
+        np.testing.assert_allclose(link[:, 0], begin, atol=1e-3)
+        np.testing.assert_allclose(link[:, -1], end, atol=1e-3)
+        np.testing.assert_allclose(link[:, 2], 0.6 * begin + 0.4 * end, atol=1e-3)
+    assert (rows["z"] == 0).all()
+    np.testing.assert_array_equal(rows["state"].reshape(2, N, POINTS)[1, :, 3], np.arange(N))
+
+
+def test_states_tell_moving_before_outcome_and_disabled_before_all(plane):
+    moving = np.zeros(N, dtype=bool)
+    moving[[1, 4]] = True
+    ended = np.full(N, Outcome.REACHED)
+    ended[2], ended[3] = Outcome.HELD, Outcome.FAILED
+    states = view_states(plane, moving, ended)
+    assert states[:5].tolist() == [
+        ViewState.REACHED, ViewState.MOVING, ViewState.HELD, ViewState.FAILED, ViewState.DISABLED
+    ]  # fmt: skip
+    assert (np.delete(view_states(plane, moving), [1, 4]) == ViewState.RESTING).all()
+
+
+def test_an_outline_is_as_far_out_as_the_core_says(plane, angles):
+    for row in (0, 7):
+        phi, theta = outlines(plane, row, angles)
+        elbow = kinematics.forward(plane, angles)[0][row]
+        reach = np.linalg.norm(plane.phi_vertices[row], axis=1).max() + plane.phi_radius[row]
+        assert np.linalg.norm(phi * 1e3 - elbow, axis=1).max() == pytest.approx(reach, rel=0.02)
+        np.testing.assert_allclose(phi[0], phi[-1])
+        assert np.isfinite(theta).all()
+
+
+class Scene:
+    """A viewer, and everything it listens to said by a peer."""
+
+    def __init__(self, peer, plane):
+        self.peer, self.plane = peer, plane
+        self.viewer = peer.host(ViewerNode, watch=[int(plane.ids[3])])
+        self.publishers = {
+            topic.name: topic.publisher(peer.node)
+            for topic in (topics.LAYOUT, topics.JOINT_STATES, topics.TARGETS, topics.OUTCOME)
+        }
+        units = WireUnits.for_plane(plane)
+        heard = self.publishers[topics.TARGETS.name].get_subscription_count
+        peer.until(lambda: heard() == 1, WAIT_S, "the viewer")
+        self.say(topics.LAYOUT, layout.encode(plane, units, PlanStamp(1)))
+
+    def say(self, topic, message):
+        self.publishers[topic.name].publish(message)
+
+    def move(self, angles, speeds, time_ns):
+        self.say(topics.JOINT_STATES, joint_states.encode(self.plane.ids, angles, speeds, time_ns))
+
+    @property
+    def pictures(self):
+        return self.viewer._report.counters["pictures"]
+
+
+@pytest.fixture
+def scene(plane, new_domain):
+    with Peer("scene", new_domain()) as peer:
+        yield Scene(peer, plane)
+
+
+def spun(peer, slices):
+    """Serve callbacks for a number of turns, each of them answered by a timer of the viewer."""
+    turns = []
+    timer = peer.node.create_timer(0.05, lambda: turns.append(1))
+    peer.until(lambda: len(turns) >= slices, WAIT_S)
+    peer.node.destroy_timer(timer)
+
+
+def test_unwatched_it_does_not_even_listen(scene, plane, angles):
+    peer = scene.peer
+    peer.until(lambda: scene.viewer._plane is not None, WAIT_S)
+    scene.move(angles, np.ones((N, 2)), 1)
+    spun(peer, 8)
+    assert scene.pictures == 0
+    assert scene.publishers[topics.JOINT_STATES.name].get_subscription_count() == 0
+
+
+def test_watched_it_shows_arms_until_nobody_moves(scene, plane, angles):
+    peer, speeds = scene.peer, np.full((N, 2), 0.5)
+    seen = []
+    listening = ARMS.subscription(peer.node, seen.append)
+    latched = peer.hear(PLANE)
+    scene.move(angles, speeds, 1)
+    peer.until(lambda: len(seen) >= 3, WAIT_S, "pictures of moving arms")
+    for message in seen:
+        rows = np.frombuffer(message.data, arms_cloud(plane, angles, np.zeros(N)).dtype)
+        tips = points(rows).reshape(2, N, POINTS, 2)[1, :, -1] * 1e3
+        reach = 0.5 * 0.15 * (2 * plane.arms[:, 1] + plane.arms[:, 0])  # while unheard of
+        exact = kinematics.forward(plane, angles)[1]
+        assert (np.linalg.norm(tips - exact, axis=1) <= reach + 1e-3).all()
+    assert rows["state"].reshape(2, N, POINTS)[0, :, 0].tolist().count(ViewState.MOVING) == N - 1
+    assert len(latched) == 1 and latched[0].width == N
+    np.testing.assert_allclose(
+        points(np.frombuffer(latched[0].data, plane_cloud(plane).dtype)) * 1e3,
+        plane.centers,
+        atol=1e-3,
+    )
+    scene.move(angles, 0 * speeds, 2)
+    peer.until(lambda: scene.viewer._states[3] == 2, WAIT_S)
+    spun(peer, 4)
+    count = scene.pictures
+    spun(peer, 8)
+    assert scene.pictures == count, "nothing moves, and pictures go on"
+    ended = np.full(N, Outcome.FAILED)
+    errors = np.zeros(N)
+    scene.say(topics.OUTCOME, outcome.encode(plane.ids, ended, ended * 0, errors, PlanStamp(3)))
+    peer.until(lambda: scene.pictures > count, WAIT_S, "a picture of the outcome")
+    peer.node.destroy_subscription(listening)
+    joint_states_heard = scene.publishers[topics.JOINT_STATES.name].get_subscription_count
+    peer.until(lambda: joint_states_heard() == 0, WAIT_S, "the viewer to stop listening")
+
+
+def test_only_watched_robots_have_outlines(scene, plane, angles):
+    peer = scene.peer
+    seen, asked = peer.hear(WATCHED), peer.hear(TARGETS)
+    scene.move(angles, 0 * angles, 1)
+    peer.until(lambda: seen, WAIT_S)
+    assert {marker.ns for marker in seen[-1].markers} == {str(plane.ids[3])}
+    line = np.array([[p.x, p.y] for p in seen[-1].markers[0].points])
+    np.testing.assert_allclose(line, outlines(plane, 3, angles)[0], atol=1e-9)
+    xy_mm = np.array([[1.0, 2.0], [3.0, 4.0]])
+    scene.say(topics.TARGETS, targets.encode(plane.ids[:2], xy_mm, PlanStamp(5)))
+    peer.until(lambda: asked, WAIT_S)
+    rows = np.frombuffer(asked[-1].data, plane_cloud(plane).dtype)
+    np.testing.assert_allclose(points(rows) * 1e3, xy_mm, atol=1e-4)
