@@ -8,6 +8,7 @@ import numpy as np
 from fiber_bringup.bus_story import bus_story
 from fiber_bringup.client import PlanEnd
 from fiber_bringup.replay import replay
+from fiber_bus_bridge.wire import Alert, Fault
 from fiber_core.clearance import Safety, certify
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
@@ -81,6 +82,10 @@ def record(
             "plan_ns": ended.stamp.ns,
             **about,
             "notes": [*about.get("notes", ()), *notes],
+            "codes": {
+                "fault": {str(int(code)): code.name.lower() for code in Fault},
+                "alert": {str(int(flag)): flag.name.lower() for flag in Alert},
+            },
             "report": report
             | {
                 "bytes_mean": float(told.load_bytes[ordered].mean()) if ordered.any() else 0.0,

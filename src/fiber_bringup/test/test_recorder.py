@@ -125,6 +125,7 @@ def test_all_frames_are_counted_and_a_go_is_told(run):
     assert load.edges_s[0] < 0 < load.edges_s[-1]
     assert events.kind.tolist() == [EventKind.GO] and events.time_s[0] == 0.0
     assert not events.bad.any()
+    assert run.done.about["codes"]["fault"]["33"] == "memory"
 
 
 def test_a_stopped_plan_is_recorded_as_far_as_it_went(run):

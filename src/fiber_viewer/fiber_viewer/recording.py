@@ -166,7 +166,8 @@ class Recording:
         error_mm: distance from fibre to target [mm], nan without a target, shape (n,).
         approaches: how near neighbours came on the motion as sent.
         about: plain values for JSON: `software`, `plan_ns`, `seed`, `planner`, `report` (as
-            fiber_core.report.plan_report gives it), `certificate`, `notes`.
+            fiber_core.report.plan_report gives it), `certificate`, `notes`, and `codes`: names
+            of the details of FAULT (a number) and ALERT (flags), where they are known.
 
     Raises:
         RecordingError: a shape does not fit the plane; names the array.

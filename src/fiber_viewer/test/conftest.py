@@ -84,6 +84,7 @@ def random_recording(seed: int, name: str = "desi") -> Recording:
             "seed": seed,
             "planner": "none",
             "notes": [],
+            "codes": {"fault": {"33": "memory"}, "alert": {"1": "refused", "4": "rebooted"}},
             "report": report | {"bytes_mean": 10.0, "bus_time_s": 0.02},
             "certificate": {"margin_mm": safety.margin_mm, "ok": certificate.ok},
         },

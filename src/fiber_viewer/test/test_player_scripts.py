@@ -175,6 +175,8 @@ def test_the_page_reads_what_python_wrote(node, recording, recording_file):
           nearest: [pairs[0].a, pairs[0].b, pairs[0].gap], kinds: events.map((e) => e.kind),
           reason: opened.reasonOf(recording, asked.failed), frames: Array.from(load.frames),
           faults: opened.faultsOf(recording).map((f) => [f.row, f.time]),
+          texts: events.map((event) => opened.eventText(recording, event)),
+          alert: opened.eventText(recording, { kind: "alert", detail: 5 }),
           verdict: headline.verdict(headline.figuresOf(recording)),
         };
         """,
@@ -203,6 +205,8 @@ def test_the_page_reads_what_python_wrote(node, recording, recording_file):
     assert Counter(states.values())[reached] == plane.n - 4
     assert told["nearest"][:2] == recording.approaches.pairs[0].tolist()
     assert told["kinds"] == ["go", "no_address", "fault"]
+    assert told["texts"] == ["go", "no address", "fault memory"]
+    assert told["alert"] == "alert refused, rebooted"
     assert told["reason"] == "failed: not acknowledged"
     assert told["faults"] == [[11, 0.3], [11, 0.4]]
     assert told["frames"] == recording.load.frames.ravel().tolist()

@@ -1,5 +1,5 @@
 // Where to look: closest approaches, faults, robots that did not reach their targets.
-import { HELD, FAILED, bodyName, faultsOf, reasonOf, stateAt } from "./recording.js";
+import { HELD, FAILED, bodyName, eventText, faultsOf, reasonOf, stateAt } from "./recording.js";
 
 const SHOWN = 200; // entries of a list; more are found by id
 
@@ -40,7 +40,7 @@ export class Lists {
 
   fault(fault) {
     const who = fault.row >= 0 ? `robot ${this.app.recording.plane.ids[fault.row]}` : `bus ${fault.bus}`;
-    const what = fault.kind.replaceAll("_", " ") + (fault.detail ? ` ${fault.detail}` : "");
+    const what = eventText(this.app.recording, fault);
     return { cells: [`${fault.time.toFixed(3)} s`, who, what], act: () => this.app.goToFault(fault) };
   }
 

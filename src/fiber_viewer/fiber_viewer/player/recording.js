@@ -157,6 +157,17 @@ export function bodyName(recording, body) {
   return body < n ? String(ids[body]) : `disc ${body - n}`;
 }
 
+/** Returns what happened in an event, in words. */
+export function eventText(recording, { kind, detail }) {
+  const codes = recording.about.codes ?? {}, word = (name) => name.replaceAll("_", " ");
+  if (!detail) return word(kind);
+  if (kind === "alert") {
+    const flags = Object.entries(codes.alert ?? {}).filter(([flag]) => detail & flag);
+    return `alert ${flags.map(([, name]) => word(name)).join(", ") || detail}`;
+  }
+  return `${word(kind)} ${word(codes[kind]?.[detail] ?? String(detail))}`;
+}
+
 /** Returns everything that went wrong: bad events, then robots that failed without one. */
 export function faultsOf(recording) {
   const faults = recording.events.filter((event) => event.bad);
