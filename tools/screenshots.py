@@ -12,6 +12,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from PIL import Image
+
 from fiber_viewer import figures, load_recording
 from fiber_viewer.page import write_player
 
@@ -49,6 +51,9 @@ def main(argv: list[str] | None = None) -> int:
         for name, (size, part, more) in _SHOTS.items():
             moment = f"#t={part * recording.decoded.makespan_s:.3f}&{more}"
             _shoot(browser, page.as_uri() + moment, args.out / name, size, Path(folder) / "profile")
+            Image.open(args.out / name).convert("RGB").quantize(
+                256, Image.Quantize.MAXCOVERAGE
+            ).save(args.out / name)
             print(args.out / name)
     return 0
 

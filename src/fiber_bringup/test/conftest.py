@@ -1,0 +1,63 @@
+"""Two plans of a small plane with a recorder beside the graph, one of them stopped on the way."""
+
+import numpy as np
+import pytest
+
+from fiber_bringup.client import PlaneClient
+from fiber_bringup.graph import Graph
+from fiber_bringup.recorder import recording_name
+from fiber_bringup.replay import settled_replay
+from fiber_core.fields import random_field
+from fiber_msgs_py import topics
+from fiber_viewer import load_recording
+
+COMPILE_S, WAIT_S, ROBOTS = 600.0, 60.0, 37
+
+
+def recorded(client, folder, stamp):
+    client.until(lambda: "recorder" in client.times[stamp], WAIT_S, "the recording")
+    return load_recording(folder / recording_name(stamp))
+
+
+def new_targets(client, seed):
+    rng = np.random.default_rng(seed)
+    drawn = random_field(client.plane, rng, start=client.angles).problem
+    return client.plane.ids[drawn.asked], drawn.targets[drawn.asked]
+
+
+class Run:
+    """Two plans of a small plane, one of them stopped on the way, and their recordings."""
+
+    def __init__(self, folder, domain):
+        bridge = {"robots": ROBOTS, "time_scale": 0.0}
+        recorder = {"folder": str(folder), "seed": 5, "planner": "direct", "preset": "desi"}
+        with (
+            Graph(bridge=bridge, recorder=recorder, domain=domain) as graph,
+            PlaneClient(domain) as client,
+        ):
+            client.wait_for_graph(COMPILE_S)
+            self.plane, self.before = client.plane, client.units.to_counts(client.angles)
+            self.targets = new_targets(client, 1)
+            self.ended = client.reconfigure(*self.targets, COMPILE_S)
+            self.told = settled_replay(client, self.ended, self.before, WAIT_S)
+            self.after = client.units.to_counts(client.angles)
+            self.done = recorded(client, folder, self.ended.stamp)
+            assert graph.running
+        with (
+            Graph(bridge=bridge | {"time_scale": 0.2}, recorder=recorder, domain=domain),
+            PlaneClient(domain) as client,
+        ):
+            client.wait_for_graph(COMPILE_S)
+            stamp = client.send(*new_targets(client, 2))
+            client.wait_ready(stamp, WAIT_S)
+            client.start(WAIT_S)
+            client.until(lambda: client.moving, WAIT_S, "motion")
+            client.call(topics.STOP, WAIT_S)
+            self.halted = client.wait_end(stamp, WAIT_S)
+            self.stopped = recorded(client, folder, stamp)
+            self.at_rest = client.units.to_counts(client.angles)
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory, new_domain):
+    return Run(tmp_path_factory.mktemp("recordings"), new_domain())
