@@ -35,6 +35,7 @@ __all__ = ["RecorderNode", "main", "recording_name"]
 _PLANS_KEPT = 4
 _LOOK_S = 0.2  # how often a plan that has ended is looked at
 _SETTLE_S = 10.0  # for the last frames and encoder readings to come in
+_QUIET_S = 1.0  # without a frame of a plan that has ended, there were none
 
 
 def recording_name(stamp: PlanStamp) -> str:
@@ -51,7 +52,7 @@ class _Heard:
     trajectory: object = None
     logs: list[FrameLog] = field(default_factory=list)
     ended: PlanEnd | None = None
-    give_up_s: float = 0.0
+    ended_s: float = 0.0  # when that was heard
 
 
 class RecorderNode(Node):
@@ -125,7 +126,7 @@ class RecorderNode(Node):
         except FiberError as error:
             self._report.refuse(f"outcome refused: {error}")
             return
-        heard.give_up_s = time.monotonic() + _SETTLE_S
+        heard.ended_s = time.monotonic()
 
     def _counts(self, message):
         return self._units.to_counts(joint_states.decode(message)[1])
@@ -135,7 +136,7 @@ class RecorderNode(Node):
             if heard.ended is None or self._plane is None or self._state is None:
                 continue
             try:
-                late = time.monotonic() > heard.give_up_s
+                late = time.monotonic() > heard.ended_s + _SETTLE_S
                 if self._complete(heard) or late:
                     self._write(stamp, heard, late)
                     del self._heard[stamp]
@@ -144,8 +145,8 @@ class RecorderNode(Node):
                 del self._heard[stamp]
 
     def _complete(self, heard) -> bool:
-        if heard.counts is None:  # no frame yet: perhaps there will be none
-            return False
+        if heard.counts is None:
+            return time.monotonic() > heard.ended_s + _QUIET_S
         told = replay(self._plane, self._units, heard.counts, heard.logs)
         now = self._counts(self._state)
         return not unexplained(self._plane, told, heard.ended, now).any()
@@ -158,7 +159,11 @@ class RecorderNode(Node):
         planned = None
         if heard.trajectory is not None:
             planned = trajectory.decode(heard.trajectory)[:2]
-        notes = ["the frames heard do not explain where all robots are"] if late else []
+        notes = []
+        if not heard.logs:
+            notes = ["no frames were heard: nobody was started"]
+        elif late:
+            notes = ["the frames heard do not explain where all robots are"]
         counts = heard.counts if heard.counts is not None else self._counts(self._state)
         recording = record(
             self._plane, self._units, counts, asked, planned, heard.logs, heard.ended,

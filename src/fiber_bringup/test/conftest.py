@@ -1,4 +1,4 @@
-"""Two plans of a small plane with a recorder beside the graph, one of them stopped on the way."""
+"""Plans of a small plane with a recorder beside the graph: done, home, replaced, stopped."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def new_targets(client, seed):
 
 
 class Run:
-    """Two plans of a small plane, one of them stopped on the way, and their recordings."""
+    """The plans and their recordings."""
 
     def __init__(self, folder, domain):
         bridge = {"robots": ROBOTS, "time_scale": 0.0}
@@ -42,6 +42,12 @@ class Run:
             self.told = settled_replay(client, self.ended, self.before, WAIT_S)
             self.after = client.units.to_counts(client.angles)
             self.done = recorded(client, folder, self.ended.stamp)
+            self.home = recorded(client, folder, client.home(WAIT_S).stamp)
+            replaced = client.send(*self.targets)
+            client.wait_ready(replaced, WAIT_S)
+            client.wait_ready(client.send(*self.targets), WAIT_S)
+            client.wait_end(replaced, WAIT_S)
+            self.replaced = recorded(client, folder, replaced)
             assert graph.running
         with (
             Graph(bridge=bridge | {"time_scale": 0.2}, recorder=recorder, domain=domain),

@@ -79,3 +79,19 @@ def test_a_stopped_plan_is_recorded_as_far_as_it_went(run):
     # cut at a whole tick: robots stand where the recording leaves them, but for that tick
     off = stopped.units.to_angles(stopped.motion.end - run.at_rest)
     assert np.abs(off).max() < 3.2 * 1.3 * stopped.units.tick_s
+
+
+def test_home_is_recorded_though_nobody_asked_for_targets(run):
+    home = run.home
+    assert not home.problem.asked.any() and home.planned is None
+    assert home.started.any() and (home.decoded.end[:, 1] > 3.0).any()
+    np.testing.assert_array_equal(home.motion.start, run.after)
+
+
+def test_a_plan_that_was_replaced_is_recorded_as_one_that_did_not_run(run):
+    replaced = run.replaced
+    assert not replaced.started.any() and replaced.decoded.makespan_s == 0.0
+    assert replaced.problem.asked.any() and replaced.planned is not None
+    assert (replaced.reason == Reason.STOPPED).any()
+    assert replaced.about["notes"] == ["no frames were heard: nobody was started"]
+    assert replaced.load.frames.sum() == 0 and len(replaced.events.kind) == 0
