@@ -12,7 +12,6 @@ __all__ = [
     "POINTS",
     "ViewState",
     "arms_cloud",
-    "outlines",
     "plane_cloud",
     "points_cloud",
     "view_states",
@@ -93,29 +92,3 @@ def _cloud(xy_mm, states):
     rows["x"], rows["y"] = xy_mm.T * _METRES
     rows["state"] = states
     return rows
-
-
-def outlines(plane: FocalPlane, row: int, angles) -> list[np.ndarray]:
-    """Return the outlines of one robot as closed lines in metres, each shape (k, 2).
-
-    Args:
-        plane: the focal plane.
-        row: which robot.
-        angles: joint angles of all [rad], shape (n, 2).
-    """
-    elbow = kinematics.forward(plane, angles)[0]
-    theta, both = angles[row, 0], angles[row].sum()
-    found = [_outline(plane.phi_vertices[row], plane.phi_radius[row], elbow[row], both)]
-    if plane.theta_vertices.shape[1]:
-        link = plane.theta_vertices[row], plane.theta_radius[row]
-        found.append(_outline(*link, plane.centers[row], theta))
-    return found
-
-
-def _outline(vertices, radius, origin, turn):
-    c, s = np.cos(turn), np.sin(turn)
-    circle = np.linspace(0, 2 * np.pi, 49)
-    around = np.stack([np.cos(circle), np.sin(circle)], axis=1)
-    # in each direction the farthest vertex carries the outline
-    farthest = vertices[np.argmax(vertices @ around.T, axis=0)]
-    return (origin + (farthest + radius * around) @ np.array([[c, s], [-s, c]])) * _METRES

@@ -20,11 +20,11 @@ from fiber_node import Reporter, run
 from fiber_viewer.clouds import (
     ViewState,
     arms_cloud,
-    outlines,
     plane_cloud,
     points_cloud,
     view_states,
 )
+from fiber_viewer.outlines import outlines
 
 __all__ = ["ARMS", "PLANE", "TARGETS", "WATCHED", "ViewerNode", "main"]
 
@@ -133,7 +133,7 @@ class ViewerNode(Node):
                 marker.header.stamp = self.get_clock().now().to_msg()
                 marker.scale.x, marker.color = _LINE_M, _COLOR
                 marker.pose.orientation.w = 1.0
-                marker.points = [Point(x=x, y=y) for x, y in line.tolist()]
+                marker.points = [Point(x=x, y=y) for x, y in (line * 1e-3).tolist()]
                 found.append(marker)
         return MarkerArray(markers=found)
 

@@ -8,6 +8,7 @@ from fiber_core import kinematics
 from fiber_core.clearance import gaps
 from fiber_viewer.figures.plane import draw_discs
 from fiber_viewer.figures.style import PLANNED
+from fiber_viewer.outlines import outlines
 from fiber_viewer.recording import Recording
 
 __all__ = ["conflict", "conflict_rows", "moments_around"]
@@ -101,29 +102,11 @@ def _neighbours(recording, rows):
 
 def _draw_robot(axes, plane, row, angles, color, alpha):
     elbow, tip = (points[row] for points in kinematics.forward(plane, angles))
-    theta, both = angles[row, 0], angles[row].sum()
-    _draw_outline(axes, plane.theta_vertices[row], plane.theta_radius[row],
-                  plane.centers[row], theta, color, 0.5 * alpha)  # fmt: skip
-    outline = plane.phi_vertices[row], plane.phi_radius[row]
-    _draw_outline(axes, *outline, elbow, both, color, alpha)
+    # the phi link last: it is the upper one
+    for order, line in enumerate(reversed(outlines(plane, row, angles))):
+        below = order == 0 and plane.theta_vertices.shape[1]
+        axes.add_patch(
+            Polygon(line, closed=True, facecolor=color, alpha=alpha / (2 if below else 1), lw=0)
+        )
     axes.plot(*np.array([plane.centers[row], elbow, tip]).T, "-", color="black", lw=0.8)
     axes.plot(*plane.centers[row], "o", color="black", ms=2.5)
-
-
-def _draw_outline(axes, vertices, radius, origin, turn, color, alpha):
-    if not len(vertices):
-        return
-    c, s = np.cos(turn), np.sin(turn)
-    points = _rounded(origin + vertices @ np.array([[c, s], [-s, c]]), radius)
-    axes.add_patch(Polygon(points, closed=True, facecolor=color, alpha=alpha, lw=0))
-
-
-def _rounded(points, radius):
-    """Vertices of a convex hull grown by a radius, to a thousandth of it."""
-    if radius <= 0:
-        return points
-    circle = np.linspace(0, 2 * np.pi, 73)
-    arc = radius * np.stack([np.cos(circle), np.sin(circle)], axis=1)
-    cloud = (points[:, None] + arc).reshape(-1, 2)
-    # in each direction of the circle the farthest point of the cloud is on the outline
-    return cloud[np.argmax(cloud @ arc.T, axis=0)]
