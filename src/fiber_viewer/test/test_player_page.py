@@ -230,6 +230,16 @@ def test_the_closest_approach_is_one_click_away(opened, recording):
     assert f"{near.gap_mm[0]:.3f} mm" in opened.find_element(By.ID, "snapshots-note").text
 
 
+def test_an_approach_of_the_list_is_the_one_shown(opened, recording):
+    opened.find_elements(By.CSS_SELECTOR, "#list button")[4].click()
+    near, ids = recording.approaches, recording.problem.plane.ids
+    one, other = ids[near.pairs[4]]
+    note = opened.find_element(By.ID, "snapshots-note")
+    drawn(opened)
+    assert f"robots {one} and {other}: {near.gap_mm[4]:.3f} mm" in note.text
+    assert time_of(opened) == pytest.approx(near.time_s[4], abs=1e-6)
+
+
 def test_a_robot_is_found_by_its_id(opened, recording):
     robot = recording.problem.plane.ids[23]
     body = opened.find_element(By.TAG_NAME, "body")

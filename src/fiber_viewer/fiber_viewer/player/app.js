@@ -27,6 +27,7 @@ class App {
     this.t = 0;
     this.playing = false;
     this.robots = [];
+    this.pair = null; // the approach that was chosen, while its robots are watched
     this.panel = null;
     this.angles = new Float64Array(2 * plane.n);
     this.places = new Float64Array(4 * plane.n);
@@ -63,6 +64,7 @@ class App {
     const nearest = this.recording.pairs[0], { n } = this.recording.plane;
     if (rows.length) this.robots = rows.slice(0, MOST_WATCHED);
     else if (nearest) this.robots = [nearest.a, nearest.b].filter((body) => body < n);
+    this.pair = null;
     this.t = this.clamp(t ?? 0);
     if (panel) this.alone(panel);
     this.list.showWatched();
@@ -88,6 +90,7 @@ class App {
   }
 
   watch(row, add = false) {
+    this.pair = null;
     const others = add ? this.robots.filter((other) => other !== row) : [];
     this.robots = [row, ...others].slice(0, MOST_WATCHED);
     this.plane.reveal(row);
@@ -109,6 +112,7 @@ class App {
   goToApproach(pair) {
     const rows = [pair.a, pair.b].filter((body) => body < this.recording.plane.n);
     this.robots = rows;
+    this.pair = pair;
     this.plane.reveal(rows[0]);
     this.list.showWatched();
     this.play(false);

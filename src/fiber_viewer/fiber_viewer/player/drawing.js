@@ -110,11 +110,11 @@ export function drawGap(ctx, camera, plane, a, b, angles, labelled = true) {
   disc(ctx, p, 2.2, colors.gap);
   disc(ctx, q, 2.2, colors.gap);
   if (labelled) {
-    const [x, y] = [(p[0] + q[0]) / 2 + 8, (p[1] + q[1]) / 2 - 10];
-    const text = `${gap.toFixed(3)} mm`;
+    const text = `${gap.toFixed(3)} mm`, long = ctx.measureText(text).width;
+    const x = Math.min((p[0] + q[0]) / 2 + 8, camera.width - long - 6), y = (p[1] + q[1]) / 2 - 10;
     ctx.fillStyle = colors.card;
     ctx.globalAlpha = 0.85;
-    ctx.fillRect(x - 3, y - 8, ctx.measureText(text).width + 6, 16);
+    ctx.fillRect(x - 3, y - 8, long + 6, 16);
     ctx.globalAlpha = 1;
     write(ctx, text, x, y, colors.ink);
   }

@@ -88,12 +88,13 @@ export class SnapshotsPanel {
     // only a moment that is reached or left, another robot, size or theme changes the picture
     const reached = this.moments.findIndex(({ time }) => Math.abs(t - time) < 1e-9);
     const { clientWidth, clientHeight } = this.canvas;
-    const picture = [clientWidth, clientHeight, colors.card, reached, ...this.app.robots].join();
+    const chosen = [this.app.pair?.a, this.app.pair?.b, ...this.app.robots];
+    const picture = [clientWidth, clientHeight, colors.card, reached, ...chosen].join();
     if (picture === this.picture) return;
     this.picture = picture;
     const { ctx, width, height } = cleared(this.canvas);
     const { recording, robots } = this.app, { plane, motion } = recording;
-    const pair = robots.length ? nearestPair(recording, robots) : null;
+    const pair = robots.length ? this.app.pair ?? nearestPair(recording, robots) : null;
     this.moments = [];
     if (!pair) {
       write(ctx, "Nobody comes near", width / 2, height / 2, colors.soft, "center");
@@ -101,7 +102,7 @@ export class SnapshotsPanel {
       return;
     }
     this.note.textContent =
-      `robots ${bodyName(recording, pair.a)} and ${bodyName(recording, pair.b)}: ` +
+      `${pair.b < plane.n ? "robots" : "robot"} ${bodyName(recording, pair.a)} and ${bodyName(recording, pair.b)}: ` +
       `${pair.gap.toFixed(3)} mm at ${pair.time.toFixed(3)} s; click a moment to go there`;
     const across = width > 640 ? MOMENTS : 2, gutter = 8;
     const w = (width - gutter * (across - 1)) / across;

@@ -25,13 +25,14 @@ export class PlanePanel {
   fit() {
     const { plane } = this.app.recording;
     let [left, bottom, right, top] = [Infinity, Infinity, -Infinity, -Infinity];
-    for (let row = 0; row < plane.n; row++) {
-      const [x, y, r] = [plane.center[2 * row], plane.center[2 * row + 1], this.reach[row]];
+    const include = (x, y, r) => {
       left = Math.min(left, x - r);
       right = Math.max(right, x + r);
       bottom = Math.min(bottom, y - r);
       top = Math.max(top, y + r);
-    }
+    };
+    this.reach.forEach((reach, row) => include(plane.center[2 * row], plane.center[2 * row + 1], reach));
+    for (let k = 0; k < plane.discs.length; k += 3) include(...plane.discs.subarray(k, k + 3));
     this.camera.fit(left, bottom, right, top);
     this.fitted = true;
     this.app.redraw();
