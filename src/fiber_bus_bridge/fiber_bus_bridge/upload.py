@@ -12,7 +12,7 @@ from fiber_bus_bridge.wire import (
     Opcode,
     RobotState,
     decode_load,
-    encode_command,
+    encode_go,
     encode_load,
     general_call,
 )
@@ -203,7 +203,7 @@ class Uploader:
         if len(buses) == 0:
             return max(t, self.link.now_s)
         calls = general_call(self.link.buses[buses])
-        go = encode_command(Opcode.GO, calls, self._sequence[buses])
+        go = encode_go(calls, self._sequence[buses])
         return float(self.link.call(go, t).end_s.max())
 
 

@@ -21,8 +21,10 @@ from fiber_bus_bridge.wire import (
     decode_identity,
     decode_load,
     decode_status,
+    encode_address,
     encode_command,
     encode_config,
+    encode_go,
     encode_identity,
     encode_load,
     encode_status,
@@ -32,28 +34,32 @@ from fiber_core.wire_units import WireUnits
 
 UNITS = WireUnits()
 ROBOT = Addresses([3], [300], [True])
+NEXT = Addresses([3], [301], [True])
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "wire-format.md"
 
 GOLDEN = {
     "LOAD": "15 21 0f a0 fa ff fc 01 80 07 ff 6c e1",
     "LOAD, empty, to 0x20": "15 00 2d b7",
-    "GO, general call": "f1 25 98 ab",
+    "GO, general call": "f1 25 17 70 71 b0",
     "STOP, general call": "f1 30 91",
     "STOP": "30 78",
     "CLEAR": "40 2f",
     "RESET": "50 5f",
     "IDENTIFY": "70 bf",
-    "CONFIG": "61 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 1e a1 66 "
-    "1f 5e 1f 5e 27 10 bc 90",
+    "BEAT, general call": "f1 80 88",
+    "ADDRESS": "90 00 00 12 67 81 2d 09 73",
+    "ADDRESS, general call": "f1 90 00 00 12 67 81 2d bb fc",
+    "CONFIG": "62 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 1e a1 66 "
+    "1f 5e 1f 5e 27 10 00 19 f2 9e",
     "VERIFY": "35 6c e1 07 e0",
     "STATUS": "35 6c e1 07 e0 14 01 ff fc 2f 70 00 1e 9f d8 3d f0",
     "VERIFY, 0x20": "20 00 00 01 63",
-    "ID": "71 00 00 12 67 81 2c 07 5d",
+    "ID": "72 00 00 12 67 81 2c 07 68",
 }
 # theta 1000 for 250 ticks then -1 for 1, phi -8191 for 1023; sequence 5
 ORDER = ([0, 2, 3], [250, 1, 1023], [1000, -1, -8191])
 CONFIG = Configuration(
-    UNITS, np.array([[[-2163504, 2163504], [0, 2007398]]]), np.array([[8030, 8030]]), 10_000
+    UNITS, np.array([[[-2163504, 2163504], [0, 2007398]]]), np.array([[8030, 8030]]), 10_000, 25
 )
 
 
@@ -86,12 +92,15 @@ def test_golden_writes():
     written = {
         "LOAD": encode_load(UNITS, ROBOT, 5, *ORDER),
         "LOAD, empty, to 0x20": encode_load(UNITS, alone, 5, [0, 0, 0], [], []),
-        "GO, general call": encode_command(Opcode.GO, general_call([3]), 5),
+        "GO, general call": encode_go(general_call([3]), 5, 6000),
         "STOP, general call": encode_command(Opcode.STOP, general_call([3])),
         "STOP": encode_command(Opcode.STOP, ROBOT),
         "CLEAR": encode_command(Opcode.CLEAR, ROBOT),
         "RESET": encode_command(Opcode.RESET, ROBOT),
         "IDENTIFY": encode_command(Opcode.IDENTIFY, ROBOT),
+        "BEAT, general call": encode_command(Opcode.BEAT, general_call([3])),
+        "ADDRESS": encode_address(ROBOT, [4711], NEXT),
+        "ADDRESS, general call": encode_address(general_call([3]), [4711], NEXT),
         "CONFIG": encode_config(CONFIG, ROBOT),
     }
     assert {name: frames.payload(0).hex(" ") for name, frames in written.items()} == {
@@ -125,7 +134,7 @@ def test_golden_reads():
     assert [orders.offsets.tolist(), orders.ticks.tolist(), orders.velocity.tolist()] == list(ORDER)
     assert decode_command(golden("GO, general call"), 0, False) == (Opcode.GO, 5)
     config = decode_config(golden("CONFIG"), 300, True)
-    assert config.units == UNITS and config.watchdog_ms == 10_000
+    assert config.units == UNITS and (config.watchdog_ms, config.silence_ms) == (10_000, 25)
     assert np.array_equal(config.limits, CONFIG.limits)
     assert np.array_equal(config.speed, CONFIG.speed)
 
@@ -187,7 +196,7 @@ def test_flipped_bits_of_an_order_are_refused(flips):
 
 
 def test_flipped_bits_of_commands_and_replies_are_refused():
-    for name in ("GO, general call", "STOP, general call", "STOP", "CLEAR", "CONFIG"):
+    for name in ("GO, general call", "STOP, general call", "STOP", "CLEAR", "CONFIG", "ADDRESS"):
         good, address = golden(name), (0, False) if "call" in name else (300, True)
         decode_command(good, *address)
         for bit in range(8 * len(good)):
@@ -260,9 +269,16 @@ def test_values_that_do_not_fit_are_refused(arguments, words):
     assert words in str(error.value)
 
 
+def test_what_is_no_short_command_is_not_written_as_one():
+    for opcode in (Opcode.GO, Opcode.LOAD, Opcode.CONFIG, Opcode.ADDRESS):
+        with pytest.raises(WireError):
+            encode_command(opcode, ROBOT)
+    for sequence, countdown in ((16, 0), (-1, 0), (5, 65_536)):
+        with pytest.raises(WireError):
+            encode_go(ROBOT, sequence, countdown)
+
+
 def test_only_go_and_config_carry_low_bits():
-    with pytest.raises(WireError):
-        encode_command(Opcode.STOP, ROBOT, 1)
     body = b"\x31"
     with pytest.raises(WireError) as error:
         decode_command(body + bytes([crc8.smbus(wire_bytes(ROBOT, 0, body))]), 300, True)
@@ -270,7 +286,7 @@ def test_only_go_and_config_carry_low_bits():
 
 
 def test_a_config_of_another_version_is_refused():
-    body = b"\x62" + golden("CONFIG")[1:-2]
+    body = b"\x61" + golden("CONFIG")[1:-2]
     payload = body + crc16.ibm_3740(wire_bytes(ROBOT, 0, body)).to_bytes(2, "big")
     with pytest.raises(WireError) as error:
         decode_config(payload, 300, True)

@@ -2,6 +2,7 @@
 
 from fiber_bus_bridge.bus.backend import Ack, BusBackend, Exchange, Replies
 from fiber_bus_bridge.bus.counters import BusCounters
+from fiber_bus_bridge.bus.faults import Cure, FaultKind, Faults, Line, draw_faults
 from fiber_bus_bridge.bus.simulated import SimulatedBuses
 from fiber_bus_bridge.bus.timing import BUS_TIMINGS, BusTiming, bus_timing
 from fiber_bus_bridge.bus.topology import TOPOLOGIES, Topology, addresses_of
@@ -13,10 +14,15 @@ __all__ = [
     "BusBackend",
     "BusCounters",
     "BusTiming",
+    "Cure",
     "Exchange",
+    "FaultKind",
+    "Faults",
+    "Line",
     "Replies",
     "SimulatedBuses",
     "Topology",
     "addresses_of",
     "bus_timing",
+    "draw_faults",
 ]

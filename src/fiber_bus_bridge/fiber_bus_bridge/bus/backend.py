@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from fiber_bus_bridge.bus.faults import Cure
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire import Frames
 
@@ -17,7 +18,11 @@ class Ack(IntEnum):
 
     OK = 0
     NO_ADDRESS = 1  # nobody acknowledged the address
-    REFUSED = 2  # the target did not acknowledge the last byte written
+    REFUSED = 2  # the target did not acknowledge a byte written
+    LOST = 3  # arbitration lost to somebody else who talks
+    STUCK = 4  # SDA is held low: no START can be made
+    TIMED_OUT = 5  # SCL was held low for longer than SMBus allows
+    NOT_SENT = 6  # the bus failed before this message of the batch had its turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +68,8 @@ class BusBackend(Protocol):
     def transfer(self, frames: Frames, read_bytes, not_before_s) -> Replies:
         """Send each frame, then read from its target in the same message.
 
-        Frames of one bus go in the order given; buses do not wait for each other.
+        Frames of one bus go in the order given; buses do not wait for each other. When the
+        lines of a bus fail the rest of its frames are not sent.
 
         Args:
             frames: what to write; a frame without data is a plain read.
@@ -74,4 +80,16 @@ class BusBackend(Protocol):
             One reply per frame. A frame that fails is a reply with its Ack, not an error;
             bytes nobody drives read as 0xFF.
         """
+        ...
+
+    def recover(self, bus: int, cure: Cure, t: float) -> tuple[float, bool]:
+        """Try to free the lines of a bus, not before time t [s].
+
+        Returns:
+            When the attempt is over [s], and whether the lines are free.
+        """
+        ...
+
+    def alert_lines(self, t: float) -> np.ndarray:
+        """Return the buses whose alert line is low at time t [s]; none where there is no line."""
         ...

@@ -3,9 +3,12 @@
 import numpy as np
 
 from fiber_bus_bridge.bus.backend import Ack, Replies
+from fiber_bus_bridge.bus.faults import Cure, Faults
+from fiber_bus_bridge.bus.lines import BusLines
+from fiber_bus_bridge.bus.noise import Heard, add_noise
 from fiber_bus_bridge.bus.timing import BusTiming, bus_timing
 from fiber_bus_bridge.firmware import Positioners
-from fiber_bus_bridge.wire import Frames
+from fiber_bus_bridge.wire import Addresses, Frames
 
 __all__ = ["SimulatedBuses"]
 
@@ -19,24 +22,45 @@ class SimulatedBuses:
     what the standard's formula says. A target that is not powered does not acknowledge
     its address, one that refuses what it was sent does not acknowledge the last byte. A
     general call is acknowledged when anybody does (wired AND), and bytes read from several
-    targets at one address are the AND of theirs.
+    targets at one address are the AND of theirs. In High-speed mode each batch begins with
+    the master code, and its messages are joined by repeated START.
 
-    Not modelled: bit errors, stuck lines, clock stretching, arbitration between
-    controllers, entry into High-speed mode (the master code at Fast-mode speed), wire
-    delays, start byte, device identification, and acknowledges of single bytes: a target
-    judges the whole frame. Half-matched ten-bit addresses cost both address bytes.
+    Bits are read wrong, lines stick, clocks are stretched and arbitration is lost as the
+    faults say.
+
+    Not modelled: bits that only one listener reads wrong, wrong START or STOP, arbitration
+    bit by bit, levels, rise times and wire delays, start byte, device identification, and
+    acknowledges of single bytes: a target judges the whole frame. Half-matched ten-bit
+    addresses cost both address bytes. A line that sticks in the middle of a message costs it
+    whole. Whether an address is answered is judged for the time a frame takes when its batch
+    begins, for what it does when the frame is there.
 
     Args:
         positioners: the robots on the buses.
         timing: clock and times of every bus.
+        faults: what goes wrong; nothing by default.
+        rng: where bit errors come from.
     """
 
-    def __init__(self, positioners: Positioners, timing: BusTiming | None = None):
+    def __init__(
+        self,
+        positioners: Positioners,
+        timing: BusTiming | None = None,
+        faults: Faults | None = None,
+        rng: np.random.Generator | None = None,
+    ):
         self.positioners = positioners
         self.timing = timing or bus_timing("1M")
-        self._buses = np.unique(positioners.addresses.bus)
-        self._free_s: dict[int, float] = {}
-        keys = self._keys(positioners.addresses)
+        self._faults = faults or Faults()
+        self._rng = rng or np.random.default_rng(0)
+        positioners.schedule(self._faults.events)
+        self._buses = np.unique(positioners.bus)
+        self._lines: dict[int, BusLines] = {}
+        self._address_book(positioners.addresses)
+
+    def _address_book(self, addresses):
+        self._addresses = addresses
+        keys = self._keys(addresses)
         self._order = np.argsort(keys, kind="stable")
         self._sorted_keys = keys[self._order]
 
@@ -48,22 +72,71 @@ class SimulatedBuses:
         """Carry a batch of messages; see BusBackend.transfer."""
         f = len(frames)
         read = np.broadcast_to(np.asarray(read_bytes, dtype=np.int64), (f,))
+        offsets = np.concatenate([[0], np.cumsum(read)])
         not_before = np.broadcast_to(np.asarray(not_before_s, dtype=float), (f,))
+        if f == 0:
+            nothing = np.zeros(0)
+            return Replies(nothing.astype(np.int64), nothing, nothing, offsets, _no_bytes())
+        self._bring_up(frames, not_before)
         low, high = self._listeners(frames.to)
-        powered = np.concatenate([[0], np.cumsum(self.positioners.powered[self._order])])
-        answered = powered[high] > powered[low]
+        answered = self._answered(low, high)
         lasts = np.where(
             answered,
             self.timing.message_s(frames.lengths, read, frames.to.ten_bit),
             self.timing.unanswered_s(frames.to.ten_bit),
         )
-        start_s, end_s = self._schedule(frames.to.bus, lasts, not_before)
-        offsets = np.concatenate([[0], np.cumsum(read)])
-        accepted, data = self.positioners.exchange(
-            self._order, low, high, frames, offsets, start_s, end_s
+        start_s, end_s, fate, reaches = self._schedule(frames.to.bus, lasts, not_before, low, high)
+
+        heard = Heard.clean(frames, offsets)
+        rate = self._error_rate(frames.to.bus, start_s)
+        if rate.any():
+            add_noise(heard, frames, offsets, rate, self._rng)
+            low, high = self._listeners(Addresses(frames.to.bus, heard.address, heard.ten_bit))
+        heard.reads[heard.turned | heard.cut | (fate != Ack.OK)] = False
+        high = np.where(reaches & ~heard.lost, high, low)
+        there, accepted, data = self.positioners.exchange(
+            self._order, low, high, heard, offsets, start_s, end_s
         )
-        ack = np.where(answered, np.where(accepted, Ack.OK, Ack.REFUSED), Ack.NO_ADDRESS)
-        return Replies(ack, start_s, end_s, offsets, data)
+        taken = (accepted ^ heard.turned) & ~heard.cut
+        ack = np.where(there, np.where(taken, Ack.OK, Ack.REFUSED), Ack.NO_ADDRESS)
+        ack = np.where(fate == Ack.OK, ack, fate)
+        return Replies(ack, start_s, end_s, offsets, data ^ heard.wrong)
+
+    def recover(self, bus: int, cure: Cure, t: float) -> tuple[float, bool]:
+        """Try to free the lines of a bus; see BusBackend.recover."""
+        end_s, free = self._line(bus).recover(cure, t)
+        if cure == Cure.POWER:
+            rows = np.flatnonzero(self.positioners.bus == bus)
+            self.positioners.power(rows, False, t)
+            self.positioners.power(rows, True, end_s)
+        return end_s, free
+
+    def alert_lines(self, t: float) -> np.ndarray:
+        """Return the buses whose alert line is low; see BusBackend.alert_lines."""
+        return np.unique(self.positioners.bus[self.positioners.alerting(t)])
+
+    def _line(self, bus):
+        if bus not in self._lines:
+            rows = np.flatnonzero(self.positioners.bus == bus)
+            bit_s = 1.0 / self.timing.clock_hz
+            self._lines[bus] = BusLines(bus, self._faults, rows, bit_s)
+        return self._lines[bus]
+
+    def _bring_up(self, frames, not_before):
+        """Let happen what befalls robots until the first message begins."""
+        if len(self._faults.events) == 0:
+            return
+        free = [self._line(bus).free_s for bus in np.unique(frames.to.bus).tolist()]
+        self.positioners.bring_up(max(not_before.min(), min(free)))
+        addresses = self.positioners.addresses
+        if not np.array_equal(addresses.address, self._addresses.address):
+            self._address_book(addresses)
+
+    def _answered(self, low, high):
+        memory = self.positioners.memory
+        awake = (memory["powered"] & ~memory["deaf"])[self._order]
+        awake = np.concatenate([[0], np.cumsum(awake)])
+        return awake[high] > awake[low]
 
     def _listeners(self, to):
         """Range of the robots, in the sorted order, that listen to each frame."""
@@ -74,15 +147,29 @@ class SimulatedBuses:
         last = np.where(called, keys + _KEYS_PER_BUS - 1, keys)
         return low, np.searchsorted(self._sorted_keys, last, side="right")
 
-    def _schedule(self, buses, lasts, not_before):
-        """Start and end of each frame: in order on its bus, none before its time."""
+    def _schedule(self, buses, lasts, not_before, low, high):
+        """Start, end, what the lines allow and who is reached, of each frame."""
         start, end = np.empty_like(lasts), np.empty_like(lasts)
-        for bus in np.unique(buses):
+        fate, reaches = np.empty(len(lasts), dtype=np.int64), np.empty(len(lasts), dtype=bool)
+        for bus in np.unique(buses).tolist():
             rows = np.flatnonzero(buses == bus)
-            # end_i = lasts_i + max(not_before_i, end_{i-1}), unrolled
-            total = np.cumsum(lasts[rows])
-            begin = np.maximum(not_before[rows], self._free_s.get(bus, -np.inf))
-            end[rows] = np.maximum.accumulate(begin - (total - lasts[rows])) + total
-            start[rows] = end[rows] - lasts[rows]
-            self._free_s[bus] = end[rows[-1]]
-        return start, end
+            takes = lasts[rows]
+            takes[0] += self.timing.entry_s
+
+            def listeners(i, rows=rows):
+                return self._order[low[rows[i]] : high[rows[i]]]
+
+            found = self._line(bus).take(takes, not_before[rows], listeners)
+            start[rows], end[rows], fate[rows], reaches[rows] = found
+        return start, end, fate, reaches
+
+    def _error_rate(self, buses, start_s):
+        """Chance that a bit of each frame is read wrong, shape (f,)."""
+        rate = np.zeros(len(buses))
+        for bus, since, until, level in self._faults.noise:
+            rate[(buses == bus) & (start_s >= since) & (start_s < until)] = level
+        return rate
+
+
+def _no_bytes():
+    return np.zeros(0, dtype=np.uint8)

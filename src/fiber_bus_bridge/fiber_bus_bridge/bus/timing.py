@@ -9,6 +9,7 @@ from fiber_bus_bridge.errors import TopologyError
 __all__ = ["BUS_TIMINGS", "BusTiming", "bus_timing"]
 
 _BITS_PER_BYTE = 9  # eight and the acknowledge
+_HS_ENTRY_S = 0.6e-6 + 1.3e-6 + 9 / 400e3  # tHD;STA, tLOW and 00001xxx with its not-acknowledge
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,8 @@ class BusTiming:
         restart_setup_s: tSU;STA, before a repeated START [s].
         stop_setup_s: tSU;STO, before STOP [s].
         free_s: tBUF, from STOP to the next START [s]; none in High-speed mode.
+        entry_s: START and master code at Fast-mode speed that a batch in High-speed mode begins
+            with, before messages joined by repeated START [s].
     """
 
     clock_hz: float
@@ -30,6 +33,7 @@ class BusTiming:
     restart_setup_s: float
     stop_setup_s: float
     free_s: float
+    entry_s: float = 0.0
 
     def message_s(self, written, read, ten_bit) -> np.ndarray:
         """Time from START until the bus is free again [s].
@@ -59,8 +63,8 @@ BUS_TIMINGS = {
     "100k": BusTiming(100e3, 4.0e-6, 4.7e-6, 4.7e-6, 4.0e-6, 4.7e-6),
     "400k": BusTiming(400e3, 0.6e-6, 1.3e-6, 0.6e-6, 0.6e-6, 1.3e-6),
     "1M": BusTiming(1e6, 0.26e-6, 0.5e-6, 0.26e-6, 0.26e-6, 0.5e-6),
-    "1.7M": BusTiming(1.7e6, 160e-9, 320e-9, 160e-9, 160e-9, 0.0),
-    "3.4M": BusTiming(3.4e6, 160e-9, 160e-9, 160e-9, 160e-9, 0.0),
+    "1.7M": BusTiming(1.7e6, 160e-9, 320e-9, 160e-9, 160e-9, 0.0, _HS_ENTRY_S),
+    "3.4M": BusTiming(3.4e6, 160e-9, 160e-9, 160e-9, 160e-9, 0.0, _HS_ENTRY_S),
 }
 
 

@@ -16,7 +16,9 @@ _DONE, _FAULT = int(RobotState.DONE), int(RobotState.FAULT)
 _NONE, _OVER_SPEED = int(Fault.NONE), int(Fault.OVER_SPEED)
 _OUTSIDE_LIMITS = int(Fault.OUTSIDE_LIMITS)
 _WATCHDOG, _MEMORY = int(Fault.WATCHDOG), int(Fault.MEMORY)
+_STALL, _SILENCE = int(Fault.STALL), int(Fault.SILENCE)
 _LAPSED, _REBOOTED = int(Alert.LAPSED), int(Alert.REBOOTED)
+_STALLED, _SILENT = int(Alert.STALLED), int(Alert.SILENT)
 
 
 @njit(cache=True)
@@ -54,20 +56,55 @@ def encoder(r, joint, t):
 
 @njit(cache=True)
 def halt(r, t):
-    """Freeze a robot where it is at time t and forget the order."""
+    """Freeze a robot where it is at time t and forget the order; the caller sets its state."""
     theta, phi = encoder(r, 0, t), encoder(r, 1, t)
     r.position[0], r.position[1] = theta, phi
-    r.counts[0] = r.counts[1] = 0
     r.order_length = 0
+    if r.state == _MOVING:
+        r.halted_s = t
+
+
+@njit(cache=True)
+def _stall_s(r):
+    """When a jammed joint is first told to turn [s]."""
+    first = np.inf
+    for joint in range(2):
+        begin = r.started_s
+        for k in range(r.counts[joint]):
+            end = begin + r.ticks[joint, k] * r.tick_us / (1e6 + r.clock_ppm)
+            if r.velocity[joint, k] != 0 and end > r.jam_s[joint]:
+                first = min(first, max(begin, r.jam_s[joint]))
+                break
+            begin = end
+    return first
 
 
 @njit(cache=True)
 def settle(r, t):
-    """Bring a robot up to time t: motions end, orders nobody starts lapse."""
+    """Bring a robot up to time t: motions end or are broken off, orders nobody starts lapse."""
     if r.state == _MOVING:
-        if _ticks_run(r, t) >= max(_length(r, 0), _length(r, 1)):
-            halt(r, t)
+        ticks = max(_length(r, 0), _length(r, 1))
+        done = r.started_s + ticks * r.tick_us / (1e6 + r.clock_ppm)
+        silent = r.beat_s + r.silence_s if r.silence_s > 0.0 else np.inf
+        stall = _stall_s(r)
+        # whichever comes first ends the motion
+        if done <= min(t, silent, stall):
+            # exactly where the order ends: no time is rounded
+            for joint in range(2):
+                for k in range(r.counts[joint]):
+                    r.position[joint] += r.ticks[joint, k] * r.velocity[joint, k]
+            r.order_length = 0
+            r.halted_s = done
             r.state = _DONE
+        elif stall <= min(t, silent):
+            # the drive checks that its joints follow, and stops both at once
+            halt(r, stall)
+            r.state, r.fault = _FAULT, _STALL
+            r.alerts |= _STALLED
+        elif silent <= t:
+            halt(r, silent)
+            r.state, r.fault = _FAULT, _SILENCE
+            r.alerts |= _SILENT
     elif r.state == _LOADED and 0.0 < r.watchdog_s < t - r.loaded_s:
         r.order_length = 0
         r.state = _FAULT
@@ -110,8 +147,8 @@ def stored_crc(r):
 
 
 @njit(cache=True)
-def start_order(r, t):
-    """Decode the stored order and begin to run it, if it is still the one that was accepted."""
+def start_order(r, t, countdown_s):
+    """Decode the stored order and run it after a countdown, if it is still what was accepted."""
     order, widths = r.order, (r.velocity_bits, r.duration_bits)
     last = r.order_length - 2
     crc = (np.int64(order[last]) << 8) | np.int64(order[last + 1])
@@ -128,7 +165,8 @@ def start_order(r, t):
             ticks, velocity, _padding = read_segment(order, at, widths[0], widths[1])
             r.ticks[joint, k], r.velocity[joint, k] = ticks, velocity
             at += size
-    r.started_s = t + r.start_skew_s
+    r.started_s = t + countdown_s * 1e6 / (1e6 + r.clock_ppm) + r.start_skew_s
+    r.beat_s = t
     r.executed = r.sequence
     r.state = _MOVING
 
@@ -142,7 +180,7 @@ def reboot(r, t):
     r.alerts = _REBOOTED
     r.asked_identity = False
     r.tick_us = 0
-    r.watchdog_s = 0.0
+    r.watchdog_s = r.silence_s = 0.0
     r.sequence = 0
     r.executed = NOTHING
     r.boot = (r.boot + 1) % 256

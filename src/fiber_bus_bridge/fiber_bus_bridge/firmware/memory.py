@@ -20,6 +20,12 @@ MEMORY = np.dtype(
         ("quantum_prad", "i8"),
         ("clock_ppm", "f8"),
         ("start_skew_s", "f8"),
+        # what is wrong with it
+        ("jam_s", "f8", (2,)),  # from when on a joint does not turn any more [s]
+        ("deaf", "?"),  # hears nothing
+        ("call_deaf", "?"),  # hears no general call
+        ("busy", "?"),  # takes nothing
+        ("powered", "?"),
         # what survives a power cut
         ("position", "i8", (2,)),  # encoders at rest, or where the motion began [quanta]
         ("boot", "i8"),
@@ -34,12 +40,15 @@ MEMORY = np.dtype(
         ("limits", "i8", (2, 2)),  # [quanta]
         ("speed", "i8", (2,)),  # [velocity units]
         ("watchdog_s", "f8"),
+        ("silence_s", "f8"),  # longest time between two beats while moving, 0 for ever [s]
         ("sequence", "i8"),
         ("executed", "i8"),  # sequence of the order started last, or NOTHING
         ("order", "u1", (ORDER_BYTES,)),
         ("order_length", "i8"),
         ("loaded_s", "f8"),  # when the order was stored [s]
-        ("started_s", "f8"),  # when its motion began [s]
+        ("started_s", "f8"),  # when its motion began, or will after the countdown [s]
+        ("beat_s", "f8"),  # when it heard the last beat [s]
+        ("halted_s", "f8"),  # when its last motion ended [s]
         ("counts", "i8", (2,)),  # segments of the running order
         ("ticks", "i8", (2, MAX_SEGMENTS)),
         ("velocity", "i8", (2, MAX_SEGMENTS)),
@@ -60,6 +69,9 @@ def new_memory(
     memory["clock_ppm"] = clock_ppm
     memory["start_skew_s"] = start_skew_s
     memory["position"] = position
+    memory["jam_s"] = np.inf
+    memory["powered"] = True
+    memory["started_s"] = memory["halted_s"] = -np.inf
     memory["boot"] = 1
     memory["state"] = RobotState.UNCONFIGURED
     memory["executed"] = NOTHING

@@ -4,15 +4,16 @@ import numpy as np
 from numba import njit
 
 from fiber_bus_bridge.errors import WireError
-from fiber_bus_bridge.firmware.drive import encoder, halt, reboot, settle
+from fiber_bus_bridge.firmware.drive import encoder
+from fiber_bus_bridge.firmware.events import EVENT, bring_up, events_in_order, switch
 from fiber_bus_bridge.firmware.memory import new_memory
 from fiber_bus_bridge.firmware.protocol import answer, hear
-from fiber_bus_bridge.wire import Addresses, Frames, RobotState
+from fiber_bus_bridge.wire import Addresses, Alert
 
 __all__ = ["Positioners"]
 
 _ENCODER_RANGE = 2**31
-_UNCONFIGURED = int(RobotState.UNCONFIGURED)
+_URGENT = int(Alert.REBOOTED | Alert.STALLED | Alert.SILENT)
 
 
 class Positioners:
@@ -21,7 +22,9 @@ class Positioners:
     A joint moves by the decoded whole numbers and nothing is ever rounded at a tick.
     Nothing is known to them but the bytes they heard and when.
 
-    Not modelled: acceleration, backlash, stalls, stuck joints and contact between arms.
+    Not modelled: acceleration, backlash, and contact between arms: whoever should touch goes
+    through, which a MotionRecord shows. A joint that jams is noticed by its drive at once, and
+    both joints stop. What befalls robots is a table of events, each at its time.
 
     Args:
         addresses: where each robot listens, n rows.
@@ -47,34 +50,59 @@ class Positioners:
             if wrong.any():
                 at = int(np.argwhere(wrong)[0][0])
                 raise WireError(f"row {at}: {name} {value[at].tolist()} does not fit 32 bits")
-        self.addresses = addresses
+        self.bus = addresses.bus
         self.memory = new_memory(addresses, serial, quantum_prad, position, clock_ppm, start_skew_s)
-        self.powered = np.ones(len(addresses), dtype=bool)
+        self.schedule(())
 
     @property
     def n(self) -> int:
         """Number of robots."""
-        return len(self.addresses)
+        return len(self.bus)
+
+    @property
+    def addresses(self) -> Addresses:
+        """Where each robot listens, n rows."""
+        return Addresses(self.bus, self.memory["address"], self.memory["ten_bit"])
+
+    @property
+    def powered(self) -> np.ndarray:
+        """Whether each robot has power, shape (n,), writable."""
+        return self.memory["powered"]
+
+    def schedule(self, events) -> None:
+        """Let other events befall the robots than those given before, records of EVENT."""
+        self._events, first = events_in_order(np.array(list(events), dtype=EVENT), self.n)
+        self._next, self._last = first[:-1].copy(), first[1:]
+        self._fate = self._events, self._next, self._last
+
+    def bring_up(self, t: float) -> None:
+        """Let everything happen that has happened until time t [s]."""
+        _bring_up_all(self.memory, *self._fate, t)
 
     def positions(self, t: float) -> np.ndarray:
         """True joint positions at time t [s], not earlier than anything heard: [quanta], (n, 2)."""
+        self.bring_up(t)
         out = np.empty((self.n, 2), dtype=np.int64)
         _positions(self.memory, t, out)
         return out
 
     def states(self, t: float) -> np.ndarray:
         """RobotState of each robot at time t [s], shape (n,)."""
-        _settle_all(self.memory, t)
+        self.bring_up(t)
         return self.memory["state"].copy()
+
+    def alerting(self, t: float) -> np.ndarray:
+        """Return who pulls the alert line of its bus at time t [s], shape (n,)."""
+        self.bring_up(t)
+        return self.powered & ((self.memory["alerts"] & _URGENT) != 0)
 
     def power(self, rows, on: bool, t: float) -> None:
         """Cut or give power to some robots at time t [s]; with power they boot unconfigured."""
-        rows = np.atleast_1d(rows)
-        _power(self.memory, rows[self.powered[rows] != on], on, t)
-        self.powered[rows] = on
+        self.bring_up(t)
+        _power(self.memory, np.atleast_1d(rows), on, t)
 
     def exchange(
-        self, order, low, high, frames: Frames, offsets, start_s, end_s
+        self, order, low, high, heard, offsets, start_s, end_s
     ) -> tuple[np.ndarray, np.ndarray]:
         """Let robots hear frames in turn and answer reads.
 
@@ -82,64 +110,69 @@ class Positioners:
             order: rows of robots; those listening to frame i are order[low[i] : high[i]].
             low: shape (f,).
             high: shape (f,).
-            frames: what each hears; a frame without data is a plain read.
+            heard: what arrives at the robots, f rows; a frame without data is a plain read.
             offsets: bytes to answer, shape (f + 1,), as in Replies.
             start_s: when each frame begins [s], shape (f,); a plain read is of that instant.
             end_s: when each is complete [s], shape (f,); writes take effect then.
 
         Returns:
-            Whether anybody acknowledged the last byte written, shape (f,), and the bytes
-            read, shape (offsets[-1],), 0xFF where nobody answers.
+            Whether anybody acknowledged the address, whether anybody acknowledged the last
+            byte written, both shape (f,), and the bytes read, shape (offsets[-1],), 0xFF where
+            nobody answers.
         """
-        accepted = np.zeros(len(frames), dtype=np.bool_)
+        there, accepted = np.zeros((2, len(low)), dtype=np.bool_)
         data = np.full(offsets[-1], 0xFF, dtype=np.uint8)
         _exchange(
-            self.memory, self.powered, order, low, high, frames.to.address, frames.to.ten_bit,
-            frames.offsets, frames.data, offsets, start_s, end_s, accepted, data,
+            self.memory, *self._fate, order, low, high, heard.address, heard.ten_bit,
+            heard.first, heard.last, heard.data, heard.reads, offsets, start_s, end_s,
+            there, accepted, data,
         )  # fmt: skip
-        return accepted, data
+        return there, accepted, data
 
 
 @njit(cache=True)
 def _exchange(
-    m, powered, order, low, high, address, ten_bit, starts, sent, offsets, start_s, end_s,
-    accepted, data,
+    m, events, next_event, last_event, order, low, high, address, ten_bit, firsts, lasts, sent,
+    reads, offsets, start_s, end_s, there, accepted, data,
 ):  # fmt: skip
     for f in range(len(low)):
-        writes = starts[f + 1] > starts[f]
+        first, last = firsts[f], lasts[f]
+        called = address[f] == 0 and not ten_bit[f]
         for k in range(low[f], high[f]):
             row = order[k]
-            if not powered[row]:
+            bring_up(m, events, next_event, last_event, row, start_s[f])
+            r = m[row]
+            if not r.powered or r.deaf or (called and r.call_deaf):
                 continue
+            if last > first:
+                # it may break down before the frame is complete
+                bring_up(m, events, next_event, last_event, row, end_s[f])
+                if not r.powered:
+                    continue
+            there[f] = True
             ok = True
-            if writes:
-                ok = hear(m[row], address[f], ten_bit[f], sent, starts[f], starts[f + 1], end_s[f])
-            if ok and offsets[f + 1] > offsets[f]:
-                at = end_s[f] if writes else start_s[f]
-                answer(m[row], at, data[offsets[f] : offsets[f + 1]])
+            if last > first:
+                ok = hear(r, address[f], ten_bit[f], sent, first, last, end_s[f])
+            if ok and reads[f]:
+                at = end_s[f] if last > first else start_s[f]
+                answer(r, at, data[offsets[f] : offsets[f + 1]])
             accepted[f] |= ok
 
 
 @njit(cache=True)
 def _positions(m, t, out):
     for row in range(len(out)):
-        settle(m[row], t)
         for joint in range(2):
             out[row, joint] = encoder(m[row], joint, t)
 
 
 @njit(cache=True)
-def _settle_all(m, t):
+def _bring_up_all(m, events, next_event, last_event, t):
     for row in range(len(m)):
-        settle(m[row], t)
+        bring_up(m, events, next_event, last_event, row, t)
 
 
 @njit(cache=True)
 def _power(m, rows, on, t):
     for row in rows:
-        if on:
-            reboot(m[row], t)
-        else:
-            settle(m[row], t)
-            halt(m[row], t)
-            m[row].state = _UNCONFIGURED  # the rest it forgets when it boots
+        switch(m[row], on, t)

@@ -13,8 +13,16 @@ from fiber_bus_bridge.firmware.drive import (
     stored_crc,
 )
 from fiber_bus_bridge.firmware.memory import NOTHING
-from fiber_bus_bridge.wire.codes import VERSION, Alert, Fault, Opcode, RobotState
-from fiber_bus_bridge.wire.commands import CONFIG_BYTES, CONFIG_FIELDS, command_fault
+from fiber_bus_bridge.wire.codes import COUNTDOWN_S, VERSION, Alert, Fault, Opcode, RobotState
+from fiber_bus_bridge.wire.commands import (
+    ADDRESS_BYTES,
+    ADDRESS_FIELDS,
+    CONFIG_BYTES,
+    CONFIG_FIELDS,
+    GO_BYTES,
+    GO_FIELDS,
+    command_fault,
+)
 from fiber_bus_bridge.wire.replies import (
     IDENTITY_BYTES,
     STATUS_BYTES,
@@ -27,6 +35,7 @@ __all__ = ["answer", "hear"]
 _LOAD, _GO, _STOP = int(Opcode.LOAD), int(Opcode.GO), int(Opcode.STOP)
 _CLEAR, _RESET = int(Opcode.CLEAR), int(Opcode.RESET)
 _CONFIG, _IDENTIFY = int(Opcode.CONFIG), int(Opcode.IDENTIFY)
+_BEAT, _ADDRESS = int(Opcode.BEAT), int(Opcode.ADDRESS)
 
 _UNCONFIGURED, _IDLE = int(RobotState.UNCONFIGURED), int(RobotState.IDLE)
 _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
@@ -43,6 +52,10 @@ _QUANTUM = CONFIG_FIELDS.fields["quantum_prad"][1]
 _LIMITS = CONFIG_FIELDS.fields["limits"][1]
 _SPEED = CONFIG_FIELDS.fields["speed"][1]
 _WATCHDOG = CONFIG_FIELDS.fields["watchdog_ms"][1]
+_SILENCE = CONFIG_FIELDS.fields["silence_ms"][1]
+_COUNTDOWN = GO_FIELDS.fields["countdown"][1]
+_SERIAL = ADDRESS_FIELDS.fields["serial"][1]
+_FORM_ADDRESS = ADDRESS_FIELDS.fields["form_address"][1]
 
 
 @njit(cache=True)
@@ -54,6 +67,8 @@ def hear(r, address, ten_bit, data, first, last, t):
         fault and alerts.
     """
     settle(r, t)
+    if r.busy:
+        return False
     called = address == 0 and not ten_bit
     if not called and last > first and data[first] >> 4 == _LOAD:
         fault = _load(r, data, first, last, t)
@@ -62,7 +77,7 @@ def hear(r, address, ten_bit, data, first, last, t):
         if fault == _NONE:
             opcode, low = head >> 4, head & 15
             if opcode == _GO:
-                _go(r, low, t)
+                _go(r, low, _number(data, last - GO_BYTES + _COUNTDOWN, 2), t)
             elif opcode == _STOP:
                 _stop(r, t)
             elif opcode == _CLEAR:
@@ -71,6 +86,10 @@ def hear(r, address, ten_bit, data, first, last, t):
                 reboot(r, t)
             elif opcode == _IDENTIFY:
                 r.asked_identity = True
+            elif opcode == _BEAT:
+                r.beat_s = t
+            elif opcode == _ADDRESS:
+                fault = _move(r, data, last - ADDRESS_BYTES)
             elif opcode == _CONFIG:
                 fault = _configure(r, low, data, last - CONFIG_BYTES)
     if fault != _NONE:
@@ -123,9 +142,9 @@ def _load(r, data, first, last, t):
 
 
 @njit(cache=True)
-def _go(r, sequence, t):
+def _go(r, sequence, countdown, t):
     if r.state == _LOADED and r.sequence == sequence:
-        start_order(r, t)
+        start_order(r, t, countdown * COUNTDOWN_S)
     elif r.executed != sequence:
         r.executed = NOTHING  # another plan began: sequence numbers come round again
 
@@ -168,11 +187,26 @@ def _configure(r, version, data, at):
             r.limits[joint, end] = value - (value >> 31 << 32)
         r.speed[joint] = _number(data, at + _SPEED + 2 * joint, 2)
     r.watchdog_s = 1e-3 * _number(data, at + _WATCHDOG, 2)
+    r.silence_s = 1e-3 * _number(data, at + _SILENCE, 2)
     r.order_length = 0
     r.fault = _NONE
     r.alerts = 0
     if r.state not in (_STOPPED, _FAULT):
         r.state = _IDLE
+    return _NONE
+
+
+@njit(cache=True)
+def _move(r, data, at):
+    if _number(data, at + _SERIAL, 4) != r.serial:
+        return _NONE  # meant for another
+    if r.state == _MOVING or r.state == _LOADED:
+        return _WRONG_STATE
+    form = _number(data, at + _FORM_ADDRESS, 2)
+    address, ten_bit = form & 0x7FFF, form >> 15 == 1
+    if address > (1023 if ten_bit else 0x77) or (not ten_bit and address < 0x08):
+        return _BAD_VALUE
+    r.address, r.ten_bit = address, ten_bit
     return _NONE
 
 

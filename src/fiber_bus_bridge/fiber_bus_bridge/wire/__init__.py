@@ -2,6 +2,7 @@
 
 from fiber_bus_bridge.wire.codes import (
     CALL_PREFIX,
+    COUNTDOWN_S,
     MAX_SEGMENTS,
     VERSION,
     Alert,
@@ -10,13 +11,19 @@ from fiber_bus_bridge.wire.codes import (
     RobotState,
 )
 from fiber_bus_bridge.wire.commands import (
+    ADDRESS_BYTES,
+    ADDRESS_FIELDS,
     CONFIG_BYTES,
     CONFIG_FIELDS,
+    GO_BYTES,
+    GO_FIELDS,
     Configuration,
     decode_command,
     decode_config,
+    encode_address,
     encode_command,
     encode_config,
+    encode_go,
 )
 from fiber_bus_bridge.wire.frames import Addresses, Frames, general_call
 from fiber_bus_bridge.wire.orders import Orders, decode_load, encode_load
@@ -35,9 +42,14 @@ from fiber_bus_bridge.wire.replies import (
 )
 
 __all__ = [
+    "ADDRESS_BYTES",
+    "ADDRESS_FIELDS",
     "CALL_PREFIX",
     "CONFIG_BYTES",
     "CONFIG_FIELDS",
+    "COUNTDOWN_S",
+    "GO_BYTES",
+    "GO_FIELDS",
     "IDENTITY_BYTES",
     "IDENTITY_FIELDS",
     "MAX_SEGMENTS",
@@ -60,8 +72,10 @@ __all__ = [
     "decode_identity",
     "decode_load",
     "decode_status",
+    "encode_address",
     "encode_command",
     "encode_config",
+    "encode_go",
     "encode_identity",
     "encode_load",
     "encode_status",

@@ -2,23 +2,36 @@
 
 from enum import IntEnum, IntFlag
 
-__all__ = ["CALL_PREFIX", "MAX_SEGMENTS", "VERSION", "Alert", "Fault", "Opcode", "RobotState"]
+__all__ = [
+    "CALL_PREFIX",
+    "COUNTDOWN_S",
+    "MAX_SEGMENTS",
+    "VERSION",
+    "Alert",
+    "Fault",
+    "Opcode",
+    "RobotState",
+]
 
-VERSION = 1  # travels in CONFIG and in the identity; a robot refuses any other
+VERSION = 2  # travels in CONFIG and in the identity; a robot refuses any other
 MAX_SEGMENTS = 15  # segments of one joint that one order can carry: a 4-bit count
 CALL_PREFIX = 0xF1  # first byte of our general calls; an odd one, as the I2C standard asks of them
+
+COUNTDOWN_S = 1e-5  # unit of the countdown of a GO [s]
 
 
 class Opcode(IntEnum):
     """What a frame asks for: the high four bits of its first byte."""
 
     LOAD = 1  # store a placement order
-    GO = 2  # start the stored order of this sequence number
+    GO = 2  # start the stored order of this sequence number after a countdown
     STOP = 3  # freeze now
     CLEAR = 4  # forget the stored order and the fault
     RESET = 5  # reboot
     CONFIG = 6  # units, limits, speeds, watchdog
     IDENTIFY = 7  # answer the read that follows with the identity
+    BEAT = 8  # the controller is there: moving robots may go on
+    ADDRESS = 9  # the robot of this serial number listens elsewhere from now on
 
 
 class RobotState(IntEnum):
@@ -59,11 +72,18 @@ class Fault(IntEnum):
     # the robot
     WATCHDOG = 32  # an order waited too long for its GO
     MEMORY = 33  # the stored order is no longer what was accepted
+    STALL = 34  # a joint does not follow
+    SILENCE = 35  # no BEAT for too long while moving
 
 
 class Alert(IntFlag):
-    """What a robot wants known; polled with STATUS, taken back by CLEAR or CONFIG."""
+    """What a robot wants known; polled with STATUS, taken back by CLEAR or CONFIG.
+
+    All but REFUSED and LAPSED also pull the alert line of the bus, where there is one.
+    """
 
     REFUSED = 1  # it refused a frame
     LAPSED = 2  # it dropped an order that was never started
     REBOOTED = 4  # it lost its configuration
+    STALLED = 8  # a joint does not follow: both were stopped
+    SILENT = 16  # it heard no BEAT and stopped itself

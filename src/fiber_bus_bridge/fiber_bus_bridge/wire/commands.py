@@ -11,18 +11,26 @@ from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc, frame_pec
 from fiber_core.wire_units import WireUnits
 
 __all__ = [
+    "ADDRESS_BYTES",
+    "ADDRESS_FIELDS",
     "CONFIG_BYTES",
     "CONFIG_FIELDS",
+    "GO_BYTES",
+    "GO_FIELDS",
     "Configuration",
     "command_fault",
     "decode_command",
     "decode_config",
+    "encode_address",
     "encode_command",
     "encode_config",
+    "encode_go",
 ]
 
-_GO, _CONFIG = int(Opcode.GO), int(Opcode.CONFIG)
-_SHORT = tuple(int(o) for o in (Opcode.STOP, Opcode.CLEAR, Opcode.RESET, Opcode.IDENTIFY))
+_GO, _CONFIG, _ADDRESS = int(Opcode.GO), int(Opcode.CONFIG), int(Opcode.ADDRESS)
+_SHORT = tuple(
+    int(o) for o in (Opcode.STOP, Opcode.CLEAR, Opcode.RESET, Opcode.IDENTIFY, Opcode.BEAT)
+)
 _NONE = int(Fault.NONE)
 _BAD_LENGTH = int(Fault.BAD_LENGTH)
 _BAD_OPCODE = int(Fault.BAD_OPCODE)
@@ -38,10 +46,22 @@ CONFIG_FIELDS = np.dtype(
         ("limits", ">i4", (2, 2)),  # joint (theta, phi), (low, high)
         ("speed", ">u2", (2,)),
         ("watchdog_ms", ">u2"),
+        ("silence_ms", ">u2"),
         ("crc", ">u2"),
     ]
 )
 CONFIG_BYTES = CONFIG_FIELDS.itemsize
+GO_FIELDS = np.dtype([("opcode_sequence", "u1"), ("countdown", ">u2"), ("crc", ">u2")])
+GO_BYTES = GO_FIELDS.itemsize
+ADDRESS_FIELDS = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("serial", ">u4"),
+        ("form_address", ">u2"),  # bit 15: ten-bit form
+        ("crc", ">u2"),
+    ]
+)
+ADDRESS_BYTES = ADDRESS_FIELDS.itemsize
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,45 +73,69 @@ class Configuration:
         limits: joint ranges [quanta], shape (f, 2, 2): robot, joint, (low, high).
         speed: highest joint speeds [velocity units], shape (f, 2).
         watchdog_ms: how long an order may wait for its GO [ms], 0 for ever.
+        silence_ms: how long a moving robot goes on without a BEAT [ms], 0 for ever.
     """
 
     units: WireUnits
     limits: np.ndarray
     speed: np.ndarray
     watchdog_ms: int
+    silence_ms: int = 0
 
 
-def encode_command(opcode: Opcode, to: Addresses, sequence=0) -> Frames:
-    """Write the same short command to each target: GO, STOP, CLEAR, RESET or IDENTIFY.
+def encode_command(opcode: Opcode, to: Addresses) -> Frames:
+    """Write the same short command to each target: STOP, CLEAR, RESET, IDENTIFY or BEAT.
 
-    GO makes robots move and ends with a CRC-16, the others with a packet error code.
-    To address 0, the general call, the frame begins with CALL_PREFIX.
-
-    Args:
-        opcode: the command.
-        to: the robots or general calls addressed, f rows.
-        sequence: order to start [0..15], one number or shape (f,); GO only.
+    To address 0, the general call, the frame begins with CALL_PREFIX; a packet error
+    code ends it.
 
     Raises:
-        WireError: not a short command, or a sequence number out of range.
+        WireError: not a short command.
     """
-    if opcode != Opcode.GO and opcode not in _SHORT:
-        raise WireError(f"{opcode} is not a short command")
-    sequence = np.broadcast_to(np.asarray(sequence, dtype=np.int64), (len(to),))
-    if np.any((sequence < 0) | (sequence > (15 if opcode == Opcode.GO else 0))):
-        raise WireError(f"{Opcode(opcode).name} cannot carry sequence {sequence.tolist()}")
-    called = (to.address == 0) & ~to.ten_bit
-    check = 2 if opcode == Opcode.GO else 1
-    offsets = np.concatenate([[0], np.cumsum(1 + check + called)])
-    data = np.empty(offsets[-1], dtype=np.uint8)
-    data[offsets[:-1][called]] = CALL_PREFIX
-    data[offsets[:-1] + called] = (int(opcode) << 4) | sequence
-    _seal(to.address, to.ten_bit, offsets, data, check)
-    return Frames(to, offsets, data)
+    if opcode not in _SHORT:
+        raise WireError(f"{opcode!r} is not a short command")
+    table = np.full(len(to), int(opcode) << 4, dtype=np.uint8)
+    return _sealed(to, table, check=1)
+
+
+def encode_go(to: Addresses, sequence, countdown=0) -> Frames:
+    """Write GO to robots or general calls, f rows.
+
+    Args:
+        to: whom to start.
+        sequence: order to start [0..15], one number or shape (f,).
+        countdown: how long after it the motion begins [units of COUNTDOWN_S], likewise.
+
+    Raises:
+        WireError: a number does not fit its field; names field and value.
+    """
+    table = np.zeros(len(to), dtype=GO_FIELDS)
+    sequence = np.asarray(sequence, dtype=np.int64)
+    if np.any((sequence < 0) | (sequence > 15)):
+        raise WireError(f"GO cannot carry sequence {sequence.tolist()}")
+    _fill(table, {"opcode_sequence": (_GO << 4) | sequence, "countdown": countdown})
+    return _sealed(to, table)
+
+
+def encode_address(to: Addresses, serial, new: Addresses) -> Frames:
+    """Write ADDRESS to robots or general calls, f rows: who has this serial number moves.
+
+    Args:
+        to: where they listen now, or the general call, which reaches one of two at one address.
+        serial: number each was built with, shape (f,).
+        new: where they shall listen.
+
+    Raises:
+        WireError: a serial number does not fit its field.
+    """
+    table = np.zeros(len(to), dtype=ADDRESS_FIELDS)
+    form = new.ten_bit.astype(np.int64) << 15
+    _fill(table, {"opcode": _ADDRESS << 4, "serial": serial, "form_address": form | new.address})
+    return _sealed(to, table)
 
 
 def encode_config(config: Configuration, to: Addresses) -> Frames:
-    """Write one CONFIG frame per target, f rows.
+    """Write one CONFIG frame per robot, f rows.
 
     Raises:
         WireError: a value does not fit its field; names field and value.
@@ -107,19 +151,10 @@ def encode_config(config: Configuration, to: Addresses) -> Frames:
         "limits": config.limits,
         "speed": config.speed,
         "watchdog_ms": config.watchdog_ms,
+        "silence_ms": config.silence_ms,
     }
-    for name, value in values.items():
-        value = np.asarray(value, dtype=np.int64)
-        room = np.iinfo(CONFIG_FIELDS[name].base)
-        wrong = (value < room.min) | (value > room.max)
-        if wrong.any():
-            at = value[wrong].flat[0]
-            raise WireError(f"{name} {at} is outside {room.min}..{room.max}")
-        table[name] = value
-    frames = Frames.equal_length(to, table.view(np.uint8).reshape(len(to), CONFIG_BYTES))
-    data = frames.data.copy()
-    _seal(to.address, to.ten_bit, frames.offsets, data, 2)
-    return Frames(to, frames.offsets, data)
+    _fill(table, values)
+    return _sealed(to, table)
 
 
 def decode_command(payload: bytes, address: int, ten_bit: bool) -> tuple[Opcode, int]:
@@ -151,7 +186,8 @@ def decode_config(payload: bytes, address: int, ten_bit: bool) -> Configuration:
         *(int(row[n][0]) for n in ("tick_us", "quantum_prad", "velocity_bits", "duration_bits"))
     )
     limits, speed = row["limits"].astype(np.int64), row["speed"].astype(np.int64)
-    return Configuration(units, limits, speed, int(row["watchdog_ms"][0]))
+    waits = (int(row[name][0]) for name in ("watchdog_ms", "silence_ms"))
+    return Configuration(units, limits, speed, *waits)
 
 
 @njit(cache=True)
@@ -172,14 +208,52 @@ def command_fault(address, ten_bit, data, first, last):
             return _BAD_CRC, head
         # the low bits of a short command mean nothing and must be zero
         return (_NONE if head & 15 == 0 else _BAD_OPCODE), head
-    if head >> 4 != _GO and head >> 4 != _CONFIG:
+    if head >> 4 == _GO:
+        length = GO_BYTES
+    elif head >> 4 == _CONFIG:
+        length = CONFIG_BYTES
+    elif head >> 4 == _ADDRESS:
+        length = ADDRESS_BYTES
+    else:
         return _BAD_OPCODE, head
-    if last - at != (3 if head >> 4 == _GO else CONFIG_BYTES):
+    if last - at != length:
         return _BAD_LENGTH, head
     crc = (np.int64(data[last - 2]) << 8) | np.int64(data[last - 1])
     if frame_crc(address, ten_bit, data, first, last - 2) != crc:
         return _BAD_CRC, head
+    if head >> 4 == _ADDRESS and head & 15 != 0:
+        return _BAD_OPCODE, head
     return _NONE, head
+
+
+def _fill(table, values):
+    for name, value in values.items():
+        value = np.asarray(value, dtype=np.int64)
+        room = np.iinfo(table.dtype[name].base)
+        wrong = (value < room.min) | (value > room.max)
+        if wrong.any():
+            raise WireError(f"{name} {value[wrong].flat[0]} is outside {room.min}..{room.max}")
+        table[name] = value
+
+
+def _sealed(to, table, check=2):
+    """Frames of the rows of a table, with prefix where called and checksum at the end.
+
+    Args:
+        to: the targets.
+        table: one record or byte each; a CRC-16 at its end is overwritten.
+        check: bytes of the checksum, 2 for the CRC-16, 1 for a packet error code, appended.
+    """
+    body = table.view(np.uint8).reshape(len(to), table.itemsize)
+    body = body[:, :-2] if check == 2 else body
+    called = (to.address == 0) & ~to.ten_bit
+    offsets = np.concatenate([[0], np.cumsum(body.shape[1] + check + called)])
+    data = np.empty(offsets[-1], dtype=np.uint8)
+    data[offsets[:-1][called]] = CALL_PREFIX
+    first = offsets[:-1] + called
+    data[first[:, None] + np.arange(body.shape[1])] = body
+    _seal(to.address, to.ten_bit, offsets, data, check)
+    return Frames(to, offsets, data)
 
 
 @njit(cache=True)

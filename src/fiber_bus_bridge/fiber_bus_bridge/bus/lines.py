@@ -1,0 +1,92 @@
+"""The lines of one simulated bus in time: messages in turn, lines that stick, slow clocks."""
+
+import numpy as np
+
+from fiber_bus_bridge.bus.backend import Ack
+from fiber_bus_bridge.bus.faults import Cure, Faults, Line
+
+__all__ = ["STRETCH_LIMIT_S", "BusLines"]
+
+STRETCH_LIMIT_S = 25e-3  # SMBus: who holds the clock for longer is timed out
+_RESET_S, _POWER_S = 1e-3, 50e-3
+
+
+class BusLines:
+    """One bus: until when it is busy, and what is wrong with its lines.
+
+    Args:
+        bus: its number.
+        faults: what will go wrong, on any bus.
+        rows: robots on this bus, shape (k,).
+        bit_s: one bit [s].
+    """
+
+    def __init__(self, bus: int, faults: Faults, rows, bit_s: float):
+        self.free_s = -np.inf
+        self._bit_s = bit_s
+        self._troubles = [trouble for trouble in faults.lines if trouble[1] == bus]
+        here = set(np.asarray(rows).tolist())
+        self._stretches = [stretch for stretch in faults.stretches if stretch[0] in here]
+
+    def take(self, lasts, not_before_s, listeners):
+        """Put messages on the bus in turn.
+
+        Args:
+            lasts: how long each takes when nothing is wrong [s], shape (k,).
+            not_before_s: earliest start of each [s], shape (k,).
+            listeners: function of i, the rows that listen to message i.
+
+        Returns:
+            Start and end [s], the Ack the lines allow, and whether targets hear it, (k,) each.
+        """
+        k = len(lasts)
+        ack, heard = np.full(k, Ack.OK, dtype=np.int64), np.ones(k, dtype=bool)
+        if not (self._troubles or self._stretches):
+            # end_i = lasts_i + max(not_before_i, end_{i-1}), unrolled
+            total = np.cumsum(lasts)
+            begin = np.maximum(not_before_s, self.free_s)
+            end = np.maximum.accumulate(begin - (total - lasts)) + total
+            self.free_s = end[-1]
+            return end - lasts, end, ack, heard
+        start, end = np.empty(k), np.empty(k)
+        for i in range(k):
+            start[i] = max(self.free_s, not_before_s[i])
+            if i and ack[i - 1] in (Ack.STUCK, Ack.TIMED_OUT, Ack.NOT_SENT):
+                ack[i], heard[i], end[i] = Ack.NOT_SENT, False, start[i]
+                continue
+            ack[i], heard[i], end[i] = self._one(start[i], lasts[i], listeners(i))
+            self.free_s = end[i]
+        return start, end, ack, heard
+
+    def _one(self, start, lasts, rows):
+        stretch = max(
+            (s[3] for s in self._stretches if s[0] in rows and s[1] <= start < s[2]), default=0.0
+        )
+        end = start + lasts + min(stretch, STRETCH_LIMIT_S)
+        trouble = self._trouble(start, end)
+        if trouble is None:
+            if stretch > STRETCH_LIMIT_S:
+                return Ack.TIMED_OUT, False, start + STRETCH_LIMIT_S
+            return Ack.OK, True, end
+        line, _, since, _, _ = trouble
+        # whoever had all but the last acknowledge has heard the message
+        heard = since >= end - self._bit_s
+        if line == Line.BABBLE:
+            return Ack.LOST, heard, max(start, since) + 9 * self._bit_s
+        if line == Line.SDA_LOW and since <= start:
+            return Ack.STUCK, False, start + STRETCH_LIMIT_S
+        return Ack.TIMED_OUT, heard, max(start, since) + STRETCH_LIMIT_S
+
+    def _trouble(self, start, end):
+        """The first trouble between two times, or None."""
+        found = [t for t in self._troubles if t[2] < end and t[3] > start]
+        return min(found, key=lambda t: t[2], default=None)
+
+    def recover(self, cure: Cure, t: float) -> tuple[float, bool]:
+        """Try to free the lines; see BusBackend.recover."""
+        start = max(t, self.free_s)
+        took = {Cure.CLOCKS: 11 * self._bit_s, Cure.RESET: _RESET_S, Cure.POWER: _POWER_S}
+        self.free_s = start + took[cure]
+        healed = [x for x in self._troubles if x[2] <= start and x[4] <= cure]
+        self._troubles = [x for x in self._troubles if x not in healed]
+        return self.free_s, self._trouble(self.free_s, np.nextafter(self.free_s, np.inf)) is None
