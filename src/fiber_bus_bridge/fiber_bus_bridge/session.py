@@ -11,24 +11,19 @@ from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.fold import fold_motion
 from fiber_bus_bridge.link import Link
 from fiber_bus_bridge.results import Plan, PlanResult, judge
+from fiber_bus_bridge.starter import Starter
 from fiber_bus_bridge.upload import Upload, Uploader
 from fiber_bus_bridge.wire import (
     Configuration,
     Opcode,
     RobotState,
-    encode_command,
     encode_config,
-    general_call,
 )
 from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["Session", "SessionConfig", "SessionState"]
-
-
-_AT_REST = (RobotState.UNCONFIGURED, RobotState.STOPPED, RobotState.FAULT)
-_RUNNING = (RobotState.MOVING, RobotState.DONE)
 
 
 class SessionState(Enum):
@@ -50,12 +45,17 @@ class SessionConfig:
         start_tolerance_rad: how far orders may begin from where encoders are [rad].
         watchdog_ms: how long an order may wait on a robot for its GO [ms].
         grace_s: how long after the last robot should have arrived the plan is ended [s].
+        silence_ms: how long a moving robot goes on without hearing from the bridge [ms].
+        watch_s: shortest time between two beats [s]; the longer, the later a robot that
+            stops by itself is noticed.
     """
 
     tolerance_mm: float = 0.1
     start_tolerance_rad: float = 1e-4
     watchdog_ms: int = 10_000
     grace_s: float = 1.0
+    silence_ms: int = 20
+    watch_s: float = 2.5e-3
 
 
 class Session:
@@ -107,7 +107,11 @@ class Session:
         self._velocities = np.zeros((plane.n, 2))
         self._read_s = np.full(plane.n, -np.inf)
         self._plan: Plan | None = None
-        self._uploader = Uploader(plane, units, safety, self.link, neighbour_pairs(plane))
+        silence_s = 1e-3 * self.config.silence_ms
+        self._starter = Starter(self.link, silence_s, self.config.watch_s, self._hear)
+        self._uploader = Uploader(
+            plane, units, safety, self.link, neighbour_pairs(plane), self._starter
+        )
         # inside the limits, so that what a robot accepts is inside them too
         self._limits = units.range_counts(plane)
         speed = np.floor(plane.speeds / units.velocity_rad_s).astype(np.int64)
@@ -141,10 +145,15 @@ class Session:
         """
         self._require("configure", SessionState.UNCONFIGURED, SessionState.IDLE)
         everybody = np.arange(self.plane.n)
+        self.link.revive(power=True, t=t)
         identity = self.link.identities(everybody, t)
         rows = np.flatnonzero(identity.ok & (identity.serial == self.plane.ids))
         config = Configuration(
-            self.units, self._limits[rows], self._speed[rows], self.config.watchdog_ms
+            self.units,
+            self._limits[rows],
+            self._speed[rows],
+            self.config.watchdog_ms,
+            self.config.silence_ms,
         )
         self.link.send(rows, encode_config(config, self.link.addresses[rows]), t)
         status = self._sweep(rows, t)
@@ -201,35 +210,32 @@ class Session:
         """
         self._require("start", SessionState.READY)
         plan = self._plan
+        self.link.revive()
         wanted = plan.moves & self.plane.enabled & ~plan.crowded & self.known
         self.upload = self._uploader.run(plan.motion, wanted, self._boot, self._lost, t, may_go)
         self._lost |= self.upload.started
         self.state = SessionState.MOVING
-        self._sweep(np.flatnonzero(self.upload.started), self.link.now_s, whole=False)
         return self._watch()
 
     def advance(self, t: float) -> float:
-        """Read the robots that move; end the plan when all have arrived or time is up.
+        """Watch the robots until time t; end the plan when all have arrived or time is up.
 
-        A robot that was started and reports neither motion nor arrival stops everybody.
-        In other states nothing is done.
+        A robot that stops by itself, or falls silent, stops everybody. In other states
+        nothing is done.
         """
         if self.state is not SessionState.MOVING:
             return self.link.now_s
-        rows = np.flatnonzero(self.upload.started & ~self._arrived)
-        self._sweep(rows, t)
-        self._arrived[rows] = self.robot_state[rows] == RobotState.DONE
+        watch = self.upload.watch
+        while watch.now_s < t and watch.freeze_s is None and watch.running.any():
+            watch.step()
         return self._watch()
 
     def stop(self, t: float) -> float:
         """Stop every robot, from any state: a general call, then one by one who has not."""
-        calls = encode_command(Opcode.STOP, general_call(self.link.buses))
-        self.link.call(calls, t)
+        self.link.revive()
         rows = np.flatnonzero(self.known) if self.known.any() else np.arange(self.plane.n)
-        self._sweep(rows, t)
-        deaf = rows[~np.isin(self.robot_state[rows], _AT_REST)]
-        self.link.command(Opcode.STOP, deaf, t)
-        self._sweep(deaf, t)
+        status = self._starter.stop(rows, t)
+        self.robot_state[rows] = status.state
         if self._plan:
             self._end()
         self.state = SessionState.STOPPED
@@ -244,6 +250,7 @@ class Session:
         self._require("clear", SessionState.IDLE, SessionState.READY, SessionState.STOPPED)
         if self._plan:
             self._end()
+        self.link.revive()
         rows = np.flatnonzero(self.known) if self.known.any() else np.arange(self.plane.n)
         self.link.command(Opcode.CLEAR, rows, t)
         self._sweep(rows, t)
@@ -270,41 +277,44 @@ class Session:
         if self.state not in states:
             raise SessionError(f"cannot {call} while {self.state.name}: {self.state.value}")
 
-    def _sweep(self, rows, t, whole=True):
+    def _sweep(self, rows, t):
         """Read robots; a silent one has state 0 and keeps its last position."""
-        status = self.link.statuses(rows, t, whole)
+        status = self.link.statuses(rows, t)
         self.robot_state[rows] = status.state
-        if whole:
-            good = rows[status.ok]
-            passed = (self.link.now_s - self._read_s[good])[:, None]
-            way = (status.position[status.ok] - self.counts[good]) * self.units.quantum_rad
-            self._velocities[good] = way / passed
-            self._read_s[good] = self.link.now_s
-            self.counts[good] = status.position[status.ok]
-            self.robot_fault[good] = status.fault[status.ok]
-            self.alerts[good] = status.alerts[status.ok]
-            self._lost[good] = status.state[status.ok] == RobotState.MOVING
+        self._hear(rows[status.ok], status.only(status.ok), self.link.now_s)
         return status
 
+    def _hear(self, rows, status, t):
+        """Take note of valid statuses read at time t."""
+        way = (status.position - self.counts[rows]) * self.units.quantum_rad
+        passed = np.maximum(t - self._read_s[rows], 1e-9)[:, None]
+        self._velocities[rows] = way / passed
+        self._read_s[rows] = t
+        self.counts[rows] = status.position
+        self.robot_state[rows] = status.state
+        self.robot_fault[rows] = status.fault
+        self.alerts[rows] = status.alerts
+        self._lost[rows] = status.state == RobotState.MOVING
+
     def _watch(self):
-        """End the plan when all have arrived or time is up, stop all when one did not start."""
-        now = self.link.now_s
+        """End the plan when all have arrived; stop all when time is up or one must be stopped."""
+        watch = self.upload.watch
+        if watch is None:
+            self._end()
+            return self.link.now_s
+        self._arrived = self.upload.started & watch.arrived
         running = self.upload.started & ~self._arrived
-        silent = running & (self.robot_state == 0)
-        stays = running & ~silent & ~np.isin(self.robot_state, _RUNNING)
         motion, safety = self.upload.motion.decoded(), self._uploader.safety
         late = safety.clock_ppm * 1e-6 * motion.makespan_s + safety.start_skew_s
-        if now > self.upload.go_s + motion.makespan_s + late + self.config.grace_s:
+        if watch.freeze_s is not None:
+            self._failed |= running & watch.wrong
+            return self.stop(watch.freeze_s)
+        if not running.any():
+            self._end()
+        elif watch.now_s > self.upload.go_s + motion.makespan_s + late + self.config.grace_s:
             self._failed |= running
-            if (running & ~silent).any():
-                return self.stop(now)
-            self._end()
-        elif stays.any():
-            self._failed |= stays
-            return self.stop(now)
-        elif not running.any():
-            self._end()
-        return now
+            return self.stop(watch.now_s)
+        return max(watch.now_s, self.link.now_s)
 
     def _end(self):
         """Judge the plan and forget it; silent robots of a plan cut short have failed."""

@@ -7,15 +7,9 @@ import numpy as np
 
 from fiber_bus_bridge.bus import Ack
 from fiber_bus_bridge.link import Link
-from fiber_bus_bridge.wire import (
-    Frames,
-    Opcode,
-    RobotState,
-    decode_load,
-    encode_go,
-    encode_load,
-    general_call,
-)
+from fiber_bus_bridge.starter import Starter
+from fiber_bus_bridge.watch import Watch
+from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_load, encode_load
 from fiber_core.clearance import Certificate, Safety, hold_until_safe
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
@@ -24,6 +18,7 @@ from fiber_core.wire_units import WireMotion, WireUnits
 __all__ = ["Upload", "Uploader"]
 
 _ROUNDS = 4  # fresh sequence numbers tried on a bus before nothing is started
+_TRIES = 2  # deliveries of an order under one sequence number
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +32,8 @@ class Upload:
         loaded: the LOAD frames of those that were started, in the order of their rows.
         motion: the motion decoded from these bytes, and certified.
         certificate: its certificate.
-        go_s: when the GO was complete on the last bus [s].
+        go_s: when the robots begin to move: the end of the countdown after GO [s].
+        watch: the watch over those that were started, None if nobody was.
     """
 
     started: np.ndarray
@@ -47,6 +43,7 @@ class Upload:
     motion: WireMotion
     certificate: Certificate
     go_s: float
+    watch: Watch | None = None
 
 
 class Uploader:
@@ -55,7 +52,9 @@ class Uploader:
     GO reaches a whole bus and starts whatever is loaded there under its sequence number.
     So a robot that may hold such an order though it must not move (it did not verify, or
     it is unsafe and could not be given an empty order instead) takes its bus to a fresh
-    sequence number: the others are loaded again, and the GO means nothing to it.
+    sequence number: the others are loaded again, and the GO means nothing to it. A robot
+    that does not count down after the GO stops everybody before anyone has moved, and the
+    others are loaded again without it.
 
     Args:
         plane: the focal plane.
@@ -63,16 +62,25 @@ class Uploader:
         safety: clearance asked of what is started.
         link: the wire.
         pairs: who can touch whom, rows as from neighbour_pairs, shape (p, 2).
+        starter: how those that are loaded are told to go.
     """
 
     def __init__(
-        self, plane: FocalPlane, units: WireUnits, safety: Safety, link: Link, pairs: np.ndarray
+        self,
+        plane: FocalPlane,
+        units: WireUnits,
+        safety: Safety,
+        link: Link,
+        pairs: np.ndarray,
+        starter: Starter,
     ):
         self.plane, self.units, self.safety, self.link, self.pairs = (
             plane, units, safety, link, pairs
         )  # fmt: skip
+        self._starter = starter
         self._bus = np.searchsorted(link.buses, link.addresses.bus)
         self._sequence = np.zeros(len(link.buses), dtype=np.int64)
+        self._look_s = 0.0  # what it takes to VERIFY all
 
     def run(
         self,
@@ -98,7 +106,7 @@ class Uploader:
         reason[blocked] = Reason.UNSAFE_AS_LOADED
         wanted = wanted & ~blocked
         motion = _only(motion, wanted)
-        verified = np.zeros_like(wanted)
+        verified, self._look_s = np.zeros_like(wanted), 0.0
         stale = np.ones(len(self.link.buses), dtype=bool)  # buses that need a fresh sequence
         for _ in range(_ROUNDS):
             verified &= ~stale[self._bus]
@@ -110,25 +118,35 @@ class Uploader:
             verified[todo] = delivered.verified
             reason[todo] = delivered.reason
             wanted &= reason == Reason.OK
-            # what was never acknowledged was never received
-            never = delivered.reason == Reason.NOT_ACKNOWLEDGED
-            stale = self._buses_of(todo[delivered.suspect & ~never])
+            # where nobody will be told to go, it does not matter what is loaded
+            stale = self._buses_of(todo[delivered.suspect]) & self._buses_of(wanted)
             if stale.any():
                 continue
             loaded = self._decode(motion, frames, verified)
             certificate, held = self._certify(loaded)
             held = held & verified
-            reason[held] = Reason.UNSAFE_AS_LOADED
-            wanted, verified = wanted & ~held, verified & ~held
-            stale = self._buses_of(self._disarm(np.flatnonzero(held), boot, t))
-            if not stale.any():
-                if not may_go():
-                    return self._nothing(motion, frames, wanted, verified, reason, Reason.STOPPED)
+            if held.any():
+                reason[held] = Reason.UNSAFE_AS_LOADED
+                wanted &= ~held
+                verified &= ~held
+                stale = self._buses_of(self._disarm(np.flatnonzero(held), boot, t))
+                stale &= self._buses_of(wanted)
+                if stale.any():
+                    continue
                 loaded = self._decode(motion, frames, verified)
-                go_s = self._go(verified, t)
-                sequence = self._sequence[self._bus]
-                sent = frames[np.flatnonzero(verified)]
-                return Upload(verified, reason, sequence, sent, loaded, certificate, go_s)
+            if not may_go():
+                return self._nothing(motion, frames, wanted, verified, reason, Reason.STOPPED)
+            rows = np.flatnonzero(verified)
+            begun = self._starter.go(rows, self._sequence, boot, self._look_s, t)
+            if begun.missing.any():
+                # nobody has moved: again, without those that did not count down
+                reason[begun.missing] = Reason.NOT_ACKNOWLEDGED
+                wanted &= ~begun.missing
+                stale[:] = True
+                continue
+            sequence = self._sequence[self._bus]
+            sent = frames[rows]
+            return Upload(verified, reason, sequence, sent, loaded, certificate, *begun[:2])
         return self._nothing(motion, frames, wanted, verified, reason, Reason.NOT_VERIFIED)
 
     def _nothing(self, motion, frames, wanted, verified, reason, why):
@@ -150,8 +168,9 @@ class Uploader:
         beside[pairs[lost[pairs[:, 0]], 1]] = True
         return beside
 
-    def _buses_of(self, rows):
-        return np.isin(np.arange(len(self.link.buses)), self._bus[rows])
+    def _buses_of(self, robots):
+        """Buses, a mask, of some robots, by rows or mask."""
+        return np.isin(np.arange(len(self.link.buses)), self._bus[robots])
 
     def _encode(self, motion):
         return encode_load(
@@ -166,17 +185,25 @@ class Uploader:
         return _only(whole, chosen)
 
     def _deliver(self, rows, frames, boot, t):
-        """LOAD and VERIFY."""
-        ack = self.link.send(rows, frames, t)
+        """LOAD and VERIFY, and both once more for those it failed with by chance."""
         verified, suspect = np.zeros(len(rows), dtype=bool), np.ones(len(rows), dtype=bool)
-        asked = np.flatnonzero(ack != Ack.NO_ADDRESS)
-        status = self.link.statuses(rows[asked], t, whole=False)
-        sent = decode_load(self.units, frames[asked])
-        loaded = (status.state == RobotState.LOADED) & (status.sequence == sent.sequence)
-        verified[asked] = (
-            status.ok & loaded & (status.order_crc == sent.crc) & (status.boot == boot[rows[asked]])
-        )
-        suspect[asked] = ~verified[asked] & (~status.ok | loaded)
+        ack = np.full(len(rows), Ack.NO_ADDRESS, dtype=np.int64)
+        todo = np.arange(len(rows))
+        for _ in range(_TRIES):
+            again = self.link.send(rows[todo], frames[todo], t)
+            ack[todo] = np.where(again == Ack.NO_ADDRESS, ack[todo], again)
+            begin_s = max(t, self.link.now_s)
+            status = self.link.statuses(rows[todo], t, whole=False)
+            self._look_s = max(self._look_s, self.link.now_s - begin_s)
+            sent = decode_load(self.units, frames[todo])
+            loaded = (status.state == RobotState.LOADED) & (status.sequence == sent.sequence)
+            same = (status.order_crc == sent.crc) & (status.boot == boot[rows[todo]])
+            verified[todo] = status.ok & loaded & same
+            suspect[todo] = ~verified[todo] & (~status.ok | loaded)
+            # another boot, a refusal it stands by, or an absence will not change
+            stands = status.ok & (status.boot != boot[rows[todo]]) | (again == Ack.REFUSED)
+            stands |= (again == Ack.NO_ADDRESS) & ~status.ok
+            todo = todo[~verified[todo] & ~stands]
         unverified = np.where(ack == Ack.REFUSED, Reason.REFUSED, Reason.NOT_VERIFIED)
         unverified[ack == Ack.NO_ADDRESS] = Reason.NOT_ACKNOWLEDGED
         return _Delivery(verified, suspect, np.where(verified, Reason.OK, unverified))
@@ -197,14 +224,6 @@ class Uploader:
             np.zeros(2 * len(rows) + 1), [], [],
         )  # fmt: skip
         return rows[self._deliver(rows, nothing, boot, t).suspect]
-
-    def _go(self, verified, t):
-        buses = np.flatnonzero(self._buses_of(np.flatnonzero(verified)))
-        if len(buses) == 0:
-            return max(t, self.link.now_s)
-        calls = general_call(self.link.buses[buses])
-        go = encode_go(calls, self._sequence[buses])
-        return float(self.link.call(go, t).end_s.max())
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ from fiber_bus_bridge import (
     addresses_of,
     bus_timing,
 )
-from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_command, decode_load
+from fiber_bus_bridge.firmware import Event
+from fiber_bus_bridge.wire import Fault, Frames, Opcode, RobotState, decode_command, decode_load
 from fiber_core import kinematics
 from fiber_core.clearance import Safety, certify, neighbour_pairs
 from fiber_core.outcomes import Outcome, Reason
@@ -137,7 +138,7 @@ def test_an_absent_robot_is_held_and_its_neighbours_are_certified_around_it(pres
     expected = [Reason.OK] * 2 if present else [Reason.NOT_ACKNOWLEDGED, Reason.UNSAFE_AS_LOADED]
     assert result.reason[[away, comer]].tolist() == expected
     assert np.any(rig.where() != rig.units.to_counts(start)) == present
-    assert rig.session.link.counters.table()[0]["retries"] == (0 if present else 2)
+    assert rig.session.link.counters.table()[0]["retries"] == (0 if present else 4)
 
 
 def test_the_certificate_sees_bytes_not_intentions(monkeypatch):
@@ -227,40 +228,88 @@ def test_a_reset_after_loading_is_noticed_before_go(monkeypatch):
     assert rig.run().reason[2] == Reason.NOT_VERIFIED
 
 
-def test_a_robot_that_does_not_start_stops_everybody(monkeypatch):
+def test_a_robot_that_misses_the_go_is_told_by_itself_and_starts_with_the_others(monkeypatch):
     rig = Rig()
     motion = rig.ready()
     call = rig.session.link.call
 
     def deaf_to_go(frames, t):
-        state = rig.robots.memory["state"][1]
-        rig.robots.memory["state"][1] = RobotState.IDLE
+        rig.robots.memory["call_deaf"][1] = True
         replies = call(frames, t)
-        rig.robots.memory["state"][1] = state
+        rig.robots.memory["call_deaf"][1] = False
         return replies
 
     monkeypatch.setattr(rig.session.link, "call", deaf_to_go)
     rig.call("start")
-    assert rig.session.state is SessionState.STOPPED
-    result = rig.session.result
+    monkeypatch.undo()
+    started = rig.robots.memory["started_s"]
+    assert np.ptp(started) < 20e-6 and started.min() > rig.session.link.now_s
+    assert set(rig.run().outcome) == {Outcome.REACHED}
+    assert np.array_equal(rig.where(), motion.end)
+
+
+def test_a_robot_that_cannot_be_started_calls_the_others_off_and_they_go_without_it(monkeypatch):
+    rig = Rig()
+    motion = rig.ready()
+    link = rig.session.link
+    transfer = link.transfer
+
+    def deaf_to_every_go(frames, *arguments, **options):
+        heads = [p[p[:1] == b"\xf1" :][:1] for p in map(frames.payload, range(len(frames)))]
+        rig.robots.memory["deaf"][1] = any(h and h[0] >> 4 == Opcode.GO for h in heads)
+        return transfer(frames, *arguments, **options)
+
+    monkeypatch.setattr(link, "transfer", deaf_to_every_go)
+    rig.call("start")
+    assert rig.session.upload.started.tolist() == [row != 1 for row in range(19)]
+    assert set(rig.session.upload.sequence) == {2}
+    assert np.array_equal(rig.where(), motion.start)
+    result = rig.run()
     ended_once(result, 19)
-    assert (result.outcome[1], result.reason[1]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
-    assert set(np.delete(result.reason, 1)) == {Reason.STOPPED}
-    at = rig.where()
-    assert np.array_equal(rig.robots.positions(rig.t + 9), at)
-    assert np.array_equal(at[1], motion.start[1]) and np.all(at[2:, 0] < motion.end[2:, 0])
+    assert (result.outcome[1], result.reason[1]) == (Outcome.HELD, Reason.NOT_ACKNOWLEDGED)
+    assert (result.outcome == Outcome.REACHED).sum() == 18
+
+
+@pytest.mark.parametrize("when_s", [0.0, 0.3])
+def test_a_robot_that_stops_by_itself_stops_everybody_at_once(when_s):
+    rig = Rig()
+    rig.ready()
+    rig.call("start")
+    at = rig.session.upload.go_s + when_s
+    rig.robots.schedule([(3, at, Event.JAM_THETA, 1)])
+    result = rig.run()
+    assert rig.session.state is SessionState.STOPPED
+    ended_once(result, 19)
+    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
+    assert set(np.delete(result.reason, 3)) == {Reason.STOPPED}
+    halted = rig.robots.memory["halted_s"]
+    assert halted[3] == pytest.approx(at, abs=20e-6)
+    assert np.all(halted - at < rig.session.config.watch_s + 1e-3)
+
+
+def test_robots_nobody_beats_for_stop_themselves():
+    rig = Rig()
+    rig.ready()
+    rig.call("start")
+    rig.t = rig.session.upload.go_s + 0.3
+    rig.session.advance(rig.t)
+    silence_s = 1e-3 * rig.session.config.silence_ms
+    assert set(rig.robots.states(rig.t + silence_s + 0.1)) == {RobotState.FAULT}
+    assert set(rig.robots.memory["fault"]) == {Fault.SILENCE}
+    assert np.ptp(rig.robots.memory["halted_s"]) < 100e-6
 
 
 def test_a_robot_that_falls_silent_fails_and_holds_its_neighbours_until_found_again():
     rig = Rig()
     rig.ready()
     rig.call("start")
-    rig.robots.power([0], False, rig.t + 0.3)
+    rig.robots.schedule([(0, rig.session.upload.go_s + 0.3, Event.POWER, 0)])
     result = rig.run()
     ended_once(result, 19)
     assert (result.outcome[0], result.reason[0]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
-    assert (result.outcome == Outcome.REACHED).sum() == 18
+    assert np.ptp(rig.robots.memory["halted_s"]) < 3 * rig.session.config.watch_s
 
+    rig.call("clear")
     rig.session.submit(rig.orders(-400, 0))
     rig.call("start")
     pairs = neighbour_pairs(rig.plane)
@@ -284,6 +333,7 @@ def test_stop_then_clear(moving):
     if moving:
         rig.call("start")
     rig.t += 0.4
+    rig.call("advance")
     rig.call("stop")
     at = rig.where()
     result = rig.session.result
@@ -531,9 +581,13 @@ def test_nobody_moves_when_no_sequence_number_is_safe(monkeypatch):
     rig = Rig(7)
     motion = rig.ready()
     uploader = rig.session._uploader
+    certify_loaded, rounds = uploader._certify, iter(np.eye(7, dtype=bool))
+    monkeypatch.setattr(
+        uploader, "_certify", lambda loaded: (certify_loaded(loaded)[0], next(rounds))
+    )
     monkeypatch.setattr(uploader, "_disarm", lambda rows, boot, t: np.array([2]))
     rig.call("start")
     ended_once(rig.session.result, 7)
-    assert set(rig.session.result.reason) == {Reason.NOT_VERIFIED}
-    assert set(rig.robots.states(rig.t)) == {RobotState.IDLE}
+    told = rig.session.result.reason.tolist()
+    assert told == [Reason.UNSAFE_AS_LOADED] * 4 + [Reason.NOT_VERIFIED] * 3
     assert np.array_equal(rig.robots.positions(rig.t + 9), motion.start)

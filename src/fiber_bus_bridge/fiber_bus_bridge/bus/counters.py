@@ -6,6 +6,12 @@ from fiber_bus_bridge.bus.backend import Ack, Exchange
 
 __all__ = ["BusCounters"]
 
+_COUNTS = (
+    "frames", "bytes", "no_address", "refused", "line_errors", "retries", "bad_replies",
+    "recoveries",
+)  # fmt: skip
+_HEARD = (Ack.OK, Ack.REFUSED)
+
 
 class BusCounters:
     """Running totals, one entry per bus, in the order of `buses`.
@@ -17,9 +23,8 @@ class BusCounters:
     def __init__(self, buses):
         self.buses = np.unique(buses)
         b = len(self.buses)
-        self.frames, self.bytes, self.no_address, self.refused, self.retries, self.bad_replies = (
-            np.zeros((6, b), dtype=np.int64)
-        )
+        for name in _COUNTS:
+            setattr(self, name, np.zeros(b, dtype=np.int64))
         self.busy_s = np.zeros(b)
 
     def add(self, exchange: Exchange) -> None:
@@ -27,10 +32,11 @@ class BusCounters:
         frames, replies = exchange.frames, exchange.replies
         at = self._rows(frames.to.bus)
         self.frames += self._count(at)
-        np.add.at(self.bytes, at, np.where(replies.ack == Ack.NO_ADDRESS, 0, frames.lengths))
+        np.add.at(self.bytes, at, np.where(np.isin(replies.ack, _HEARD), frames.lengths, 0))
         np.add.at(self.bytes, at, np.where(replies.ack == Ack.OK, np.diff(replies.offsets), 0))
         self.no_address += self._count(at[replies.ack == Ack.NO_ADDRESS])
         self.refused += self._count(at[replies.ack == Ack.REFUSED])
+        self.line_errors += self._count(at[replies.ack >= Ack.LOST])
         np.add.at(self.busy_s, at, replies.end_s - replies.start_s)
 
     def add_retries(self, buses) -> None:
@@ -41,10 +47,13 @@ class BusCounters:
         """Count replies whose checksum was wrong on these buses, shape (f,)."""
         self.bad_replies += self._count(self._rows(buses))
 
+    def add_recovery(self, at: int) -> None:
+        """Count an attempt to free the lines of the bus at this place."""
+        self.recoveries[at] += 1
+
     def table(self) -> dict[int, dict[str, float]]:
         """Return the totals of each bus by name."""
-        names = ("frames", "bytes", "no_address", "refused", "retries", "bad_replies", "busy_s")
-        columns = {name: getattr(self, name).tolist() for name in names}
+        columns = {name: getattr(self, name).tolist() for name in (*_COUNTS, "busy_s")}
         return {
             int(bus): {name: column[i] for name, column in columns.items()}
             for i, bus in enumerate(self.buses)

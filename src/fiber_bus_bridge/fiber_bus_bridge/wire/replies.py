@@ -5,7 +5,7 @@ error code, say all that VERIFY needs, so a controller that only verifies stops
 reading there; the rest holds fault, alerts and encoders and is closed by a CRC-16.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numba import njit
@@ -84,6 +84,10 @@ class Statuses:
     fault: np.ndarray
     alerts: np.ndarray
     position: np.ndarray
+
+    def only(self, rows) -> "Statuses":
+        """Return the rows chosen by an index or mask array."""
+        return Statuses(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)

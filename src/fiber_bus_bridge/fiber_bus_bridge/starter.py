@@ -1,0 +1,142 @@
+"""GO, and nobody moves before everybody is known to have heard it; STOP, until all have stopped."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from fiber_bus_bridge.link import Link
+from fiber_bus_bridge.watch import Watch
+from fiber_bus_bridge.wire import (
+    COUNTDOWN_S,
+    VERIFY_BYTES,
+    Opcode,
+    RobotState,
+    Statuses,
+    encode_command,
+    encode_go,
+    general_call,
+)
+
+__all__ = ["AT_REST", "Start", "Starter"]
+
+AT_REST = (RobotState.UNCONFIGURED, RobotState.STOPPED, RobotState.FAULT)
+_LONGEST_S = 0.65  # what the field of the countdown carries
+_SLACK_S = 10e-3  # for robots that have to be asked or told once more
+_STOPS = 3  # times STOP is tried on who does not stop
+
+
+class Start(NamedTuple):
+    """What came of a GO.
+
+    Args:
+        start_s: when the robots begin to move [s].
+        watch: the watch over them; None when nobody moves.
+        missing: who did not count down, for which all others were called off, shape (n,).
+    """
+
+    start_s: float
+    watch: Watch | None
+    missing: np.ndarray
+
+
+class Starter:
+    """Starts robots together and stops them.
+
+    GO is never repeated blindly: only to a robot whose status says that it is loaded and
+    has not started, and then with what is left of the countdown, so that it begins with all
+    others. If anybody cannot be brought to count down in time, all are stopped before one has
+    moved. Who cannot even be told that hears no BEAT any more, and does not start either.
+
+    Args:
+        link: the wire.
+        silence_s: after how long without a BEAT robots stop themselves [s].
+        period_s: shortest time between two looks at the robots [s].
+        listen: told of every status, as by Watch.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        silence_s: float,
+        period_s: float,
+        listen: Callable[[np.ndarray, Statuses, float], None],
+    ):
+        self.link, self.silence_s, self.period_s, self.listen = link, silence_s, period_s, listen
+        self._bus = link.at(link.addresses.bus)
+
+    def go(self, rows, sequence, boot, look_s: float, t: float) -> Start:
+        """Start robots that are loaded and verified.
+
+        Args:
+            rows: the robots, shape (r,).
+            sequence: sequence number of each bus, shape (b,).
+            boot: boot counters of all robots, shape (n,).
+            look_s: how long it takes to look at all of them once [s].
+            t: not before this time [s].
+        """
+        t = max(t, self.link.now_s)
+        nobody = np.zeros(len(boot), dtype=bool)
+        if len(rows) == 0:
+            return Start(t, None, nobody)
+        buses = np.unique(self._bus[rows])
+        countdown_s = min(1.2 * look_s + _SLACK_S + self.silence_s, _LONGEST_S)
+        units = round(countdown_s / COUNTDOWN_S)
+        calls = encode_go(general_call(self.link.buses[buses]), sequence[buses], units)
+        replies = self.link.call(calls, t)
+        took_s = float((replies.end_s - replies.start_s).min())
+        go_s = float(replies.start_s.min() + took_s)
+        start_s = go_s + units * COUNTDOWN_S
+        watch = Watch(
+            self.link, rows, boot, sequence, go_s, self.silence_s, self.period_s, self.listen
+        )
+        # without a BEAT from then on nobody starts
+        until_s = start_s - self.silence_s - self.period_s
+        while not watch.seen[rows].all():
+            watch.step(VERIFY_BYTES)
+            if watch.freeze_s is not None or watch.now_s >= until_s:
+                return Start(start_s, None, self._call_off(rows, watch))
+            self._again(watch, sequence, took_s, start_s)
+        watch.counting = False
+        return Start(start_s, watch, nobody)
+
+    def _again(self, watch, sequence, took_s, start_s):
+        """GO to each robot that said it is loaded and has not heard it, for the same instant."""
+        rows = np.flatnonzero(watch.deaf)
+        if len(rows) == 0:
+            return
+        bus = self._bus[rows]
+        slot = np.arange(len(rows)) - np.searchsorted(bus, bus[np.argsort(bus, kind="stable")])
+        begin_s = np.maximum(watch.now_s, self.link.free_s[bus]) + 1.5 * took_s * slot
+        left = np.rint((start_s - begin_s - took_s) / COUNTDOWN_S)
+        frames = encode_go(self.link.addresses[rows], sequence[bus], np.maximum(left, 1))
+        self.link.transfer(frames, 0, begin_s)
+        watch.deaf[:] = False
+
+    def _call_off(self, rows, watch):
+        """Stop and clear everybody before anyone moves; return who did not count down, (n,)."""
+        status = self.stop(rows, watch.now_s)
+        stopped = status.ok & (status.state == RobotState.STOPPED)
+        self.link.command(Opcode.CLEAR, rows[stopped], watch.now_s)
+        missing = np.zeros(len(watch.seen), dtype=bool)
+        missing[rows] = ~stopped | ~watch.seen[rows]
+        if (missing[rows] & stopped).all():
+            # it was not they who failed: those whose bus got no BEAT, or else everybody
+            silent = self._bus[rows]
+            late = watch.beat_s[silent] < watch.beat_s[silent].max() - self.period_s
+            missing[rows] = ~stopped | (late if late.any() else True)
+        return missing
+
+    def stop(self, rows, t: float) -> Statuses:
+        """Stop robots by general call, then one by one who has not; return their statuses."""
+        calls = encode_command(Opcode.STOP, general_call(self.link.buses))
+        self.link.call(calls, t)
+        status = self.link.statuses(rows, t)
+        for _ in range(_STOPS):
+            going = rows[~(status.ok & np.isin(status.state, AT_REST))]
+            if len(going) == 0:
+                break
+            self.link.command(Opcode.STOP, going, t)
+            status = self.link.statuses(rows, t)
+        self.listen(rows[status.ok], status.only(status.ok), self.link.now_s)
+        return status
