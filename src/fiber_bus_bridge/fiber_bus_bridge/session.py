@@ -311,7 +311,7 @@ class Session:
             return self.stop(watch.freeze_s)
         if not running.any():
             self._end()
-        elif watch.now_s > self.upload.go_s + motion.makespan_s + late + self.config.grace_s:
+        elif watch.now_s > self.upload.start_s + motion.makespan_s + late + self.config.grace_s:
             self._failed |= running
             return self.stop(watch.now_s)
         return max(watch.now_s, self.link.now_s)

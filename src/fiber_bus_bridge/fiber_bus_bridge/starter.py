@@ -14,7 +14,6 @@ from fiber_bus_bridge.wire import (
     RobotState,
     Statuses,
     encode_command,
-    encode_go,
     general_call,
 )
 
@@ -30,11 +29,13 @@ class Start(NamedTuple):
     """What came of a GO.
 
     Args:
+        go_s: when the GO was complete [s].
         start_s: when the robots begin to move [s].
         watch: the watch over them; None when nobody moves.
         missing: who did not count down, for which all others were called off, shape (n,).
     """
 
+    go_s: float
     start_s: float
     watch: Watch | None
     missing: np.ndarray
@@ -78,11 +79,13 @@ class Starter:
         t = max(t, self.link.now_s)
         nobody = np.zeros(len(boot), dtype=bool)
         if len(rows) == 0:
-            return Start(t, None, nobody)
+            return Start(t, t, None, nobody)
         buses = np.unique(self._bus[rows])
         countdown_s = min(1.2 * look_s + _SLACK_S + self.silence_s, _LONGEST_S)
         units = round(countdown_s / COUNTDOWN_S)
-        calls = encode_go(general_call(self.link.buses[buses]), sequence[buses], units)
+        calls = encode_command(
+            Opcode.GO, general_call(self.link.buses[buses]), sequence[buses], units
+        )
         replies = self.link.call(calls, t)
         took_s = float((replies.end_s - replies.start_s).min())
         go_s = float(replies.start_s.min() + took_s)
@@ -95,10 +98,10 @@ class Starter:
         while not watch.seen[rows].all():
             watch.step(VERIFY_BYTES)
             if watch.freeze_s is not None or watch.now_s >= until_s:
-                return Start(start_s, None, self._call_off(rows, watch))
+                return Start(go_s, start_s, None, self._call_off(rows, watch))
             self._again(watch, sequence, took_s, start_s)
         watch.counting = False
-        return Start(start_s, watch, nobody)
+        return Start(go_s, start_s, watch, nobody)
 
     def _again(self, watch, sequence, took_s, start_s):
         """GO to each robot that said it is loaded and has not heard it, for the same instant."""
@@ -109,7 +112,9 @@ class Starter:
         slot = np.arange(len(rows)) - np.searchsorted(bus, bus[np.argsort(bus, kind="stable")])
         begin_s = np.maximum(watch.now_s, self.link.free_s[bus]) + 1.5 * took_s * slot
         left = np.rint((start_s - begin_s - took_s) / COUNTDOWN_S)
-        frames = encode_go(self.link.addresses[rows], sequence[bus], np.maximum(left, 1))
+        frames = encode_command(
+            Opcode.GO, self.link.addresses[rows], sequence[bus], np.maximum(left, 1)
+        )
         self.link.transfer(frames, 0, begin_s)
         watch.deaf[:] = False
 

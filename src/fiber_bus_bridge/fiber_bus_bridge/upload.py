@@ -32,7 +32,8 @@ class Upload:
         loaded: the LOAD frames of those that were started, in the order of their rows.
         motion: the motion decoded from these bytes, and certified.
         certificate: its certificate.
-        go_s: when the robots begin to move: the end of the countdown after GO [s].
+        go_s: when the GO was complete [s].
+        start_s: when the robots begin to move, at the end of the countdown [s].
         watch: the watch over those that were started, None if nobody was.
     """
 
@@ -43,6 +44,7 @@ class Upload:
     motion: WireMotion
     certificate: Certificate
     go_s: float
+    start_s: float
     watch: Watch | None = None
 
 
@@ -146,7 +148,7 @@ class Uploader:
                 continue
             sequence = self._sequence[self._bus]
             sent = frames[rows]
-            return Upload(verified, reason, sequence, sent, loaded, certificate, *begun[:2])
+            return Upload(verified, reason, sequence, sent, loaded, certificate, *begun[:3])
         return self._nothing(motion, frames, wanted, verified, reason, Reason.NOT_VERIFIED)
 
     def _nothing(self, motion, frames, wanted, verified, reason, why):
@@ -158,7 +160,8 @@ class Uploader:
         certificate, _ = self._certify(loaded)
         sequence = self._sequence[self._bus]
         sent = frames[np.flatnonzero(nobody)]
-        return Upload(nobody, reason, sequence, sent, loaded, certificate, self.link.now_s)
+        now_s = self.link.now_s
+        return Upload(nobody, reason, sequence, sent, loaded, certificate, now_s, now_s)
 
     def _beside(self, lost):
         """Robots in a pair with a lost one, shape (n,)."""

@@ -19,7 +19,6 @@ from fiber_bus_bridge.wire import (
     decode_status,
     encode_command,
     encode_config,
-    encode_go,
     encode_load,
     general_call,
 )
@@ -59,7 +58,7 @@ class Bench:
         return self.send(encode_load(UNITS, self.to[:1], sequence, offsets, *segments.T))
 
     def go(self, sequence=1):
-        return self.send(encode_go(general_call([0]), sequence))
+        return self.send(encode_command(Opcode.GO, general_call([0]), sequence))
 
     def command(self, opcode):
         return self.send(encode_command(opcode, self.to))

@@ -105,7 +105,7 @@ def test_the_encoders_are_seen_on_the_way():
     rig = Rig()
     motion = rig.ready(phi=-30)
     rig.call("start")
-    rig.t = rig.session.upload.go_s + 0.5
+    rig.t = rig.session.upload.start_s + 0.5
     rig.session.advance(rig.t)
     halfway = rig.units.to_angles(rig.session.counts)
     spread = 0.02 * rig.plane.speeds  # the sweep takes a few ms
@@ -275,7 +275,7 @@ def test_a_robot_that_stops_by_itself_stops_everybody_at_once(when_s):
     rig = Rig()
     rig.ready()
     rig.call("start")
-    at = rig.session.upload.go_s + when_s
+    at = rig.session.upload.start_s + when_s
     rig.robots.schedule([(3, at, Event.JAM_THETA, 1)])
     result = rig.run()
     assert rig.session.state is SessionState.STOPPED
@@ -291,7 +291,7 @@ def test_robots_nobody_beats_for_stop_themselves():
     rig = Rig()
     rig.ready()
     rig.call("start")
-    rig.t = rig.session.upload.go_s + 0.3
+    rig.t = rig.session.upload.start_s + 0.3
     rig.session.advance(rig.t)
     silence_s = 1e-3 * rig.session.config.silence_ms
     assert set(rig.robots.states(rig.t + silence_s + 0.1)) == {RobotState.FAULT}
@@ -303,7 +303,7 @@ def test_a_robot_that_falls_silent_fails_and_holds_its_neighbours_until_found_ag
     rig = Rig()
     rig.ready()
     rig.call("start")
-    rig.robots.schedule([(0, rig.session.upload.go_s + 0.3, Event.POWER, 0)])
+    rig.robots.schedule([(0, rig.session.upload.start_s + 0.3, Event.POWER, 0)])
     result = rig.run()
     ended_once(result, 19)
     assert (result.outcome[0], result.reason[0]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)

@@ -24,7 +24,6 @@ from fiber_bus_bridge.wire import (
     encode_address,
     encode_command,
     encode_config,
-    encode_go,
     encode_identity,
     encode_load,
     encode_status,
@@ -92,7 +91,7 @@ def test_golden_writes():
     written = {
         "LOAD": encode_load(UNITS, ROBOT, 5, *ORDER),
         "LOAD, empty, to 0x20": encode_load(UNITS, alone, 5, [0, 0, 0], [], []),
-        "GO, general call": encode_go(general_call([3]), 5, 6000),
+        "GO, general call": encode_command(Opcode.GO, general_call([3]), 5, 6000),
         "STOP, general call": encode_command(Opcode.STOP, general_call([3])),
         "STOP": encode_command(Opcode.STOP, ROBOT),
         "CLEAR": encode_command(Opcode.CLEAR, ROBOT),
@@ -270,12 +269,14 @@ def test_values_that_do_not_fit_are_refused(arguments, words):
 
 
 def test_what_is_no_short_command_is_not_written_as_one():
-    for opcode in (Opcode.GO, Opcode.LOAD, Opcode.CONFIG, Opcode.ADDRESS):
+    for opcode in (Opcode.LOAD, Opcode.CONFIG, Opcode.ADDRESS):
         with pytest.raises(WireError):
             encode_command(opcode, ROBOT)
+    with pytest.raises(WireError):
+        encode_command(Opcode.STOP, ROBOT, 1)
     for sequence, countdown in ((16, 0), (-1, 0), (5, 65_536)):
         with pytest.raises(WireError):
-            encode_go(ROBOT, sequence, countdown)
+            encode_command(Opcode.GO, ROBOT, sequence, countdown)
 
 
 def test_only_go_and_config_carry_low_bits():

@@ -78,7 +78,8 @@ def draw_faults(kinds, bus, address, until_s: float, rng: np.random.Generator) -
     """
     lines, noise, stretches, events = [], [], [], []
     for kind in kinds:
-        at, lasts = rng.uniform(0.0, until_s), 10 ** rng.uniform(-4, 1)
+        # early ones are more frequent: they meet configuration, LOAD, VERIFY and GO
+        at, lasts = until_s * rng.random() ** 3, 10 ** rng.uniform(-4, 1)
         row = int(rng.integers(len(bus)))
         until = at + lasts if rng.random() < 0.7 else FOREVER
         if kind in _LINES:

@@ -194,7 +194,7 @@ class BridgeNode(Node):
         if self._session.state is SessionState.MOVING:
             motion = self._session.upload
             lasts = max(motion.motion.decoded().makespan_s, _TICK_S)
-            gone = np.clip((self._time_s - motion.go_s) / lasts, 0.0, 1.0)
+            gone = np.clip((self._time_s - motion.start_s) / lasts, 0.0, 1.0)
             self._report.progress(self._stamp, gone, "robots are moving")
             return
         self._timer.cancel()

@@ -23,7 +23,6 @@ from fiber_bus_bridge.wire.commands import (
     encode_address,
     encode_command,
     encode_config,
-    encode_go,
 )
 from fiber_bus_bridge.wire.frames import Addresses, Frames, general_call
 from fiber_bus_bridge.wire.orders import Orders, decode_load, encode_load
@@ -75,7 +74,6 @@ __all__ = [
     "encode_address",
     "encode_command",
     "encode_config",
-    "encode_go",
     "encode_identity",
     "encode_load",
     "encode_status",

@@ -24,7 +24,6 @@ __all__ = [
     "encode_address",
     "encode_command",
     "encode_config",
-    "encode_go",
 ]
 
 _GO, _CONFIG, _ADDRESS = int(Opcode.GO), int(Opcode.CONFIG), int(Opcode.ADDRESS)
@@ -83,36 +82,31 @@ class Configuration:
     silence_ms: int = 0
 
 
-def encode_command(opcode: Opcode, to: Addresses) -> Frames:
-    """Write the same short command to each target: STOP, CLEAR, RESET, IDENTIFY or BEAT.
+def encode_command(opcode: Opcode, to: Addresses, sequence=0, countdown=0) -> Frames:
+    """Write the same command to each target: GO, STOP, CLEAR, RESET, IDENTIFY or BEAT.
 
-    To address 0, the general call, the frame begins with CALL_PREFIX; a packet error
-    code ends it.
-
-    Raises:
-        WireError: not a short command.
-    """
-    if opcode not in _SHORT:
-        raise WireError(f"{opcode!r} is not a short command")
-    table = np.full(len(to), int(opcode) << 4, dtype=np.uint8)
-    return _sealed(to, table, check=1)
-
-
-def encode_go(to: Addresses, sequence, countdown=0) -> Frames:
-    """Write GO to robots or general calls, f rows.
+    GO makes robots move and ends with a CRC-16, the others with a packet error code.
+    To address 0, the general call, the frame begins with CALL_PREFIX.
 
     Args:
-        to: whom to start.
-        sequence: order to start [0..15], one number or shape (f,).
-        countdown: how long after it the motion begins [units of COUNTDOWN_S], likewise.
+        opcode: the command.
+        to: the robots or general calls addressed, f rows.
+        sequence: order to start [0..15], one number or shape (f,); GO only.
+        countdown: how long after a GO the motion begins [units of COUNTDOWN_S], likewise.
 
     Raises:
-        WireError: a number does not fit its field; names field and value.
+        WireError: not such a command, or a number it cannot carry.
     """
-    table = np.zeros(len(to), dtype=GO_FIELDS)
-    sequence = np.asarray(sequence, dtype=np.int64)
+    if opcode != Opcode.GO and opcode not in _SHORT:
+        raise WireError(f"{opcode!r} is not a short command")
+    sequence, countdown = (np.asarray(x, dtype=np.int64) for x in (sequence, countdown))
+    if opcode != Opcode.GO:
+        if sequence.any() or countdown.any():
+            raise WireError(f"{Opcode(opcode).name} cannot carry sequence or countdown")
+        return _sealed(to, np.full(len(to), int(opcode) << 4, dtype=np.uint8), check=1)
     if np.any((sequence < 0) | (sequence > 15)):
         raise WireError(f"GO cannot carry sequence {sequence.tolist()}")
+    table = np.zeros(len(to), dtype=GO_FIELDS)
     _fill(table, {"opcode_sequence": (_GO << 4) | sequence, "countdown": countdown})
     return _sealed(to, table)
 

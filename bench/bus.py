@@ -1,0 +1,190 @@
+#!/usr/bin/env python3
+"""Measure the bus: one plan of a whole plane, loaded, verified and started, on bad buses too.
+
+Bus time is simulated by the standard's formulas, from the first LOAD to the end of GO; the
+lower bound is that of the bytes of LOAD, VERIFY and GO alone. The plan comes from the default
+planner and discretizer. Results are a table in markdown.
+"""
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fiber_bus_bridge import (
+    TOPOLOGIES,
+    Positioners,
+    Session,
+    SessionState,
+    SimulatedBuses,
+    addresses_of,
+    bus_timing,
+)
+from fiber_bus_bridge.bus import Cure, Faults, Line
+from fiber_bus_bridge.wire import VERIFY_BYTES, decode_load, encode_load
+from fiber_core.clearance import Safety
+from fiber_core.fields import random_problem
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.presets import preset
+from fiber_core.problem import Problem
+from fiber_core.targets import assign
+from fiber_core.wire_units import WireUnits
+from fiber_discretizer import discretize
+from fiber_planner import DEFAULT_PLANNER, make_planner
+
+__all__ = ["main"]
+
+_STUCK = ((Line.SDA_LOW, 3, 0.5, np.inf, Cure.NOTHING),)
+CASES = {
+    "fault-free": Faults(),
+    "one bit in 1e5": Faults(noise=tuple((bus, 0.0, np.inf, 1e-5) for bus in range(200))),
+    "one bit in 1e4": Faults(noise=tuple((bus, 0.0, np.inf, 1e-4) for bus in range(200))),
+    "bus 3 stuck": Faults(lines=_STUCK),
+}
+
+
+@dataclass(frozen=True)
+class _Plan:
+    plane: object
+    units: WireUnits
+    counts: np.ndarray
+    wire: object
+    targets: np.ndarray
+
+
+def plan_of(robots: int, seed: int, topology: str) -> _Plan:
+    """Return orders of the default planner for a random field."""
+    bus, address = TOPOLOGIES[topology].hang(robots)
+    plane = replace(preset("desi", robots), bus=bus, address=address)
+    problem = random_problem(plane, np.random.default_rng(seed))
+    units = WireUnits.for_plane(plane)
+    counts = units.encoder_counts(plane, problem.start)
+    start, asked = units.to_angles(counts), problem.asked
+    given = assign(plane, start, plane.ids[asked], problem.targets[asked])
+    planned = make_planner(DEFAULT_PLANNER).plan(Problem(plane, start, given.targets))
+    done = discretize(plane, planned.motion, units, Safety(), counts)
+    return _Plan(plane, units, counts, done.wire, problem.targets)
+
+
+def carry_out(plan: _Plan, faults: Faults, clock: str, seed: int) -> dict:
+    """Configure, then load, verify and go one second later; returns the figures."""
+    plane, to = plan.plane, addresses_of(plan.plane)
+    robots = Positioners(to, plane.ids, plan.units.quantum_prad, plan.counts)
+    buses = SimulatedBuses(robots, bus_timing(clock), faults, np.random.default_rng(seed))
+    session = Session(plane, plan.units, Safety(), buses, plan.units.to_angles(plan.counts))
+    begin_s = max(1.0, session.configure(0.0))
+    session.submit(plan.wire, plan.targets)
+    cpu = time.process_time()
+    t = session.start(begin_s)
+    cpu = time.process_time() - cpu
+    upload = session.upload
+    wrong = _wrong(robots, upload, plan)
+    watch_cpu = time.process_time()
+    while session.state is SessionState.MOVING:
+        t = session.advance(t + 0.1)
+    watch_cpu = time.process_time() - watch_cpu
+    result, ids = session.take_result(), np.unique(to.bus)
+    free = session.link.given_up
+    busy = np.bincount(
+        np.searchsorted(ids, to.bus[upload.started]),
+        buses.timing.message_s(upload.loaded.lengths, 0, to.ten_bit[upload.started])
+        + buses.timing.message_s(0, VERIFY_BYTES, to.ten_bit[upload.started]),
+    )
+    bound = busy.max() + buses.timing.message_s(6, 0, False)
+    return {
+        "started": int(upload.started.sum()),
+        "reached": int((result.outcome == Outcome.REACHED).sum()),
+        "not answered": int((result.reason == Reason.NOT_ACKNOWLEDGED).sum()),
+        "unsafe then": int((result.reason == Reason.UNSAFE_AS_LOADED).sum()),
+        "wrong orders": wrong,
+        "buses given up": int(free.sum()),
+        "bytes": float(upload.loaded.lengths.mean()),
+        "bound ms": 1e3 * float(bound),
+        "to GO ms": 1e3 * (upload.go_s - begin_s),
+        "to motion ms": 1e3 * (upload.start_s - begin_s),
+        "bridge cpu s": cpu,
+        "watch cpu s": watch_cpu,
+        "ended": session.state.name,
+    }
+
+
+def _wrong(robots, upload, plan):
+    """Orders running that are not, byte for byte, what was meant for that robot."""
+    memory, rows = robots.memory, np.flatnonzero(upload.started)
+    moves = (memory["started_s"] > 0) & memory["counts"].any(axis=1)
+    wrong = int((moves & ~upload.started).sum())
+    for k, row in enumerate(rows):
+        payload = upload.loaded.payload(k)
+        wrong += memory["order"][row, : len(payload)].tobytes() != payload
+    orders = decode_load(plan.units, upload.loaded)
+    meant = plan.wire
+    for k, row in enumerate(rows):
+        part = slice(meant.offsets[2 * row], meant.offsets[2 * row + 2])
+        sent = slice(orders.offsets[2 * k], orders.offsets[2 * k + 2])
+        wrong += not np.array_equal(orders.ticks[sent], meant.ticks[part])
+        wrong += not np.array_equal(orders.velocity[sent], meant.velocity[part])
+    return int(wrong)
+
+
+def codec_ms(plan: _Plan) -> dict:
+    """Median processor time to encode and to decode every order [ms]."""
+    to, wire, units = addresses_of(plan.plane), plan.wire, plan.units
+    frames = encode_load(units, to, 1, wire.offsets, wire.ticks, wire.velocity)
+
+    def median(work):
+        work()
+        times = []
+        for _ in range(51):
+            begin = time.process_time()
+            work()
+            times.append(time.process_time() - begin)
+        return 1e3 * float(np.median(times))
+
+    return {
+        "encode ms": median(
+            lambda: encode_load(units, to, 1, wire.offsets, wire.ticks, wire.velocity)
+        ),
+        "decode ms": median(lambda: decode_load(units, frames)),
+    }
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--robots", type=int, default=5000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--topology", choices=sorted(TOPOLOGIES), default="10x500")
+    parser.add_argument("--clock", default="1M")
+    parser.add_argument("--case", choices=CASES, nargs="+", default=list(CASES))
+    parser.add_argument("--out", type=Path, help="file for the table, in markdown")
+    args = parser.parse_args(argv)
+    carry_out(plan_of(40, 0, args.topology), Faults(), args.clock, 0)  # compile
+    plan = plan_of(args.robots, args.seed, args.topology)
+    codec = codec_ms(plan)
+    lines = [
+        f"{args.robots} robots, {args.topology}, {args.clock}, seed {args.seed}; "
+        + ", ".join(f"{name} {value:.2f}" for name, value in codec.items()),
+        "",
+    ]
+    for case in args.case:
+        figures = carry_out(plan, CASES[case], args.clock, args.seed)
+        if len(lines) == 2:
+            lines += ["| case | " + " | ".join(figures) + " |", "|---" * (len(figures) + 1) + "|"]
+        cells = (f"{v:.2f}" if isinstance(v, float) else str(v) for v in figures.values())
+        lines.append(f"| {case} | " + " | ".join(cells) + " |")
+        print(lines[-1], flush=True)
+    text = "\n".join(lines) + "\n"
+    print(text)
+    if args.out:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        args.out.write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

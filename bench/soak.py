@@ -1,0 +1,302 @@
+#!/usr/bin/env python3
+"""Run campaigns of seeded faults on a small plane and judge each by how robots really moved.
+
+A campaign configures a plane, carries out one planned reconfiguration and one HOME while
+things go wrong, and ends. The judge believes nothing that robots report: it watches their true
+motion in continuous time, and compares what they ran with what was verified. A campaign is its
+kind and its seed; `--replay KIND:SEED` runs it again and tells what happened.
+"""
+
+import argparse
+import json
+import multiprocessing
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from fiber_bus_bridge import (
+    Positioners,
+    Session,
+    SessionConfig,
+    SessionState,
+    SimulatedBuses,
+    addresses_of,
+)
+from fiber_bus_bridge.bus import FaultKind, draw_faults
+from fiber_bus_bridge.firmware import MotionRecord
+from fiber_core.clearance import Safety, certify, neighbour_pairs
+from fiber_core.fields import random_problem
+from fiber_core.outcomes import Outcome
+from fiber_core.presets import preset
+from fiber_core.problem import Problem
+from fiber_core.targets import assign
+from fiber_core.wire_units import WireUnits
+from fiber_discretizer import discretize
+from fiber_planner import DEFAULT_PLANNER, make_planner
+
+__all__ = ["KINDS", "Campaign", "run_campaign"]
+
+KINDS = ("none", *(kind.name.lower() for kind in FaultKind), "mixed")
+_FIELDS = 12  # random fields that campaigns share
+_FAULTS_BEGIN_S = 2.5  # before this time
+_LONGEST_S = 60.0  # simulated; a campaign that takes longer does not end
+# what a robot that stops by itself needs to be noticed: a step of the watch, a look, a STOP
+SAFETY = Safety(start_skew_s=4e-3)
+
+
+@dataclass
+class Campaign:
+    """What came of a campaign; no `wrong` means that it passed.
+
+    Args:
+        kind: one of KINDS.
+        seed: of everything drawn.
+        wrong: what must never happen and did.
+        told: what happened, in words.
+        outcomes: how often robots ended as they did.
+        gap_mm: smallest true gap between outlines [mm].
+        ended_s: when it was over, simulated [s].
+    """
+
+    kind: str
+    seed: int
+    wrong: list[str] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
+    outcomes: Counter = field(default_factory=Counter)
+    gap_mm: float = np.inf
+    ended_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Field:
+    plane: object
+    units: WireUnits
+    counts: np.ndarray
+    wire: object
+    targets: np.ndarray
+
+
+@cache
+def _field(robots: int, number: int) -> _Field:
+    """A random field, planned and discretized; every other one has ten-bit addresses."""
+    plane = preset("desi", robots)
+    rows = np.arange(plane.n)
+    plane = replace(plane, bus=rows // 8, address=(8 if number % 2 else 200) + rows % 8)
+    problem = random_problem(plane, np.random.default_rng([number, 77]))
+    units = WireUnits.for_plane(plane)
+    counts = units.encoder_counts(plane, problem.start)
+    start, asked = units.to_angles(counts), problem.asked
+    given = assign(plane, start, plane.ids[asked], problem.targets[asked])
+    planned = make_planner(DEFAULT_PLANNER).plan(Problem(plane, start, given.targets))
+    done = discretize(plane, planned.motion, units, SAFETY, counts)
+    return _Field(plane, units, counts, done.wire, problem.targets)
+
+
+class _Seen:
+    """Buses under the eyes of a record of motion."""
+
+    def __init__(self, buses, record):
+        self._buses, self._record = buses, record
+        self.recover, self.alert_lines = buses.recover, buses.alert_lines
+
+    def transfer(self, *batch):
+        replies = self._buses.transfer(*batch)
+        self._record.look()
+        return replies
+
+
+def run_campaign(kind: str, seed: int, robots: int = 127) -> Campaign:
+    """Run one campaign; whatever is wrong is in what it returns."""
+    campaign = Campaign(kind, seed)
+    try:
+        _run(campaign, robots)
+    except Exception as error:  # whatever escapes is a finding
+        campaign.wrong.append(f"crashed: {type(error).__name__}: {error}")
+    return campaign
+
+
+def _run(campaign, robots):
+    rng = np.random.default_rng([KINDS.index(campaign.kind), campaign.seed])
+    base = _field(robots, int(rng.integers(_FIELDS)))
+    plane, units = base.plane, base.units
+    to = addresses_of(plane)
+    faults = draw_faults(_kinds(campaign.kind, rng), to.bus, to.address, _FAULTS_BEGIN_S, rng)
+    campaign.told += [f"fault: {f}" for f in (*faults.lines, *faults.noise, *faults.stretches)]
+    campaign.told += [f"event: {e}" for e in faults.events]
+    robots = Positioners(
+        to, plane.ids, units.quantum_prad, base.counts,
+        clock_ppm=rng.uniform(-20, 20, plane.n), start_skew_s=rng.uniform(0, 20e-6, plane.n),
+    )  # fmt: skip
+    record = MotionRecord(robots, units.quantum_rad)
+    backend = _Seen(SimulatedBuses(robots, faults=faults, rng=rng), record)
+    session = Session(plane, units, SAFETY, backend, units.to_angles(base.counts), SessionConfig())
+    uploads = []
+    stop_s = rng.uniform(0, _FAULTS_BEGIN_S) if rng.random() < 0.1 else np.inf
+    t = session.configure(0.0)
+    campaign.told.append(f"{t:.4f} s: configured {session.known.sum()} of {plane.n}")
+    for name in ("plan", "home"):
+        if session.state is SessionState.STOPPED:
+            t = session.clear(t)
+        if session.state is not SessionState.IDLE:
+            campaign.told.append(f"{t:.4f} s: no {name} while {session.state.name}")
+            break
+        if name == "plan":
+            session.submit(base.wire, base.targets)
+            t = max(t, session.start(t))
+        else:
+            t = max(t, session.configure(t))
+            if session.state is not SessionState.IDLE:
+                break
+            t = max(t, session.home(t))
+        uploads.append(session.upload)
+        while session.state is SessionState.MOVING:
+            t = t + 0.1
+            if t > stop_s:
+                stop_s = np.inf
+                t = max(t, session.stop(t))
+            else:
+                t = max(t, session.advance(t))
+            if t > _LONGEST_S:
+                campaign.wrong.append("does not end")
+                return
+        result = session.take_result()
+        _judge_outcomes(campaign, name, t, session, result)
+    t = max(t, session.link.now_s) + 1.0
+    campaign.ended_s = t
+    _judge_runs(campaign, record.runs(t), uploads)
+    truth = certify(plane, record.motion(t), Safety(0.0, 0.0, 0.0), neighbour_pairs(plane))
+    campaign.gap_mm = truth.min_gap_mm
+    if truth.unsafe.any():
+        at = int(np.argmin(truth.gap_mm))
+        campaign.wrong.append(
+            f"arms touch: robots {truth.pairs[at].tolist()} at {truth.time_s[at]:.4f} s, "
+            f"gap {truth.gap_mm[at]:.4f} mm"
+        )
+
+
+def _kinds(kind, rng):
+    if kind == "none":
+        return []
+    if kind == "mixed":
+        return [FaultKind(k) for k in rng.integers(1, len(FaultKind) + 1, rng.integers(2, 6))]
+    return [FaultKind[kind.upper()]]
+
+
+def _judge_outcomes(campaign, name, t, session, result):
+    if result is None or not len(result.outcome) == len(result.reason) == session.plane.n:
+        campaign.wrong.append(f"{name}: not every robot has one outcome")
+        return
+    counts = Counter(Outcome(o).name.lower() for o in result.outcome)
+    campaign.outcomes += counts
+    campaign.told.append(f"{t:.4f} s: {name} ended {session.state.name}: {dict(counts)}")
+
+
+def _judge_runs(campaign, runs, uploads):
+    """Whoever moved ran, from first to last, what was verified for it."""
+    for k, row in enumerate(runs.row):
+        if not runs.ended_s[k] > runs.started_s[k]:
+            if np.isnan(runs.ended_s[k]):
+                campaign.wrong.append(f"robot {row} never came to rest")
+            continue  # called off in its countdown
+        late = [abs(runs.started_s[k] - u.start_s) for u in uploads]
+        upload = uploads[int(np.argmin(late))]
+        if min(late) > 1e-3 or not upload.started[row]:
+            campaign.wrong.append(f"robot {row} moved at {runs.started_s[k]:.4f} s unverified")
+            continue
+        wire = upload.motion
+        for joint in range(2):
+            part = slice(*wire.offsets[2 * row + joint : 2 * row + joint + 2])
+            count = runs.counts[k, joint]
+            same = (
+                count == part.stop - part.start
+                and np.array_equal(runs.ticks[k, joint, :count], wire.ticks[part])
+                and np.array_equal(runs.velocity[k, joint, :count], wire.velocity[part])
+            )
+            if not same:
+                campaign.wrong.append(f"robot {row} ran another order than was verified")
+
+
+def _work(task):
+    begin = time.process_time()
+    campaign = run_campaign(*task)
+    return campaign, time.process_time() - begin
+
+
+def parse(argv):
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--campaigns", type=int, default=20, help="of each kind")
+    parser.add_argument("--kind", choices=KINDS, nargs="+", default=list(KINDS))
+    parser.add_argument("--seed", type=int, default=0, help="of the first campaign of each kind")
+    parser.add_argument("--robots", type=int, default=127)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--out", type=Path, help="file for the table, in markdown")
+    parser.add_argument("--replay", metavar="KIND:SEED", help="run one campaign and tell of it")
+    return parser.parse_args(argv)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; returns 1 when a campaign failed."""
+    args = parse(argv)
+    if args.replay:
+        kind, seed = args.replay.split(":")
+        campaign = run_campaign(kind, int(seed), args.robots)
+        print("\n".join([*campaign.told, f"smallest true gap {campaign.gap_mm:.4f} mm"]))
+        print("\n".join(campaign.wrong) or "nothing wrong")
+        return 1 if campaign.wrong else 0
+    seeds = range(args.seed, args.seed + args.campaigns)
+    tasks = [(kind, seed, args.robots) for kind in args.kind for seed in seeds]
+    rows, failed = {kind: _Row() for kind in args.kind}, 0
+    with multiprocessing.Pool(args.jobs) as pool:
+        for number, (campaign, cpu_s) in enumerate(pool.imap(_work, tasks), 1):
+            rows[campaign.kind].add(campaign, cpu_s)
+            for words in campaign.wrong:
+                print(f"{campaign.kind}:{campaign.seed} {words}", flush=True)
+            failed += bool(campaign.wrong)
+            if sys.stderr.isatty():
+                print(f"\r{number}/{len(tasks)}, {failed} failed", end="", file=sys.stderr)
+    text = _table(rows)
+    print(text)
+    print(json.dumps({"campaigns": len(tasks), "failed": failed, "robots": args.robots}))
+    if args.out:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        args.out.write_text(text, encoding="utf-8")
+    return 1 if failed else 0
+
+
+class _Row:
+    def __init__(self):
+        self.campaigns = self.failed = 0
+        self.outcomes, self.gap_mm, self.cpu_s = Counter(), np.inf, 0.0
+
+    def add(self, campaign, cpu_s):
+        self.campaigns += 1
+        self.failed += bool(campaign.wrong)
+        self.outcomes += campaign.outcomes
+        self.gap_mm = min(self.gap_mm, campaign.gap_mm)
+        self.cpu_s += cpu_s
+
+
+def _table(rows):
+    lines = [
+        "| fault | campaigns | failed | reached | held | failed robots | smallest gap mm | cpu s |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for kind, row in rows.items():
+        lines.append(
+            f"| {kind} | {row.campaigns} | {row.failed} | {row.outcomes['reached']} "
+            f"| {row.outcomes['held']} | {row.outcomes['failed']} | {row.gap_mm:.4f} "
+            f"| {row.cpu_s / max(row.campaigns, 1):.2f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
