@@ -153,7 +153,6 @@ def _run(campaign, robots):
             if session.state is not SessionState.IDLE:
                 break
             t = max(t, session.home(t))
-        uploads.append(session.upload)
         while session.state is SessionState.MOVING:
             t = t + 0.1
             if t > stop_s:
@@ -164,6 +163,9 @@ def _run(campaign, robots):
             if t > _LONGEST_S:
                 campaign.wrong.append("does not end")
                 return
+        uploads += session.uploads
+        if len(session.uploads) > 1:
+            campaign.told.append(f"{t:.4f} s: went on {len(session.uploads) - 1} times")
         result = session.take_result()
         _judge_outcomes(campaign, name, t, session, result)
     t = max(t, session.link.now_s) + 1.0

@@ -1,7 +1,7 @@
 """A controller's session with a focal plane: configure, take orders, start, watch, stop."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -11,16 +11,19 @@ from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.fold import fold_motion
 from fiber_bus_bridge.link import Link
 from fiber_bus_bridge.results import Plan, PlanResult, judge
+from fiber_bus_bridge.resume import remaining_motion
 from fiber_bus_bridge.starter import Starter
 from fiber_bus_bridge.upload import Upload, Uploader
 from fiber_bus_bridge.wire import (
     Configuration,
+    Fault,
     Opcode,
     RobotState,
     encode_config,
 )
 from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["Session", "SessionConfig", "SessionState"]
@@ -48,6 +51,8 @@ class SessionConfig:
         silence_ms: how long a moving robot goes on without hearing from the bridge [ms].
         watch_s: shortest time between two beats [s]; the longer, the later a robot that
             stops by itself is noticed.
+        resumes: how often in a plan those who can go on after all had to stop, without whoever
+            was at fault.
     """
 
     tolerance_mm: float = 0.1
@@ -56,6 +61,7 @@ class SessionConfig:
     grace_s: float = 1.0
     silence_ms: int = 20
     watch_s: float = 2.5e-3
+    resumes: int = 3
 
 
 class Session:
@@ -100,6 +106,8 @@ class Session:
         self.alerts = np.zeros(plane.n, dtype=np.int64)
         self.result: PlanResult | None = None
         self.upload: Upload | None = None
+        self.uploads: list[Upload] = []  # all of the last plan
+        self._may_go: Callable[[], bool] = lambda: True
         self._boot = np.full(plane.n, -1)
         self._lost = np.zeros(plane.n, dtype=bool)  # last heard, or started, while it moved
         self._arrived = np.zeros(plane.n, dtype=bool)
@@ -211,10 +219,9 @@ class Session:
         self._require("start", SessionState.READY)
         plan = self._plan
         self.link.revive()
+        self._may_go, self.uploads = may_go, []
         wanted = plan.moves & self.plane.enabled & ~plan.crowded & self.known
-        self.upload = self._uploader.run(plan.motion, wanted, self._boot, self._lost, t, may_go)
-        self._lost |= self.upload.started
-        self.state = SessionState.MOVING
+        self._begin(wanted, t)
         return self._watch()
 
     def advance(self, t: float) -> float:
@@ -307,14 +314,46 @@ class Session:
         motion, safety = self.upload.motion.decoded(), self._uploader.safety
         late = safety.clock_ppm * 1e-6 * motion.makespan_s + safety.start_skew_s
         if watch.freeze_s is not None:
-            self._failed |= running & watch.wrong
-            return self.stop(watch.freeze_s)
+            return self._freeze(watch)
         if not running.any():
             self._end()
         elif watch.now_s > self.upload.start_s + motion.makespan_s + late + self.config.grace_s:
             self._failed |= running
             return self.stop(watch.now_s)
         return max(watch.now_s, self.link.now_s)
+
+    def _begin(self, wanted, t):
+        """Upload the plan for the wanted robots and start them."""
+        self.upload = self._uploader.run(
+            self._plan.motion, wanted, self._boot, self._lost, t, self._may_go
+        )
+        self.uploads.append(self.upload)
+        self._lost |= self.upload.started
+        self.state = SessionState.MOVING
+
+    def _freeze(self, watch):
+        """Stop everybody together, and let those go on who can."""
+        before, t = self.upload, watch.freeze_s
+        self.link.revive()
+        running = before.started & ~self._arrived
+        rows = np.flatnonzero(self.known)
+        status = self._starter.stop(rows, t)
+        self.robot_state[rows] = status.state
+        fit = np.isin(self.robot_state, (RobotState.STOPPED, RobotState.FAULT))
+        fit &= np.isin(self.robot_fault, (Fault.NONE, Fault.SILENCE)) & ~self._lost
+        fit[rows] &= status.ok & (status.boot == self._boot[rows])
+        self._failed |= running & ~fit
+        if len(self.uploads) > self.config.resumes or not self._may_go():
+            return self.stop(self.link.now_s)
+        self.link.command(Opcode.CLEAR, rows[fit[rows]], self.link.now_s)
+        elapsed_s, goes_on = t - before.start_s, running & fit
+        left = remaining_motion(before.motion, self.counts, elapsed_s, self._speed, goes_on)
+        self._plan = Plan(left, self._plan.goals)
+        self._begin(goes_on & self._plan.moves & ~self._plan.crowded, self.link.now_s)
+        stays = running & ~self.upload.started & (self.upload.reason == Reason.OK)
+        reason = np.where(stays, Reason.STOPPED, self.upload.reason)
+        self.upload = self.uploads[-1] = replace(self.upload, reason=reason)
+        return self._watch()
 
     def _end(self):
         """Judge the plan and forget it; silent robots of a plan cut short have failed."""

@@ -9,6 +9,7 @@ import fiber_bus_bridge.upload
 from fiber_bus_bridge import (
     Positioners,
     Session,
+    SessionConfig,
     SessionError,
     SessionState,
     SimulatedBuses,
@@ -16,6 +17,7 @@ from fiber_bus_bridge import (
     bus_timing,
 )
 from fiber_bus_bridge.firmware import Event
+from fiber_bus_bridge.resume import remaining_motion
 from fiber_bus_bridge.wire import Fault, Frames, Opcode, RobotState, decode_command, decode_load
 from fiber_core import kinematics
 from fiber_core.clearance import Safety, certify, neighbour_pairs
@@ -27,7 +29,7 @@ from fiber_core.wire_units import WireMotion, WireUnits
 class Rig:
     """A plane of nearly folded robots on simulated buses, ten to a bus, and a session with it."""
 
-    def __init__(self, n=19, start=None, enabled=None, **positioners):
+    def __init__(self, n=19, start=None, enabled=None, config=None, **positioners):
         rows = np.arange(n)
         plane = replace(preset("desi", n), bus=rows // 10, address=8 + rows % 10)
         self.plane = plane if enabled is None else plane.with_enabled(enabled)
@@ -43,6 +45,7 @@ class Rig:
             Safety(),
             SimulatedBuses(self.robots, bus_timing("1M")),
             self.units.to_angles(start),
+            config,
         )
         self.t = 0.0
 
@@ -272,7 +275,7 @@ def test_a_robot_that_cannot_be_started_calls_the_others_off_and_they_go_without
 
 @pytest.mark.parametrize("when_s", [0.0, 0.3])
 def test_a_robot_that_stops_by_itself_stops_everybody_at_once(when_s):
-    rig = Rig()
+    rig = Rig(config=SessionConfig(resumes=0))
     rig.ready()
     rig.call("start")
     at = rig.session.upload.start_s + when_s
@@ -285,6 +288,36 @@ def test_a_robot_that_stops_by_itself_stops_everybody_at_once(when_s):
     halted = rig.robots.memory["halted_s"]
     assert halted[3] == pytest.approx(at, abs=20e-6)
     assert np.all(halted - at < rig.session.config.watch_s + 1e-3)
+
+
+@pytest.mark.parametrize("when_s", [0.0, 0.3123, 0.9999])
+def test_those_who_had_to_stop_go_on_to_the_very_end_of_their_orders(when_s):
+    rig = Rig()
+    motion = rig.ready(theta=np.arange(19) * 40 - 360, phi=-30)
+    rig.call("start")
+    at = rig.session.upload.start_s + when_s
+    rig.robots.schedule([(3, at, Event.JAM_THETA, 1)])
+    result = rig.run()
+    assert rig.session.state is SessionState.IDLE and len(rig.session.uploads) == 2
+    ended_once(result, 19)
+    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
+    assert set(np.delete(result.outcome, 3)) == {Outcome.REACHED}
+    assert np.array_equal(np.delete(rig.where(), 3, 0), np.delete(motion.end, 3, 0))
+
+
+def test_what_remains_of_a_motion_keeps_its_instants():
+    units = WireUnits()
+    motion = WireMotion(units, [[0, 0]], [0, 3, 4], [10, 20, 5, 40], [7, -3, 100, 11])
+    # stopped half a tick after the 17th: theta is in its second segment
+    counts = [[70 - 3 * 7 - 1, 11 * 17 + 5]]
+    left = remaining_motion(motion, counts, 17.5 * units.tick_s, [[500, 500]], [True])
+    assert np.array_equal(left.end, motion.end)
+    assert left.ticks[left.offsets[0] : left.offsets[1]].sum() == 13 + 5
+    assert left.ticks[left.offsets[1] :].sum() == 23
+    assert (left.ticks[left.offsets[1] - 1], left.velocity[left.offsets[1] - 1]) == (5, 100)
+    assert np.abs(np.delete(left.velocity, left.offsets[1] - 1)).max() <= 11
+    rests = remaining_motion(motion, counts, 17.5 * units.tick_s, [[500, 500]], [False])
+    assert len(rests.ticks) == 0
 
 
 def test_robots_nobody_beats_for_stop_themselves():
@@ -307,9 +340,14 @@ def test_a_robot_that_falls_silent_fails_and_holds_its_neighbours_until_found_ag
     result = rig.run()
     ended_once(result, 19)
     assert (result.outcome[0], result.reason[0]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
-    assert np.ptp(rig.robots.memory["halted_s"]) < 3 * rig.session.config.watch_s
+    # nobody knows where it is: who could touch it stays where all stopped, the rest go on
+    assert rig.session.state is SessionState.IDLE
+    touchy = np.isin(
+        np.arange(19), neighbour_pairs(rig.plane)[(neighbour_pairs(rig.plane) == 0).any(axis=1)]
+    )
+    assert set(result.reason[touchy & (np.arange(19) > 0)]) == {Reason.UNSAFE_AS_LOADED}
+    assert set(result.reason[~touchy]) == {Reason.OK}
 
-    rig.call("clear")
     rig.session.submit(rig.orders(-400, 0))
     rig.call("start")
     pairs = neighbour_pairs(rig.plane)
