@@ -86,7 +86,7 @@ def _field(robots: int, number: int) -> _Field:
     """A random field, planned and discretized; every other one has ten-bit addresses."""
     plane = preset("desi", robots)
     rows = np.arange(plane.n)
-    plane = replace(plane, bus=rows // 8, address=(8 if number % 2 else 200) + rows % 8)
+    plane = replace(plane, bus=rows // 16, address=(8 if number % 2 else 200) + rows % 16)
     problem = random_problem(plane, np.random.default_rng([number, 77]))
     units = WireUnits.for_plane(plane)
     counts = units.encoder_counts(plane, problem.start)

@@ -123,9 +123,12 @@ class Watch:
         data = replies.data.reshape(-1, width)
         status = decode_status(self.link.addresses[rows], data)
         took = (replies.end_s - replies.start_s)[looks]
-        for bus in np.unique(self._bus[rows[status.ok]]):
-            one = took[(self._bus[rows] == bus) & status.ok].mean()
-            self._chunk[bus] = max(1, int(self.period_s / one))
+        bus, count = self._bus[rows[status.ok]], len(self._chunk)
+        looks_of = np.bincount(bus, minlength=count)
+        took_of = np.bincount(bus, took[status.ok], minlength=count)
+        known = looks_of > 0
+        fit = self.period_s * looks_of[known] / took_of[known]
+        self._chunk[known] = np.maximum(fit.astype(np.int64), 1)
         # when the lines fail it is not the robot that is silent
         missed = ~status.ok & (replies.ack[looks] < Ack.LOST)
         self._tries[rows[missed]] += 1
@@ -134,7 +137,7 @@ class Watch:
         state = status.state[status.ok]
         same = status.boot[status.ok] == self._boot[good]
         same &= status.sequence[status.ok] == self._sequence[good]
-        runs = same & np.isin(state, (RobotState.MOVING, RobotState.DONE))
+        runs = same & ((state == RobotState.MOVING) | (state == RobotState.DONE))
         self.seen[good] |= runs
         self.arrived[good] |= runs & (state == RobotState.DONE)
         self.deaf[good] = same & (state == RobotState.LOADED) & self.counting

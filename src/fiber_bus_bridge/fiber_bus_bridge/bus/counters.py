@@ -10,7 +10,6 @@ _COUNTS = (
     "frames", "bytes", "no_address", "refused", "line_errors", "retries", "bad_replies",
     "recoveries",
 )  # fmt: skip
-_HEARD = (Ack.OK, Ack.REFUSED)
 
 
 class BusCounters:
@@ -31,8 +30,9 @@ class BusCounters:
         """Count a batch; bytes are data bytes, read and written."""
         frames, replies = exchange.frames, exchange.replies
         at = self._rows(frames.to.bus)
+        heard = (replies.ack == Ack.OK) | (replies.ack == Ack.REFUSED)
         self.frames += self._count(at)
-        np.add.at(self.bytes, at, np.where(np.isin(replies.ack, _HEARD), frames.lengths, 0))
+        np.add.at(self.bytes, at, np.where(heard, frames.lengths, 0))
         np.add.at(self.bytes, at, np.where(replies.ack == Ack.OK, np.diff(replies.offsets), 0))
         self.no_address += self._count(at[replies.ack == Ack.NO_ADDRESS])
         self.refused += self._count(at[replies.ack == Ack.REFUSED])

@@ -8,6 +8,10 @@ from fiber_bus_bridge.bus.faults import Cure, Faults, Line
 __all__ = ["STRETCH_LIMIT_S", "BusLines"]
 
 STRETCH_LIMIT_S = 25e-3  # SMBus: who holds the clock for longer is timed out
+# plain numbers: members of an enumeration are slow to look up message by message
+_OK, _LOST, _STUCK = int(Ack.OK), int(Ack.LOST), int(Ack.STUCK)
+_TIMED_OUT, _NOT_SENT = int(Ack.TIMED_OUT), int(Ack.NOT_SENT)
+_SDA_LOW, _BABBLE = int(Line.SDA_LOW), int(Line.BABBLE)
 _RESET_S, _POWER_S = 1e-3, 50e-3
 
 
@@ -40,7 +44,7 @@ class BusLines:
             Start and end [s], the Ack the lines allow, and whether targets hear it, (k,) each.
         """
         k = len(lasts)
-        ack, heard = np.full(k, Ack.OK, dtype=np.int64), np.ones(k, dtype=bool)
+        ack, heard = np.full(k, _OK, dtype=np.int64), np.ones(k, dtype=bool)
         if not (self._troubles or self._stretches):
             # end_i = lasts_i + max(not_before_i, end_{i-1}), unrolled
             total = np.cumsum(lasts)
@@ -49,12 +53,14 @@ class BusLines:
             self.free_s = end[-1]
             return end - lasts, end, ack, heard
         start, end = np.empty(k), np.empty(k)
+        broken = False
         for i in range(k):
             start[i] = max(self.free_s, not_before_s[i])
-            if i and ack[i - 1] in (Ack.STUCK, Ack.TIMED_OUT, Ack.NOT_SENT):
-                ack[i], heard[i], end[i] = Ack.NOT_SENT, False, start[i]
+            if broken:
+                ack[i], heard[i], end[i] = _NOT_SENT, False, start[i]
                 continue
             ack[i], heard[i], end[i] = self._one(start[i], lasts[i], listeners(i))
+            broken = ack[i] in (_STUCK, _TIMED_OUT)
             self.free_s = end[i]
         return start, end, ack, heard
 
@@ -66,16 +72,16 @@ class BusLines:
         trouble = self._trouble(start, end)
         if trouble is None:
             if stretch > STRETCH_LIMIT_S:
-                return Ack.TIMED_OUT, False, start + STRETCH_LIMIT_S
-            return Ack.OK, True, end
+                return _TIMED_OUT, False, start + STRETCH_LIMIT_S
+            return _OK, True, end
         line, _, since, _, _ = trouble
         # whoever had all but the last acknowledge has heard the message
         heard = since >= end - self._bit_s
-        if line == Line.BABBLE:
-            return Ack.LOST, heard, max(start, since) + 9 * self._bit_s
-        if line == Line.SDA_LOW and since <= start:
-            return Ack.STUCK, False, start + STRETCH_LIMIT_S
-        return Ack.TIMED_OUT, heard, max(start, since) + STRETCH_LIMIT_S
+        if line == _BABBLE:
+            return _LOST, heard, max(start, since) + 9 * self._bit_s
+        if line == _SDA_LOW and since <= start:
+            return _STUCK, False, start + STRETCH_LIMIT_S
+        return _TIMED_OUT, heard, max(start, since) + STRETCH_LIMIT_S
 
     def _trouble(self, start, end):
         """The first trouble between two times, or None."""

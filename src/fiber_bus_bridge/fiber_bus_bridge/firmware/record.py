@@ -46,6 +46,7 @@ class MotionRecord:
         self._start = robots.memory["position"].copy()
         self._seen = robots.memory["started_s"].copy()
         self._open = np.full(robots.n, -1)
+        self._go_s = np.full(robots.n, np.inf)
         self._rows: list[int] = []
         self._ended: list[float] = []
         self._copies: list[np.ndarray] = []
@@ -53,21 +54,21 @@ class MotionRecord:
     def look(self) -> None:
         """Note who began to move since the last look."""
         memory = self._robots.memory
+        self._close()
         for row in np.flatnonzero(memory["started_s"] != self._seen):
-            self._close(row)
             self._seen[row] = memory["started_s"][row]
+            self._go_s[row] = memory["beat_s"][row]
             self._open[row] = len(self._rows)
             self._rows.append(int(row))
             self._ended.append(np.nan)
             self._copies.append(memory[row].copy())
-        for row in np.flatnonzero(self._open >= 0):
-            self._close(row)
+        self._close()
 
-    def _close(self, row):
-        at, halted_s = self._open[row], self._robots.memory["halted_s"][row]
-        # a motion broken off in its countdown ended before it began
-        if at >= 0 and halted_s > self._copies[at]["beat_s"]:
-            self._ended[at] = halted_s
+    def _close(self):
+        # a motion broken off in its countdown ended before it began, but after the GO
+        halted_s = self._robots.memory["halted_s"]
+        for row in np.flatnonzero((self._open >= 0) & (halted_s > self._go_s)):
+            self._ended[self._open[row]] = halted_s[row]
             self._open[row] = -1
 
     def runs(self, t: float) -> Runs:
