@@ -95,7 +95,7 @@ class Identities:
     """Identity replies decoded, one row each; rows that are not ok hold zeros.
 
     Args:
-        ok: whether version and checksum are right, shape (f,).
+        ok: whether version, checksum and address are right, shape (f,).
         serial: number the robot was built with, shape (f,).
         address: address it listens to, shape (f,).
         ten_bit: whether that is the ten-bit form, shape (f,).
@@ -258,3 +258,6 @@ def _check_identity(address, ten_bit, data, ok):
     for f in range(len(address)):
         pec = _identity_pec(address[f], ten_bit[f], data[f])
         ok[f] = pec == data[f, IDENTITY_BYTES - 1] and data[f, 0] == _IDENTITY_HEAD
+        # it listens where it was asked, or it is not what answered
+        form = (np.int64(data[f, 5]) << 8) | np.int64(data[f, 6])
+        ok[f] &= form == (address[f] | (0x8000 if ten_bit[f] else 0))

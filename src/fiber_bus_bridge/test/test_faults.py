@@ -1,0 +1,278 @@
+"""What goes wrong: on the lines, in the bits, with the robots; and what the link makes of it."""
+
+import numpy as np
+import pytest
+
+from fiber_bus_bridge import SimulatedBuses, bus_timing
+from fiber_bus_bridge.bus import Ack, Cure, FaultKind, Faults, Line, draw_faults
+from fiber_bus_bridge.bus.lines import STRETCH_LIMIT_S
+from fiber_bus_bridge.firmware import EVENT, Event, MotionRecord, Positioners
+from fiber_bus_bridge.link import Link
+from fiber_bus_bridge.wire import (
+    STATUS_BYTES,
+    Addresses,
+    Alert,
+    Configuration,
+    Fault,
+    Frames,
+    Opcode,
+    RobotState,
+    decode_status,
+    encode_address,
+    encode_command,
+    encode_config,
+    encode_load,
+    general_call,
+)
+from fiber_core.wire_units import WireUnits
+
+UNITS = WireUnits()
+TO = Addresses([0, 0, 0, 5], [8, 9, 10, 300], [False, False, False, True])
+CLEAR = encode_command(Opcode.CLEAR, TO)
+FOREVER = np.inf
+
+
+def buses_with(lines=(), noise=(), stretches=(), events=(), seed=0, mode="1M", to=TO):
+    robots = Positioners(to, np.arange(len(to)) + 1, UNITS.quantum_prad, np.zeros((len(to), 2)))
+    events = np.array(list(events), dtype=EVENT)
+    faults = Faults(tuple(lines), tuple(noise), tuple(stretches), events)
+    return SimulatedBuses(robots, bus_timing(mode), faults, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize(
+    ("line", "ack", "cure", "heals"),
+    [
+        (Line.SDA_LOW, Ack.STUCK, Cure.CLOCKS, [True, True, True]),
+        (Line.SDA_LOW, Ack.STUCK, Cure.RESET, [False, True, True]),
+        (Line.SCL_LOW, Ack.TIMED_OUT, Cure.POWER, [False, False, True]),
+        (Line.SCL_LOW, Ack.TIMED_OUT, Cure.NOTHING, [False, False, False]),
+    ],
+)
+def test_a_stuck_line_times_out_and_takes_its_bus_with_it_until_it_is_freed(line, ack, cure, heals):
+    for attempt, heal in zip((Cure.CLOCKS, Cure.RESET, Cure.POWER), heals):
+        buses = buses_with([(line, 0, 0.0, FOREVER, cure)])
+        replies = buses.transfer(CLEAR, 0, 1.0)
+        assert replies.ack.tolist() == [ack, Ack.NOT_SENT, Ack.NOT_SENT, Ack.OK]
+        assert replies.end_s[0] - replies.start_s[0] == pytest.approx(STRETCH_LIMIT_S)
+        assert replies.end_s[3] - 1.0 < 1e-3
+        end_s, free = buses.recover(0, attempt, replies.end_s[0])
+        assert (free, end_s > replies.end_s[0]) == (heal, True)
+        again = buses.transfer(CLEAR[np.arange(3)], 0, end_s).ack
+        assert (set(again) == {Ack.OK}) == heal
+
+
+def test_a_power_cycle_of_a_branch_boots_its_robots_and_no_others():
+    buses = buses_with([(Line.SCL_LOW, 0, 0.0, FOREVER, Cure.POWER)])
+    buses.recover(0, Cure.POWER, 1.0)
+    assert buses.positioners.memory["boot"].tolist() == [2, 2, 2, 1]
+    assert buses.alert_lines(2.0).tolist() == [0]
+
+
+def test_a_line_that_sticks_at_the_last_acknowledge_leaves_a_robot_that_has_heard():
+    one = bus_timing("1M").message_s(2, 0, False)
+    for since, state in ((one - 0.5e-6, RobotState.STOPPED), (one / 2, RobotState.IDLE)):
+        buses = buses_with([(Line.SCL_LOW, 0, 1 + since, FOREVER, Cure.NOTHING)])
+        buses.positioners.memory["state"] = RobotState.IDLE
+        stop = encode_command(Opcode.STOP, TO[:1])
+        assert buses.transfer(stop, 0, 1.0).ack.tolist() == [Ack.TIMED_OUT]
+        assert buses.positioners.states(2.0)[0] == state
+
+
+def test_who_talks_all_the_time_wins_every_arbitration():
+    buses = buses_with([(Line.BABBLE, 0, 0.0, 2.0, Cure.NOTHING)])
+    replies = buses.transfer(CLEAR, 0, 1.0)
+    assert replies.ack.tolist() == [Ack.LOST] * 3 + [Ack.OK]
+    assert set(buses.transfer(CLEAR, 0, 2.0).ack) == {Ack.OK}
+
+
+def test_a_slow_clock_takes_time_and_too_slow_a_clock_is_timed_out():
+    one = bus_timing("1M").message_s(2, 0, False)
+    buses = buses_with(stretches=[(1, 0.0, 1.0, 3e-3), (1, 2.0, 3.0, 30e-3)])
+    replies = buses.transfer(CLEAR, 0, 0.5)
+    took = replies.end_s - replies.start_s
+    assert replies.ack.tolist() == [Ack.OK] * 4
+    assert took[:3] == pytest.approx([one, one + 3e-3, one], abs=1e-12)
+    replies = buses.transfer(CLEAR, 0, 2.5)
+    assert replies.ack.tolist() == [Ack.OK, Ack.TIMED_OUT, Ack.NOT_SENT, Ack.OK]
+    # nobody waits behind it: the others are served before it is tried again
+    link = Link(buses_with(stretches=[(0, 0.0, FOREVER, 30e-3)]), TO)
+    assert link.command(Opcode.CLEAR, np.arange(4), 0.0).tolist() == [Ack.NO_ADDRESS] + [Ack.OK] * 3
+
+
+@pytest.mark.parametrize("rate", [1e-4, 1e-3, 1e-2])
+def test_as_many_messages_fail_as_bits_are_wrong(rate):
+    buses = buses_with(noise=[(5, 0.0, FOREVER, rate)], seed=3)
+    rows = np.full(20_000, 3)
+    frames = CLEAR[rows]
+    failed = (buses.transfer(frames, 0, 0.0).ack != Ack.OK).mean()
+    bits = 9 * (2 + 2)
+    expected = 1 - (1 - rate) ** bits
+    assert abs(failed - expected) < 4 * np.sqrt(expected / len(rows))
+    empty = Frames(TO[rows], np.zeros(len(rows) + 1, dtype=int), np.zeros(0, dtype=np.uint8))
+    replies = buses.transfer(empty, STATUS_BYTES, buses._line(5).free_s)
+    ok = decode_status(TO[rows], replies.table(STATUS_BYTES)).ok
+    bits = 9 * (3 + STATUS_BYTES)
+    expected = 1 - (1 - rate) ** (bits - 1)  # the controller never acknowledges the last byte
+    assert abs((~ok).mean() - expected) < 4 * np.sqrt(expected / len(rows)) + 0.01 * expected
+    quiet = buses.transfer(CLEAR[np.zeros(5000, dtype=int)], 0, 0.0)
+    assert set(quiet.ack) == {Ack.OK}
+
+
+def test_an_acknowledge_read_wrong_is_no_proof_either_way():
+    buses = buses_with(noise=[(0, 0.0, FOREVER, 2e-2)], seed=1)
+    buses.positioners.memory["state"] = RobotState.IDLE
+    lied = 0
+    for _ in range(300):
+        buses.positioners.memory["state"][0] = RobotState.IDLE
+        ack = buses.transfer(encode_command(Opcode.STOP, TO[:1]), 0, 0.0).ack[0]
+        stopped = buses.positioners.memory["state"][0] == RobotState.STOPPED
+        lied += stopped and ack != Ack.OK
+        assert stopped or ack != Ack.OK
+    assert lied > 0
+
+
+def test_the_same_seed_reads_the_same_bits_wrong():
+    def run(seed):
+        buses = buses_with(noise=[(0, 0.0, FOREVER, 1e-2)], seed=seed)
+        empty = Frames(TO, np.zeros(5, dtype=int), np.zeros(0, dtype=np.uint8))
+        return buses.transfer(empty, STATUS_BYTES, 0.0).data.tobytes()
+
+    assert run(4) == run(4) != run(5)
+
+
+@pytest.mark.parametrize("mode", ["1.7M", "3.4M"])
+def test_a_batch_in_high_speed_mode_begins_at_fast_mode_speed(mode):
+    buses, timing = buses_with(mode=mode), bus_timing(mode)
+    took = np.diff(buses.transfer(CLEAR, 0, 0.0).end_s[:3], prepend=0.0)
+    one = float(timing.message_s(2, 0, False))
+    assert took == pytest.approx([one + 22.5e-6 + 1.9e-6, one, one], abs=1e-12)
+
+
+def test_events_befall_robots_at_their_time():
+    events = [
+        (0, 1.0, Event.DEAF, 1), (0, 2.0, Event.DEAF, 0), (1, 1.0, Event.BUSY, 1),
+        (2, 1.0, Event.POWER, 0), (2, 1.5, Event.POWER, 1), (3, 1.2, Event.MOVE_ADDRESS, 301),
+    ]  # fmt: skip
+    buses = buses_with(events=events)
+    assert buses.transfer(CLEAR, 0, 0.5).ack.tolist() == [Ack.OK] * 4
+    expected = [Ack.NO_ADDRESS, Ack.REFUSED, Ack.NO_ADDRESS, Ack.OK]
+    assert buses.transfer(CLEAR, 0, 1.1).ack.tolist() == expected
+    expected = [Ack.OK, Ack.REFUSED, Ack.OK, Ack.NO_ADDRESS]
+    assert buses.transfer(CLEAR, 0, 2.1).ack.tolist() == expected
+    assert buses.positioners.memory["boot"].tolist() == [1, 1, 2, 1]
+
+
+def test_who_hears_no_general_call_hears_its_own_address():
+    buses = buses_with(events=[(0, 0.0, Event.CALL_DEAF, 1)])
+    buses.positioners.memory["state"] = RobotState.IDLE
+    stop = encode_command(Opcode.STOP, general_call([0]))
+    assert buses.transfer(stop, 0, 1.0).ack.tolist() == [Ack.OK]  # one acknowledges for all
+    states = buses.positioners.states(2.0)
+    assert states.tolist() == [RobotState.IDLE, *[RobotState.STOPPED] * 2, RobotState.IDLE]
+    buses.transfer(encode_command(Opcode.STOP, TO[:1]), 0, 2.0)
+    assert buses.positioners.states(3.0)[0] == RobotState.STOPPED
+
+
+def test_two_robots_at_one_address_talk_over_each_other_until_one_is_moved():
+    buses = buses_with(events=[(1, 0.0, Event.MOVE_ADDRESS, 8)])
+    link = Link(buses, TO)
+    assert not link.identities(np.array([0, 1]), 1.0).ok.any()
+    move = encode_address(general_call([0]), [2], TO[1:2])
+    assert buses.transfer(move, 0, 2.0).ack.tolist() == [Ack.OK]
+    found = link.identities(np.arange(4), 3.0)
+    assert found.ok.all() and found.serial.tolist() == [1, 2, 3, 4]
+
+
+def moving(buses, watchdog=0, silence=0, ticks=250):
+    """Configure all robots, load 1000 quanta a tick on theta, and GO; returns when it is heard."""
+    n = len(TO)
+    limits = np.tile([[-2_000_000, 2_000_000], [0, 2_000_000]], (n, 1, 1))
+    config = Configuration(UNITS, limits, np.full((n, 2), 8000), watchdog, silence)
+    buses.transfer(encode_config(config, TO), 0, 0.0)
+    offsets = np.repeat(np.arange(n + 1), 2)[1:]
+    loads = encode_load(UNITS, TO, 1, offsets, np.full(n, ticks), np.full(n, 1000))
+    assert set(buses.transfer(loads, 0, 0.0).ack) == {Ack.OK}
+    go = encode_command(Opcode.GO, general_call([0, 5]), 1, 1000)
+    return buses.transfer(go, 0, 1.0).end_s[0]
+
+
+def test_a_go_counts_down_before_anybody_moves():
+    buses = buses_with()
+    heard = moving(buses)
+    robots = buses.positioners
+    assert set(robots.states(heard + 0.009)) == {RobotState.MOVING}
+    assert not robots.positions(heard + 0.0099).any()
+    assert robots.positions(heard + 0.01 + 100 * UNITS.tick_s)[0].tolist() == [100_000, 0]
+
+
+def test_a_jammed_joint_stops_its_robot_and_pulls_the_alert_line():
+    buses = buses_with(events=[(1, 1.5, Event.JAM_THETA, 1), (2, 0.0, Event.JAM_PHI, 1)])
+    heard = moving(buses)
+    robots = buses.positioners
+    assert buses.alert_lines(1.49).tolist() == []
+    assert buses.alert_lines(1.51).tolist() == [0]
+    ran = (1.5 - heard - 0.01) / UNITS.tick_s
+    assert robots.positions(9.0)[:, 0].tolist() == [250_000, round(1000 * ran), 250_000, 250_000]
+    memory = robots.memory[1]
+    assert (memory["state"], memory["fault"]) == (RobotState.FAULT, Fault.STALL)
+    assert memory["alerts"] == Alert.STALLED
+
+
+def test_robots_go_on_as_long_as_they_hear_beats():
+    buses = buses_with()
+    heard = moving(buses, silence=50)
+    beat = encode_command(Opcode.BEAT, general_call([0]))
+    for k in range(10):
+        buses.transfer(beat, 0, heard + 0.04 * (k + 1))
+    robots = buses.positioners
+    robots.bring_up(heard + 0.6)
+    assert robots.memory["fault"].tolist() == [Fault.SILENCE] * 4
+    assert robots.memory["halted_s"][0] == pytest.approx(heard + 0.45, abs=1e-3)
+    assert robots.memory["halted_s"][3] == pytest.approx(heard + 0.05, abs=1e-3)
+
+
+def test_the_record_tells_true_motion_from_reports():
+    buses = buses_with(events=[(1, 1.5, Event.POWER, 0)])
+    robots = buses.positioners
+    robots.memory["clock_ppm"] = [0, 0, 10_000, 0]
+    record = MotionRecord(robots, UNITS.quantum_rad)
+    heard = moving(buses)
+    record.look()
+    stop = encode_command(Opcode.STOP, TO[:1])
+    stopped = buses.transfer(stop, 0, 1.7).end_s[0]
+    record.look()
+    motion = record.motion(9.0)
+    speed = 1000 * UNITS.velocity_rad_s
+    start = heard + 0.01
+    late = start - 0.01 + 0.01 / 1.01  # its clock counts down faster too
+    for t in (start - 1e-3, start + 0.1, 1.49, 1.6, 1.9, 8.0):
+        expected = speed * np.clip(
+            [min(t, stopped) - start, min(t, 1.5) - start, 1.01 * (t - late), t - start], 0, 1.0
+        )
+        assert motion(t)[:, 0] == pytest.approx(expected, abs=1e-9)
+    runs = record.runs(9.0)
+    assert runs.row.tolist() == [0, 1, 2, 3] and runs.counts.tolist() == [[1, 0]] * 4
+    assert runs.ended_s[:2] == pytest.approx([stopped, 1.5])
+
+
+def test_a_bus_that_stays_stuck_is_given_up_and_nobody_waits_for_it():
+    buses = buses_with([(Line.SDA_LOW, 0, 0.0, FOREVER, Cure.POWER)])
+    link = Link(buses, TO)
+    acks = link.command(Opcode.CLEAR, np.arange(4), 0.0)
+    assert acks.tolist() == [Ack.NO_ADDRESS] * 3 + [Ack.OK]
+    assert link.given_up.tolist() == [True, False]
+    assert link.now_s < 1e-3
+    assert link.counters.table()[0]["recoveries"] == 2
+    link.revive(power=True, t=1.0)
+    assert set(link.command(Opcode.CLEAR, np.arange(4), 2.0)) == {Ack.OK}
+
+
+@pytest.mark.parametrize("kind", FaultKind)
+def test_every_kind_of_fault_can_be_drawn_and_is_the_same_again(kind):
+    drawn = [
+        draw_faults([kind], TO.bus, TO.address, 2.0, np.random.default_rng(seed))
+        for seed in (1, 1, 2)
+    ]
+    parts = [(f.lines, f.noise, f.stretches, f.events.tolist()) for f in drawn]
+    assert parts[0] == parts[1] != parts[2]
+    assert sum(map(bool, parts[0])) == 1
