@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fiber_bus_bridge import PlanResult, Session, SessionState, SimulationConfig, simulated_buses
+from fiber_bus_bridge.capture import Tap
 from fiber_bus_bridge.wire import encode_load
 from fiber_core.clearance import Certificate, Safety, certify, neighbour_pairs
 from fiber_core.errors import FiberError
@@ -60,13 +61,14 @@ class _Watch:
         return value
 
 
-def carry_out(problem: Problem, planner: str, seed: int = 0) -> Run:
+def carry_out(problem: Problem, planner: str, seed: int = 0, capture: Path | None = None) -> Run:
     """Plan, discretize, load, verify, go, and wait for the end, in simulated time.
 
     Args:
         problem: what is asked.
         planner: name of the planner.
         seed: of the errors of the robots' clocks.
+        capture: folder for what went over the buses.
 
     Raises:
         FiberError: the problem or the planner's name is malformed.
@@ -86,6 +88,8 @@ def carry_out(problem: Problem, planner: str, seed: int = 0) -> Run:
     held = np.where(np.isin(held, (Reason.OK, Reason.NO_TARGET)), done.reason, held)
 
     buses = simulated_buses(plane, units, start, SimulationConfig(seed=seed))
+    if capture is not None:
+        buses = Tap(buses, buses.timing)
     session = Session(plane, units, safety, buses, start)
     ready_s = session.configure(0.0)
     session.submit(done.wire, problem.targets)
@@ -93,6 +97,8 @@ def carry_out(problem: Problem, planner: str, seed: int = 0) -> Run:
     upload = session.upload
     while session.state is SessionState.MOVING:
         now_s = session.advance(now_s + _TICK_S)
+    if capture is not None:
+        buses.write(capture)
     motion = upload.motion.decoded()
     pairs = neighbour_pairs(plane)
     certificate = watch("certify_s", lambda: certify(plane, motion, safety, pairs))
@@ -114,6 +120,7 @@ def carry_out(problem: Problem, planner: str, seed: int = 0) -> Run:
         "bytes_mean": float(upload.loaded.lengths.mean()) if len(rows) else 0.0,
         "bytes_bound": ORDER_BYTES_BOUND,
         "bus_time_s": upload.go_s - ready_s,
+        "countdown_s": upload.start_s - upload.go_s,
         **watch.seconds,
     }
     return Run(motion, certificate, session.take_result().explained_by(held), figures)
@@ -130,6 +137,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--robots", type=int, help="how many robots of the preset")
     parser.add_argument("--seed", type=int, default=0, help="of the random field")
     parser.add_argument("--planner", choices=planners(), default=DEFAULT_PLANNER)
+    parser.add_argument("--capture", type=Path, help="folder for waveforms (VCD) and packets")
     parser.add_argument("--out", type=Path, help="folder for problem.npz and plan.npz")
     parser.add_argument(
         "--cold", action="store_true", help="let the first compilation count as computing"
@@ -144,7 +152,7 @@ def main(argv: list[str] | None = None) -> int:
         problem = problem_from(args.problem, args.layout, args.preset, args.robots, args.seed)
         if not args.cold:
             carry_out(_small(problem), args.planner)
-        run = carry_out(problem, args.planner, args.seed)
+        run = carry_out(problem, args.planner, args.seed, args.capture)
     except (FiberError, OSError) as error:
         print(f"plan_field: {error}", file=sys.stderr)
         return 2

@@ -28,6 +28,7 @@ from fiber_bus_bridge import (
     addresses_of,
 )
 from fiber_bus_bridge.bus import FaultKind, draw_faults
+from fiber_bus_bridge.capture import Tap
 from fiber_bus_bridge.firmware import MotionRecord
 from fiber_core.clearance import Safety, certify, neighbour_pairs
 from fiber_core.fields import random_problem
@@ -61,6 +62,7 @@ class Campaign:
         outcomes: how often robots ended as they did.
         gap_mm: smallest true gap between outlines [mm].
         ended_s: when it was over, simulated [s].
+        tap: what went over the buses, if it was asked for.
     """
 
     kind: str
@@ -70,6 +72,7 @@ class Campaign:
     outcomes: Counter = field(default_factory=Counter)
     gap_mm: float = np.inf
     ended_s: float = 0.0
+    tap: Tap | None = None
 
 
 @dataclass(frozen=True)
@@ -110,17 +113,22 @@ class _Seen:
         return replies
 
 
-def run_campaign(kind: str, seed: int, robots: int = 127) -> Campaign:
-    """Run one campaign; whatever is wrong is in what it returns."""
+def run_campaign(kind: str, seed: int, robots: int = 127, capture: Path | None = None) -> Campaign:
+    """Run one campaign; whatever is wrong is in what it returns.
+
+    With `capture`, a folder, what went over the buses is written there.
+    """
     campaign = Campaign(kind, seed)
     try:
-        _run(campaign, robots)
+        _run(campaign, robots, capture)
     except Exception as error:  # whatever escapes is a finding
         campaign.wrong.append(f"crashed: {type(error).__name__}: {error}")
+    if campaign.tap is not None:
+        campaign.tap.write(capture)
     return campaign
 
 
-def _run(campaign, robots):
+def _run(campaign, robots, capture):
     rng = np.random.default_rng([KINDS.index(campaign.kind), campaign.seed])
     base = _field(robots, int(rng.integers(_FIELDS)))
     plane, units = base.plane, base.units
@@ -133,7 +141,10 @@ def _run(campaign, robots):
         clock_ppm=rng.uniform(-20, 20, plane.n), start_skew_s=rng.uniform(0, 20e-6, plane.n),
     )  # fmt: skip
     record = MotionRecord(robots, units.quantum_rad)
-    backend = _Seen(SimulatedBuses(robots, faults=faults, rng=rng), record)
+    buses = SimulatedBuses(robots, faults=faults, rng=rng)
+    if capture is not None:
+        buses = campaign.tap = Tap(buses, buses.timing)
+    backend = _Seen(buses, record)
     session = Session(plane, units, SAFETY, backend, units.to_angles(base.counts), SessionConfig())
     uploads = []
     stop_s = rng.uniform(0, _FAULTS_BEGIN_S) if rng.random() < 0.1 else np.inf
@@ -241,6 +252,7 @@ def parse(argv):
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--out", type=Path, help="file for the table, in markdown")
     parser.add_argument("--replay", metavar="KIND:SEED", help="run one campaign and tell of it")
+    parser.add_argument("--capture", type=Path, help="folder for the bytes of a replay")
     return parser.parse_args(argv)
 
 
@@ -249,7 +261,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parse(argv)
     if args.replay:
         kind, seed = args.replay.split(":")
-        campaign = run_campaign(kind, int(seed), args.robots)
+        campaign = run_campaign(kind, int(seed), args.robots, args.capture)
         print("\n".join([*campaign.told, f"smallest true gap {campaign.gap_mm:.4f} mm"]))
         print("\n".join(campaign.wrong) or "nothing wrong")
         return 1 if campaign.wrong else 0

@@ -13,7 +13,11 @@ setup(
         ("share/fiber_bus_bridge", ["package.xml"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
+    extras_require={
+        "test": ["pytest", "hypothesis"],
+        "capture": ["pyvcd"],
+        "linux": ["smbus2"],
+    },  # colcon looks for pytest here
     zip_safe=False,  # compiled loops are cached beside the modules
     entry_points={"console_scripts": ["bridge = fiber_bus_bridge.node.bridge:main"]},
 )

@@ -140,6 +140,18 @@ def test_orders_wait_for_start_and_are_carried_out_to_the_last_quantum(rest):
     assert Opcode.LOAD in opcodes and any(np.any(log.read) for _, log in logs)
 
 
+def test_a_capture_is_written_of_each_plan(path, tmp_path):
+    pytest.importorskip("vcd", reason="pyvcd is not installed: no captures")
+    with Peer("rest") as peer:
+        rest = Rest(peer, path, capture=str(tmp_path / "capture"))
+        rest.ready(9)
+        assert rest.call(topics.START).success
+        rest.end(9)
+        folder = tmp_path / "capture" / str(PlanStamp(9))
+        rest.until(lambda: (folder / "buses.pcap").exists())
+        assert (folder / "buses.vcd").stat().st_size > 10_000
+
+
 def test_the_first_reason_given_for_a_robot_stays(rest):
     tips = PLANE.centers + [2.0, 0.0]
     rest.targets.publish(targets.encode(PLANE.ids, tips, PlanStamp(9)))

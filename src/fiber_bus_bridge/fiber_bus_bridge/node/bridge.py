@@ -1,11 +1,13 @@
 """The bus bridge as a node: segments in, bytes on the buses, outcomes out."""
 
 import threading
+from pathlib import Path
 
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
+from fiber_bus_bridge.capture import Tap
 from fiber_bus_bridge.node.frame_log import frame_log
 from fiber_bus_bridge.node.notes import PlanNotes
 from fiber_bus_bridge.session import Session, SessionConfig, SessionState
@@ -51,6 +53,10 @@ class BridgeNode(Node):
         plane, start = simulated_plane(simulation)
         self._plane, self._units = plane, WireUnits.for_plane(plane)
         buses = simulated_buses(plane, self._units, start, simulation)
+        self._capture = self.declare_parameter("capture", "").value
+        if self._capture:
+            buses = Tap(buses, buses.timing)
+        self._buses = buses
         config = declare_settings(self, SessionConfig, "session")
         self._session = Session(plane, self._units, safety, buses, start, config)
         self._lock, self._halt = threading.Lock(), threading.Event()
@@ -212,6 +218,8 @@ class BridgeNode(Node):
         said = ", ".join(f"{counts[o]} {o.name.lower()}" for o in Outcome)
         self._report.counters |= {"plan": self._stamp, "outcome": said}
         self._report.done(self._stamp, said)
+        if self._capture:
+            self._buses.write(Path(self._capture) / str(self._stamp))
 
     def _publish_state(self):
         speeds = self._session.velocities

@@ -1,0 +1,8 @@
+"""What went over the buses, as files that other tools open: VCD waveforms and pcap packets."""
+
+from fiber_bus_bridge.capture.pcap import write_pcap
+from fiber_bus_bridge.capture.tap import Tap
+from fiber_bus_bridge.capture.vcd import write_vcd
+from fiber_bus_bridge.capture.waveform import Waveform, waveform
+
+__all__ = ["Tap", "Waveform", "waveform", "write_pcap", "write_vcd"]
