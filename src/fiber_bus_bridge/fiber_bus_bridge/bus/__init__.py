@@ -3,6 +3,7 @@
 from fiber_bus_bridge.bus.backend import Ack, BusBackend, Exchange, Replies
 from fiber_bus_bridge.bus.counters import BusCounters
 from fiber_bus_bridge.bus.faults import Cure, FaultKind, Faults, Line, draw_faults
+from fiber_bus_bridge.bus.linux import LinuxBuses
 from fiber_bus_bridge.bus.simulated import SimulatedBuses
 from fiber_bus_bridge.bus.timing import BUS_TIMINGS, BusTiming, bus_timing
 from fiber_bus_bridge.bus.topology import TOPOLOGIES, Topology, addresses_of
@@ -19,6 +20,7 @@ __all__ = [
     "FaultKind",
     "Faults",
     "Line",
+    "LinuxBuses",
     "Replies",
     "SimulatedBuses",
     "Topology",

@@ -1,0 +1,116 @@
+"""A Linux kernel with I2C adapters that has simulated robots behind them, by umockdev.
+
+It works inside `umockdev-wrapper` only, where opening /dev/i2c-N and its ioctls come here.
+"""
+
+import errno
+import struct
+import sys
+import threading
+
+import numpy as np
+
+from fiber_bus_bridge.bus import Ack, SimulatedBuses
+from fiber_bus_bridge.bus.linux import LinuxBuses
+from fiber_bus_bridge.wire import Addresses, Frames
+
+DEBIAN = "/usr/lib/python3/dist-packages"  # where gi is, for Debian's own Python
+I2C_FUNCS, I2C_RDWR = 0x0705, 0x0707
+READ, TEN_BIT = 0x01, 0x10
+ERRNO = {
+    Ack.NO_ADDRESS: errno.ENXIO,
+    Ack.REFUSED: errno.EREMOTEIO,
+    Ack.LOST: errno.EAGAIN,
+    Ack.STUCK: errno.EBUSY,
+    Ack.TIMED_OUT: errno.ETIMEDOUT,
+    Ack.NOT_SENT: errno.EBUSY,
+}
+
+
+def umockdev():
+    """Return the modules of umockdev and GLib, or None where they are not installed."""
+    sys.path.append(DEBIAN)
+    try:
+        import gi
+
+        gi.require_version("UMockdev", "1.0")
+        from gi.repository import GLib, UMockdev
+    except (ImportError, ValueError):
+        return None
+    finally:
+        sys.path.remove(DEBIAN)
+    return UMockdev, GLib
+
+
+class KernelBuses(LinuxBuses):
+    """The real backend on devices that do not exist; time is that of the simulated buses."""
+
+    def __init__(self, simulated: SimulatedBuses):
+        mock, glib = umockdev()
+        self.simulated, self.now_s, self.calls = simulated, 0.0, []
+        self._testbed, self._bases, devices = mock.Testbed.new(), [], {}
+        for bus in np.unique(simulated.positioners.bus).tolist():
+            devices[bus] = f"/dev/i2c-{bus}"
+            self._testbed.add_from_string(
+                f"P: /devices/fake/i2c-{bus}\nN: i2c-{bus}\nE: DEVNAME=/dev/i2c-{bus}\n"
+                f"E: SUBSYSTEM=i2c-dev\nE: MAJOR=89\nE: MINOR={bus}\nA: dev=89:{bus}\\n\n"
+            )
+            base = mock.IoctlBase()
+            base.connect("handle-ioctl", self._handle, bus)
+            self._testbed.attach_ioctl(devices[bus], base)
+            self._bases.append(base)
+        self._loop = glib.MainLoop()
+        self._server = threading.Thread(target=self._loop.run, daemon=True)
+        self._server.start()
+        super().__init__(devices, clock=lambda: self.now_s, wait=self._pass)
+
+    def close(self):
+        super().close()
+        self._loop.quit()
+        self._server.join()
+
+    def _pass(self, seconds):
+        self.now_s += seconds
+
+    def _handle(self, _, client, bus):
+        request, argument = client.get_request() & 0xFFFFFFFF, client.get_arg()
+        if request == I2C_FUNCS:
+            argument.resolve(0, 8).update(0, struct.pack("<Q", 0x0FFF_FFFF))
+            client.complete(0, 0)
+        elif request == I2C_RDWR:
+            client.complete(*self._transact(argument, bus))
+        else:
+            return False
+        return True
+
+    def _transact(self, argument, bus):
+        top = argument.resolve(0, 16)
+        count = struct.unpack("<QI4x", top.retrieve())[1]
+        table = top.resolve(0, 16 * count)
+        heads = [struct.unpack_from("<HHH", table.retrieve(), 16 * k) for k in range(count)]
+        self.calls.append(count)
+        k = 0
+        while k < count:
+            address, flags, length = heads[k]
+            payload, into = b"", None
+            if not flags & READ:
+                payload = table.resolve(16 * k + 8, length).retrieve() if length else b""
+                follows = k + 1 < count and heads[k + 1][0] == address and heads[k + 1][1] & READ
+                k += bool(follows)
+            if heads[k][1] & READ:
+                into = table.resolve(16 * k + 8, heads[k][2])
+            ack, data = self._message(bus, address, bool(flags & TEN_BIT), payload, into, heads[k])
+            if ack != Ack.OK:
+                return -1, ERRNO[ack]
+            if into is not None:
+                into.update(0, data)
+            k += 1
+        return count, 0
+
+    def _message(self, bus, address, ten_bit, payload, into, head):
+        to = Addresses([bus], [address], [ten_bit])
+        read = 0 if into is None else head[2]
+        frame = Frames.from_bytes(to, [payload])
+        replies = self.simulated.transfer(frame, read, self.now_s)
+        self.now_s = max(self.now_s, float(replies.end_s[0]))
+        return Ack(int(replies.ack[0])), replies.data.tobytes()
