@@ -162,6 +162,7 @@ def _run(campaign, robots, capture):
         else:
             t = max(t, session.configure(t))
             if session.state is not SessionState.IDLE:
+                campaign.told.append(f"{t:.4f} s: no home while {session.state.name}")
                 break
             t = max(t, session.home(t))
         while session.state is SessionState.MOVING:
@@ -217,8 +218,8 @@ def _judge_runs(campaign, runs, uploads):
                 campaign.wrong.append(f"robot {row} never came to rest")
             continue  # called off in its countdown
         late = [abs(runs.started_s[k] - u.start_s) for u in uploads]
-        upload = uploads[int(np.argmin(late))]
-        if min(late) > 1e-3 or not upload.started[row]:
+        upload = uploads[int(np.argmin(late))] if late else None
+        if upload is None or min(late) > SAFETY.start_skew_s or not upload.started[row]:
             campaign.wrong.append(f"robot {row} moved at {runs.started_s[k]:.4f} s unverified")
             continue
         wire = upload.motion

@@ -47,7 +47,12 @@ ARROWS = {
 # import name -> rosdep key or package name, where they differ
 KEYS = {
     name: f"python3-{name}" for name in ("numpy", "numba", "scipy", "astropy", "matplotlib", "rich")
-} | {"pytest": "python3-pytest", "hypothesis": "python3-hypothesis", "yaml": "python3-yaml"}
+} | {
+    "pytest": "python3-pytest",
+    "hypothesis": "python3-hypothesis",
+    "yaml": "python3-yaml",
+    "gi": "python3-gi",
+}
 # Without a rosdep key: fastcrc and selenium are for tests, rosbags for the command `bag` alone,
 # which says what to install.
 UNDECLARED = {"fastcrc", "selenium", "rosbags"}

@@ -116,7 +116,9 @@ class Session:
         self._read_s = np.full(plane.n, -np.inf)
         self._plan: Plan | None = None
         silence_s = 1e-3 * self.config.silence_ms
-        self._starter = Starter(self.link, silence_s, self.config.watch_s, self._hear)
+        self._starter = Starter(
+            self.link, silence_s, self.config.watch_s, 0.25 * safety.start_skew_s, self._hear
+        )
         self._uploader = Uploader(
             plane, units, safety, self.link, neighbour_pairs(plane), self._starter
         )
@@ -325,7 +327,7 @@ class Session:
     def _begin(self, wanted, t):
         """Upload the plan for the wanted robots and start them."""
         self.upload = self._uploader.run(
-            self._plan.motion, wanted, self._boot, self._lost, t, self._may_go
+            self._plan.motion, wanted, self.known, self._boot, self._lost, t, self._may_go
         )
         self.uploads.append(self.upload)
         self._lost |= self.upload.started

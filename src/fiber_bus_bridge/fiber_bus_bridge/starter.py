@@ -53,6 +53,7 @@ class Starter:
         link: the wire.
         silence_s: after how long without a BEAT robots stop themselves [s].
         period_s: shortest time between two looks at the robots [s].
+        skew_s: how much later than the first a bus may have heard the GO [s].
         listen: told of every status, as by Watch.
     """
 
@@ -61,25 +62,28 @@ class Starter:
         link: Link,
         silence_s: float,
         period_s: float,
+        skew_s: float,
         listen: Callable[[np.ndarray, Statuses, float], None],
     ):
         self.link, self.silence_s, self.period_s, self.listen = link, silence_s, period_s, listen
+        self.skew_s = skew_s
         self._bus = link.at(link.addresses.bus)
 
-    def go(self, rows, sequence, boot, look_s: float, t: float) -> Start:
+    def go(self, rows, known, sequence, boot, look_s: float, t: float) -> Start:
         """Start robots that are loaded and verified.
 
         Args:
             rows: the robots, shape (r,).
+            known: robots that can be commanded, shape (n,): a STOP reaches all of them.
             sequence: sequence number of each bus, shape (b,).
             boot: boot counters of all robots, shape (n,).
             look_s: how long it takes to look at all of them once [s].
             t: not before this time [s].
         """
         t = max(t, self.link.now_s)
-        nobody = np.zeros(len(boot), dtype=bool)
+        missing = np.zeros(len(boot), dtype=bool)
         if len(rows) == 0:
-            return Start(t, t, None, nobody)
+            return Start(t, t, None, missing)
         buses = np.unique(self._bus[rows])
         countdown_s = min(1.2 * look_s + _SLACK_S + self.silence_s, _LONGEST_S)
         units = round(countdown_s / COUNTDOWN_S)
@@ -90,18 +94,24 @@ class Starter:
         took_s = float((replies.end_s - replies.start_s).min())
         go_s = float(replies.start_s.min() + took_s)
         start_s = go_s + units * COUNTDOWN_S
+        missing[rows] = (replies.end_s > go_s + self.skew_s)[
+            np.searchsorted(buses, self._bus[rows])
+        ]
         watch = Watch(
             self.link, rows, boot, sequence, go_s, self.silence_s, self.period_s, self.listen
         )
+        if missing.any():  # a clock held low made the GO late on their bus
+            self._call_off(rows, known, watch)
+            return Start(go_s, start_s, None, missing)
         # without a BEAT from then on nobody starts
         until_s = start_s - self.silence_s - self.period_s
         while not watch.seen[rows].all():
             watch.step(VERIFY_BYTES)
             if watch.freeze_s is not None or watch.now_s >= until_s:
-                return Start(go_s, start_s, None, self._call_off(rows, watch))
+                return Start(go_s, start_s, None, self._call_off(rows, known, watch))
             self._again(watch, sequence, took_s, start_s)
         watch.counting = False
-        return Start(go_s, start_s, watch, nobody)
+        return Start(go_s, start_s, watch, missing)
 
     def _again(self, watch, sequence, took_s, start_s):
         """GO to each robot that said it is loaded and has not heard it, for the same instant."""
@@ -118,11 +128,13 @@ class Starter:
         self.link.transfer(frames, 0, begin_s)
         watch.deaf[:] = False
 
-    def _call_off(self, rows, watch):
+    def _call_off(self, rows, known, watch):
         """Stop and clear everybody before anyone moves; return who did not count down, (n,)."""
-        status = self.stop(rows, watch.now_s)
+        everybody = np.flatnonzero(known)
+        status = self.stop(everybody, watch.now_s)
         stopped = status.ok & (status.state == RobotState.STOPPED)
-        self.link.command(Opcode.CLEAR, rows[stopped], watch.now_s)
+        self.link.command(Opcode.CLEAR, everybody[stopped], watch.now_s)
+        stopped = np.isin(rows, everybody[stopped])
         missing = np.zeros(len(watch.seen), dtype=bool)
         missing[rows] = ~stopped | ~watch.seen[rows]
         if (missing[rows] & stopped).all():

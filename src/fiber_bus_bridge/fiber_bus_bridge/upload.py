@@ -88,6 +88,7 @@ class Uploader:
         self,
         motion: WireMotion,
         wanted,
+        known,
         boot,
         lost,
         t: float,
@@ -98,6 +99,7 @@ class Uploader:
         Args:
             motion: orders of every robot, from where its encoders are.
             wanted: robots that shall move, shape (n,).
+            known: robots that can be commanded, shape (n,).
             boot: boot counters at configuration, shape (n,).
             lost: robots whose position is not known: whoever could touch them rests, (n,).
             t: not before this time [s].
@@ -139,7 +141,7 @@ class Uploader:
             if not may_go():
                 return self._nothing(motion, frames, wanted, verified, reason, Reason.STOPPED)
             rows = np.flatnonzero(verified)
-            begun = self._starter.go(rows, self._sequence, boot, self._look_s, t)
+            begun = self._starter.go(rows, known, self._sequence, boot, self._look_s, t)
             if begun.missing.any():
                 # nobody has moved: again, without those that did not count down
                 reason[begun.missing] = Reason.NOT_ACKNOWLEDGED

@@ -273,6 +273,20 @@ def test_a_robot_that_cannot_be_started_calls_the_others_off_and_they_go_without
     assert (result.outcome == Outcome.REACHED).sum() == 18
 
 
+def test_a_bus_that_hears_the_go_late_does_not_start_and_nobody_is_left_stopped():
+    rig = Rig()
+    motion = rig.ready(theta=np.where(np.arange(19) == 4, 0, 400))
+    rig.session.link.backend._line(1)._stretches = [(12, 0.0, np.inf, 1e-3)]
+    rig.call("start")
+    moves = (np.arange(19) < 10) & (np.arange(19) != 4)
+    assert np.array_equal(rig.session.upload.started, moves)
+    result = rig.run()
+    assert set(result.reason[10:]) == {Reason.NOT_ACKNOWLEDGED}
+    assert np.array_equal(rig.where()[moves], motion.end[moves])
+    assert np.array_equal(rig.where()[~moves], motion.start[~moves])
+    assert set(rig.robots.states(rig.t)[~moves]) == {RobotState.IDLE}
+
+
 @pytest.mark.parametrize("when_s", [0.0, 0.3])
 def test_a_robot_that_stops_by_itself_stops_everybody_at_once(when_s):
     rig = Rig(config=SessionConfig(resumes=0))

@@ -1,0 +1,58 @@
+"""The campaigns of bench/soak.py: they pass, they repeat, and they see what must not happen."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fiber_bus_bridge.firmware import Runs
+from fiber_bus_bridge.watch import Watch
+
+pytestmark = pytest.mark.timeout(600)
+
+
+@pytest.fixture(scope="module")
+def soak():
+    path = Path(__file__).parents[1] / "bench" / "soak.py"
+    spec = importlib.util.spec_from_file_location("soak_under_test", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("kind", ["none", "stall", "sda_stuck", "noise", "mixed"])
+def test_a_campaign_ends_with_nothing_wrong(soak, kind):
+    campaign = soak.run_campaign(kind, 1, robots=37)
+    assert campaign.wrong == []
+    assert 0.0 < campaign.gap_mm < 5.0
+    assert sum(campaign.outcomes.values()) % 37 == 0 and campaign.outcomes
+
+
+def test_a_campaign_is_its_kind_and_its_seed(soak):
+    told = [soak.run_campaign("mixed", seed, robots=37).told for seed in (5, 5, 6)]
+    assert told[0] == told[1] != told[2]
+
+
+def test_the_judge_sees_robots_that_were_not_stopped(soak, monkeypatch):
+    # in this one, going on after a robot has lost power makes arms touch
+    judge = Watch._judge
+
+    def goes_on(watch):
+        judge(watch)
+        watch.freeze_s = None
+        watch.arrived |= watch.wrong | (watch._tries >= 3)
+
+    monkeypatch.setattr(Watch, "_judge", goes_on)
+    wrong = soak.run_campaign("brown_out", 10).wrong
+    assert any("arms touch" in words for words in wrong)
+    monkeypatch.undo()
+    assert soak.run_campaign("brown_out", 10).wrong == []
+
+
+def test_the_judge_sees_orders_that_were_not_verified(soak):
+    campaign = soak.Campaign("none", 0)
+    ones = np.ones((1, 2, 15), dtype=np.int64)
+    odd = Runs(np.array([3]), np.array([1.0]), np.array([2.0]), np.array([[1, 1]]), ones, ones)
+    soak._judge_runs(campaign, odd, [])
+    assert campaign.wrong == ["robot 3 moved at 1.0000 s unverified"]
