@@ -48,6 +48,7 @@ class Link:
         self.addresses = addresses
         self.backoff_s = tuple(backoff_s)
         self.counters = BusCounters(addresses.bus)
+        self.failures = np.zeros(len(addresses), dtype=np.int64)  # tries with each robot
         self.given_up = np.zeros(len(self.buses), dtype=bool)
         self.free_s = np.full(len(self.buses), -np.inf)
         self._limit = traffic_limit
@@ -105,7 +106,7 @@ class Link:
             ack[todo] = np.where(heard, replies.ack, ack[todo])
             return replies, replies.ack == Ack.OK
 
-        self._repeat(self.addresses[rows], attempt, t)
+        self._repeat(rows, attempt, t)
         return ack
 
     def command(self, opcode: Opcode, rows, t: float) -> np.ndarray:
@@ -136,11 +137,13 @@ class Link:
             self.counters.add_bad_replies(to.bus[todo][(replies.ack == Ack.OK) & ~good])
             return replies, good
 
-        self._repeat(to, attempt, t)
+        self._repeat(rows, attempt, t)
         return data
 
-    def _repeat(self, to, attempt, t):
+    def _repeat(self, rows, attempt, t):
         """Run attempt(rows still to do, earliest times) until all succeed or tries run out."""
+        rows = np.asarray(rows)
+        to = self.addresses[rows]
         todo, not_before = np.arange(len(to)), np.full(len(to), float(t))
         tries = np.zeros(len(to), dtype=np.int64)
         bus = self.at(to.bus)
@@ -148,6 +151,7 @@ class Link:
             replies, good = attempt(todo, not_before)
             # what was not sent for the fault of another is not a try
             tries[todo] += replies.ack != Ack.NOT_SENT
+            self.failures[rows[todo]] += ~good & (replies.ack != Ack.NOT_SENT)
             again = ~good & (tries[todo] <= len(self.backoff_s)) & ~self.given_up[bus[todo]]
             todo = todo[again]
             # who failed oftener comes later: nobody waits behind one that blocks the bus

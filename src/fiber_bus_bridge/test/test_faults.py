@@ -97,6 +97,7 @@ def test_a_slow_clock_takes_time_and_too_slow_a_clock_is_timed_out():
     # nobody waits behind it: the others are served before it is tried again
     link = Link(buses_with(stretches=[(0, 0.0, FOREVER, 30e-3)]), TO)
     assert link.command(Opcode.CLEAR, np.arange(4), 0.0).tolist() == [Ack.NO_ADDRESS] + [Ack.OK] * 3
+    assert link.failures.tolist() == [3, 0, 0, 0]
 
 
 @pytest.mark.parametrize("rate", [1e-4, 1e-3, 1e-2])

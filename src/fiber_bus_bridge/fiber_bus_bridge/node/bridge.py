@@ -236,8 +236,15 @@ class BridgeNode(Node):
             self._frames.publish(frames.encode(frame_log(exchange), self._stamp))
 
     def _bus_statuses(self):
-        for bus, figures in self._session.link.counters.table().items():
-            bad = figures["no_address"] + figures["refused"] + figures["bad_replies"]
+        link = self._session.link
+        for bus, figures in link.counters.table().items():
+            here = np.flatnonzero(self._plane.bus == bus)
+            worst = here[np.argmax(link.failures[here])]
+            if link.failures[worst]:
+                named = {"robot": self._plane.ids[worst], "failures": link.failures[worst]}
+                figures |= {f"worst_{name}": int(value) for name, value in named.items()}
+            figures |= {"given_up": int(link.given_up[link.at(bus)])}
+            bad = sum(figures[n] for n in ("no_address", "refused", "line_errors", "bad_replies"))
             level, text = (Level.WARN, f"{bad} frames failed") if bad else (Level.OK, "good")
             yield Status(f"bridge: bus {bus}", level, text, figures, f"i2c-{bus}")
 
