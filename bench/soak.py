@@ -161,6 +161,8 @@ def _run(campaign, robots, capture):
             t = max(t, session.start(t))
         else:
             t = max(t, session.configure(t))
+            if session.state is SessionState.STOPPED:  # somebody is in FAULT
+                t = max(t, session.clear(t))
             if session.state is not SessionState.IDLE:
                 campaign.told.append(f"{t:.4f} s: no home while {session.state.name}")
                 break

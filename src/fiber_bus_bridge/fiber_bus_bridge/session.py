@@ -344,6 +344,10 @@ class Session:
         fit = np.isin(self.robot_state, (RobotState.STOPPED, RobotState.FAULT))
         fit &= np.isin(self.robot_fault, (Fault.NONE, Fault.SILENCE)) & ~self._lost
         fit[rows] &= status.ok & (status.boot == self._boot[rows])
+        # who heard no BEAT though its bus did will not hear the next either
+        bus = self.link.at(self.plane.bus)
+        heard = np.unique(bus[running & (self.robot_state == RobotState.STOPPED)])
+        fit &= ~((self.robot_fault == Fault.SILENCE) & np.isin(bus, heard))
         self._failed |= running & ~fit
         if len(self.uploads) > self.config.resumes or not self._may_go():
             return self.stop(self.link.now_s)

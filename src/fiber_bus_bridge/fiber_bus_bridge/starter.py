@@ -31,8 +31,8 @@ class Start(NamedTuple):
     Args:
         go_s: when the GO was complete [s].
         start_s: when the robots begin to move [s].
-        watch: the watch over them; None when nobody moves.
-        missing: who did not count down, for which all others were called off, shape (n,).
+        watch: the watch over them; None when nobody moves, because all were called off.
+        missing: for whom all were called off: who did not count down, shape (n,).
     """
 
     go_s: float
@@ -107,7 +107,8 @@ class Starter:
         until_s = start_s - self.silence_s - self.period_s
         while not watch.seen[rows].all():
             watch.step(VERIFY_BYTES)
-            if watch.freeze_s is not None or watch.now_s >= until_s:
+            late = watch.now_s >= until_s and not watch.seen[rows].all()
+            if watch.freeze_s is not None or late:
                 return Start(go_s, start_s, None, self._call_off(rows, known, watch))
             self._again(watch, sequence, took_s, start_s)
         watch.counting = False
@@ -137,11 +138,9 @@ class Starter:
         stopped = np.isin(rows, everybody[stopped])
         missing = np.zeros(len(watch.seen), dtype=bool)
         missing[rows] = ~stopped | ~watch.seen[rows]
-        if (missing[rows] & stopped).all():
-            # it was not they who failed: those whose bus got no BEAT, or else everybody
-            silent = self._bus[rows]
-            late = watch.beat_s[silent] < watch.beat_s[silent].max() - self.period_s
-            missing[rows] = ~stopped | (late if late.any() else True)
+        # no BEAT gets through to them, whatever they answered before
+        bus = self._bus[rows]
+        missing[rows] |= watch.beat_s[bus] < watch.beat_s[bus].max() - 2 * self.period_s
         return missing
 
     def stop(self, rows, t: float) -> Statuses:

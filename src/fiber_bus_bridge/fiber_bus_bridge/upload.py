@@ -142,7 +142,7 @@ class Uploader:
                 return self._nothing(motion, frames, wanted, verified, reason, Reason.STOPPED)
             rows = np.flatnonzero(verified)
             begun = self._starter.go(rows, known, self._sequence, boot, self._look_s, t)
-            if begun.missing.any():
+            if begun.watch is None and len(rows):
                 # nobody has moved: again, without those that did not count down
                 reason[begun.missing] = Reason.NOT_ACKNOWLEDGED
                 wanted &= ~begun.missing

@@ -273,6 +273,24 @@ def test_a_robot_that_cannot_be_started_calls_the_others_off_and_they_go_without
     assert (result.outcome == Outcome.REACHED).sum() == 18
 
 
+@pytest.mark.parametrize("when_s", [-0.2, 0.2])
+def test_a_robot_that_hears_no_general_call_keeps_nobody_else_from_the_end(when_s):
+    rig = Rig()
+    motion = rig.ready()
+    if when_s > 0:
+        rig.call("start")
+        when_s += rig.session.upload.start_s
+    rig.robots.schedule([(3, when_s, Event.CALL_DEAF, 1)])
+    if when_s < 0:
+        rig.call("start")
+    result = rig.run()
+    ended_once(result, 19)
+    assert result.outcome[3] != Outcome.REACHED
+    assert result.reason[3] == Reason.NOT_ACKNOWLEDGED
+    assert set(np.delete(result.outcome, 3)) == {Outcome.REACHED}
+    assert np.array_equal(np.delete(rig.where(), 3, 0), np.delete(motion.end, 3, 0))
+
+
 def test_a_bus_that_hears_the_go_late_does_not_start_and_nobody_is_left_stopped():
     rig = Rig()
     motion = rig.ready(theta=np.where(np.arange(19) == 4, 0, 400))
