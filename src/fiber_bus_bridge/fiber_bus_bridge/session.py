@@ -29,6 +29,9 @@ from fiber_core.wire_units import WireMotion, WireUnits
 __all__ = ["Session", "SessionConfig", "SessionState"]
 
 
+_CONFIGS = 2  # times a robot is configured that then reports a fault
+
+
 class SessionState(Enum):
     """What a session may be asked next; the value is the advice given with a refusal."""
 
@@ -158,18 +161,23 @@ class Session:
         self.link.revive(power=True, t=t)
         identity = self.link.identities(everybody, t)
         rows = np.flatnonzero(identity.ok & (identity.serial == self.plane.ids))
-        config = Configuration(
-            self.units,
-            self._limits[rows],
-            self._speed[rows],
-            self.config.watchdog_ms,
-            self.config.silence_ms,
-        )
-        self.link.send(rows, encode_config(config, self.link.addresses[rows]), t)
-        status = self._sweep(rows, t)
-        configured = status.ok & (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)
-        self.known = np.isin(everybody, rows[configured])
-        self._boot[rows] = status.boot
+        self.known = np.zeros(self.plane.n, dtype=bool)
+        for _ in range(_CONFIGS):
+            todo = rows[~self.known[rows]]
+            config = Configuration(
+                self.units,
+                self._limits[todo],
+                self._speed[todo],
+                self.config.watchdog_ms,
+                self.config.silence_ms,
+            )
+            self.link.send(todo, encode_config(config, self.link.addresses[todo]), t)
+            status = self._sweep(todo, t)
+            # a fault may be of a frame that was not meant for it; then the next try tells
+            self.known[todo] = (
+                status.ok & (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)
+            )
+            self._boot[todo] = status.boot
         halted = np.isin(self.robot_state, (RobotState.STOPPED, RobotState.FAULT)) & self.known
         self.state = SessionState.STOPPED if halted.any() else SessionState.IDLE
         return self.link.now_s

@@ -435,6 +435,21 @@ def test_stop_works_in_every_state():
         assert rig.session.state is known
 
 
+def test_a_frame_that_was_not_meant_for_it_costs_no_robot(monkeypatch):
+    rig = Rig(3)
+    send = rig.session.link.send
+
+    def astray(rows, *arguments):
+        acks = send(rows, *arguments)
+        if len(rows) == 3:
+            rig.robots.memory["fault"][1] = Fault.BAD_CRC
+        return acks
+
+    monkeypatch.setattr(rig.session.link, "send", astray)
+    rig.call("configure")
+    assert rig.session.known.all()
+
+
 def test_a_stop_survives_the_bridge():
     rig = Rig(7)
     rig.call("configure")
