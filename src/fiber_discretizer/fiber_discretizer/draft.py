@@ -1,5 +1,7 @@
 """Segments of every motor while they are being made, and what is proven about them."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fiber_core.clearance import (
@@ -20,6 +22,14 @@ from fiber_discretizer.free_walls import neighbours_of
 from fiber_discretizer.segments import Segments
 
 __all__ = ["Draft", "profiles_of_robots"]
+
+
+class Snapshot(NamedTuple):
+    """Segments of everybody at some moment, and what was known about them; as in Draft."""
+
+    segments: Segments
+    settled: np.ndarray
+    unsafe: np.ndarray
 
 
 class Draft:
@@ -132,6 +142,15 @@ class Draft:
         self._profiles = None
         concerned = self.pairs_of(rows)
         self.unsafe[concerned] = self.unproven(concerned)
+
+    def snapshot(self) -> Snapshot:
+        """Return what go_back needs to undo all that is given from now on."""
+        return Snapshot(self.segments, self.settled.copy(), self.unsafe.copy())
+
+    def go_back(self, before: Snapshot) -> None:
+        """Undo all that was given since a snapshot."""
+        self.segments, self.settled, self.unsafe = before
+        self._profiles = None
 
     def rest(self, robots: np.ndarray) -> None:
         """Let the robots, bool of shape (n,), stay where they are."""

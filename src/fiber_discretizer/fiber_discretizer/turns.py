@@ -76,6 +76,7 @@ def take_turns(
         if not (taken or held.any()):
             break
     table.sweep(draft.counts().max(axis=1) > _MANY)
+    table.make_room()
     return done
 
 
@@ -119,6 +120,24 @@ class _Turns:
             taken += self._turn(rows)
             todo[rows] = False
         return taken
+
+    def make_room(self):
+        # Whoever still has many segments goes by its plan, and those then in its way choose
+        # anew beside it. Where one of them ends up with many or in conflict, all is as before.
+        draft, candidates = self.draft, self.candidates
+        many = np.flatnonzero(draft.counts().max(axis=1) > _MANY)
+        for row in many:
+            plan = candidates.rounded_plan(np.array([row]), _FINE_MM[0])
+            if plan.counts.max() > _MANY:
+                continue
+            before = draft.snapshot()
+            draft.give(np.array([row]), plan)
+            beside = draft.in_conflict & candidates.moves
+            beside[row] = False
+            self.sweep(beside)
+            crowded = draft.counts()[beside].max(initial=0) > _MANY
+            if crowded or (draft.unsafe & ~before.unsafe).any():
+                draft.go_back(before)
 
     def _turn(self, rows):
         draft, candidates, options = self.draft, self.candidates, self.options

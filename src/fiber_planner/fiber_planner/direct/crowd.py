@@ -14,6 +14,7 @@ __all__ = ["Crowd", "crowd_of", "place_keys"]
 _MOST_OPTIONS = 6
 _FOLDED_RAD = np.deg2rad(135.0)
 _ON_TARGET_MM = 1e-3  # a fibre this near to its target stays where it is
+_SPEED = 0.998  # share of the speed limits that is planned with: rounding takes from the rest
 _SAME_RAD = 1e-9  # a joint this near to its end stays where it is
 
 
@@ -32,7 +33,7 @@ class Crowd(NamedTuple):
         start: joint angles now [rad], shape (n, 2).
         low: lower joint limits [rad], shape (n, 2).
         high: upper joint limits [rad], shape (n, 2).
-        speed: highest joint speeds [rad/s], shape (n, 2).
+        speed: highest joint speeds to plan with [rad/s], shape (n, 2).
         fold: phi of the folded arm, turned clockwise and counter-clockwise; where only one
             way folds it, twice the same [rad], shape (n, 2).
         movable: whether a robot may be moved, shape (b,).
@@ -90,7 +91,7 @@ def crowd_of(problem: Problem, seed: int = 0) -> Crowd:
         start=problem.start,
         low=np.ascontiguousarray(plane.limits[:, :, 0]),
         high=np.ascontiguousarray(plane.limits[:, :, 1]),
-        speed=plane.speeds,
+        speed=_SPEED * plane.speeds,
         fold=_fold(plane),
         movable=movable,
         key=place_keys(plane, seed),

@@ -45,14 +45,14 @@ def choose_ends(problem: Problem, crowd: Crowd, parameters: DirectParameters) ->
         crowd: the same as the search sees it.
         parameters: what to keep apart.
     """
-    plane, rows = problem.plane, np.arange(problem.plane.n)
+    rows = np.arange(problem.plane.n)
     reason = _reasons(problem, crowd, parameters.margin_mm)
     seeking = reason == Reason.OK
-    time = (np.abs(crowd.option - problem.start[:, None]) / plane.speeds[:, None]).max(axis=2)
+    time = (np.abs(crowd.option - problem.start[:, None]) / crowd.speed[:, None]).max(axis=2)
     alone_s = float(time[seeking, 0].max(initial=0.0))
     if alone_s == 0.0:
-        alone_s = float((_LEAST_TURN_RAD / plane.speeds).max(initial=0.0))
-    choice = _nearest_options(problem, crowd, parameters)
+        alone_s = float((_LEAST_TURN_RAD / crowd.speed).max(initial=0.0))
+    choice = _clear_options(problem, crowd, parameters, alone_s)
     choice[time[rows, choice] > alone_s] = 0
     choice[~seeking] = -1
     angles = np.where(seeking[:, None], crowd.option[rows, choice], problem.start)
@@ -112,9 +112,16 @@ def _reasons(problem, crowd, margin_mm):
     return reason
 
 
-def _nearest_options(problem, crowd, parameters):
-    # the option of each robot that is nearest to what choose_goals would have it end in
-    goal, _ = choose_goals(problem, parameters.margin_mm + parameters.allowance_mm)
+def _clear_options(problem, crowd, parameters, alone_s):
+    # The option of each robot nearest to what choose_goals would have it end in. Goals that
+    # leave the allowance are better, unless robots would have to be given up for it.
+    least = parameters.margin_mm + parameters.allowance_mm
+    most = _least_mm(problem, crowd, parameters, 2.0 * alone_s).max(initial=0.0)
+    goal, reason = choose_goals(problem, max(least, most + parameters.allowance_mm))
+    if (reason == Reason.GOAL_BLOCKED).any():
+        other, other_reason = choose_goals(problem, least)
+        if (other_reason == Reason.GOAL_BLOCKED).sum() < (reason == Reason.GOAL_BLOCKED).sum():
+            goal = other
     away = np.abs(crowd.option - goal[:, None]).max(axis=2)
     away[np.arange(crowd.option.shape[1]) >= crowd.options[:, None]] = np.inf
     return away.argmin(axis=1)

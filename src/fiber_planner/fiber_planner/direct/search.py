@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from fiber_core.clearance import certify
+from fiber_core.clearance import certify, gaps
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
@@ -42,6 +43,7 @@ _GIVE_UP_ROUNDS = 12
 _LAST_EFFORT = 900  # candidates per robot granted to each of these rounds
 _RESTORE_DRAWS = 300
 _SMALL_PLANE = 100  # the effort granted to a plane of fewer robots
+_MEASURED_MM = 1e-3  # how closely the certificate resolves a gap, and a little more
 _MORE_MM = 0.005  # asked for beyond what the certificate misses
 
 
@@ -235,11 +237,19 @@ class Search:
         return short
 
     def _missing_mm(self, motion, which):
-        # by how much the gaps of some pairs fall short of what the certificate asks, (p,)
-        pairs, missing = self._crowd.pairs, np.zeros(len(which))
-        safety = self._parameters.safety
-        found = certify(self._problem.plane, straight_pieces(motion), safety, pairs[which])
-        missing[which] = np.where(found.unsafe, found.required_mm - found.gap_mm, 0.0)
+        # By how much the gaps of some pairs fall short of what the certificate asks, (p,).
+        # Half of the allowance is part of it where the pair starts and ends with as much:
+        # the search may overlook a graze, and rounding needs it.
+        plane, safety = self._problem.plane, self._parameters.safety
+        more = replace(safety, margin_mm=safety.margin_mm + 0.5 * self._parameters.allowance_mm)
+        pieces, pairs = straight_pieces(motion), self._crowd.pairs[which]
+        found = certify(plane, pieces, more, pairs)
+        pairs, gap = pairs[found.unsafe], found.gap_mm[found.unsafe]
+        at_ends = np.minimum(gaps(plane, pairs, pieces.start), gaps(plane, pairs, pieces.end))
+        wanted = np.minimum(found.required_mm[found.unsafe], at_ends - _MEASURED_MM)
+        wanted = np.maximum(wanted, safety.required_mm(plane, pieces, pairs))
+        missing = np.zeros(len(which))
+        missing[np.flatnonzero(which)[found.unsafe]] = np.maximum(wanted - gap, 0.0)
         return missing
 
     # -- best effort
