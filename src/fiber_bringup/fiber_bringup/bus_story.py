@@ -25,20 +25,20 @@ _CALLS = {Opcode.GO: EventKind.GO, Opcode.STOP: EventKind.STOP}
 
 
 def bus_story(
-    plane: FocalPlane, logs: Sequence[FrameLog], go_s: float
+    plane: FocalPlane, logs: Sequence[FrameLog], start_s: float
 ) -> tuple[Measured, BusLoad, Events]:
     """Read the frames of a plan.
 
     Args:
         plane: the focal plane.
         logs: its frames, in the order they were published.
-        go_s: when the last GO began, in the time of the frames [s]; with nan times count
-            from the first frame.
+        start_s: when robots began to move, in the time of the frames [s]; with nan times
+            count from the first frame.
     """
-    log = _joined(logs)
-    if not np.isfinite(go_s):
-        go_s = log.time_s.min(initial=np.inf) if len(log) else 0.0
-    time_s = log.time_s - go_s
+    log = FrameLog.joined(logs)
+    if not np.isfinite(start_s):
+        start_s = log.time_s.min(initial=np.inf) if len(log) else 0.0
+    time_s = log.time_s - start_s
     row = _rows(plane, log)
     status = _Statuses(log, row)
     return (
@@ -133,20 +133,3 @@ def _rows(plane, log):
     hung, inverse = np.unique(np.stack([log.bus, log.address]), axis=1, return_inverse=True)
     rows = np.array([of.get(pair, -1) for pair in map(tuple, hung.T.tolist())], dtype=np.int64)
     return rows[inverse.ravel()] if len(rows) else np.zeros(0, dtype=np.int64)
-
-
-def _joined(logs) -> FrameLog:
-    def column(name, dtype):
-        return np.concatenate([np.zeros(0, dtype), *(getattr(log, name) for log in logs)])
-
-    lengths = np.concatenate([np.zeros(0, np.int64), *(np.diff(log.offsets) for log in logs)])
-    return FrameLog(
-        column("time_s", float),
-        column("bus", np.int64),
-        column("address", np.int64),
-        column("ten_bit", bool),
-        column("read", bool),
-        column("ack", np.int64),
-        np.concatenate([[0], np.cumsum(lengths)]),
-        column("data", np.uint8),
-    )

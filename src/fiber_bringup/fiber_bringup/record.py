@@ -49,7 +49,7 @@ def record(
         FiberError: the pieces do not fit each other.
     """
     told = replay(plane, units, counts, logs)
-    measured, load, events = bus_story(plane, logs, told.go_s)
+    measured, load, events = bus_story(plane, logs, told.start_s)
     stops = events.time_s[(events.kind == EventKind.STOP) & (events.time_s >= 0)]
     wire, notes = told.motion, []
     if len(stops):

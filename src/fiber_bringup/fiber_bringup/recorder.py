@@ -51,6 +51,7 @@ class _Heard:
     targets: object = None
     trajectory: object = None
     logs: list[FrameLog] = field(default_factory=list)
+    looked_at: int = 0  # how many logs there were at the last look
     ended: PlanEnd | None = None
     ended_s: float = 0.0  # when that was heard
 
@@ -145,6 +146,9 @@ class RecorderNode(Node):
                 del self._heard[stamp]
 
     def _complete(self, heard) -> bool:
+        more, heard.looked_at = len(heard.logs) > heard.looked_at, len(heard.logs)
+        if more:  # the outcome can overtake the last frames
+            return False
         if heard.counts is None:
             return time.monotonic() > heard.ended_s + _QUIET_S
         told = replay(self._plane, self._units, heard.counts, heard.logs)

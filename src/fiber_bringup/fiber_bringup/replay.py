@@ -6,13 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiber_bringup.client import PlaneClient, PlanEnd
-from fiber_bus_bridge.wire import CALL_PREFIX, Addresses, Frames, Opcode, decode_load
+from fiber_bus_bridge.wire import (
+    CALL_PREFIX,
+    COUNTDOWN_S,
+    Addresses,
+    Frames,
+    Opcode,
+    decode_load,
+)
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import FrameLog
 
 __all__ = ["Replay", "replay", "settled_replay", "unexplained"]
+
+_TOLD = (Opcode.LOAD, Opcode.CLEAR, Opcode.GO, Opcode.STOP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +34,7 @@ class Replay:
         load_bytes: bytes of the order each of them was started with, shape (n,), else 0.
         load_s: when the first LOAD began, simulated time [s], nan without one.
         go_s: when the last GO began [s], nan without one.
+        start_s: when its countdown was over [s], but for the 0.1 ms the frame itself takes.
     """
 
     motion: WireMotion
@@ -32,6 +42,7 @@ class Replay:
     load_bytes: np.ndarray
     load_s: float
     go_s: float
+    start_s: float
 
     @property
     def bus_time_s(self) -> float:
@@ -40,10 +51,11 @@ class Replay:
 
 
 def replay(plane: FocalPlane, units: WireUnits, counts, logs: Iterable[FrameLog]) -> Replay:
-    """Follow the frames of a plan as the robots do: store, forget, start.
+    """Follow the frames of a plan as the robots do: store, forget, count down, start.
 
-    An acknowledged LOAD replaces what a robot had stored, a CLEAR forgets it, and a GO
-    starts every robot of its bus that stores an order of the GO's sequence number.
+    An acknowledged LOAD replaces what a robot had stored, a CLEAR forgets it, and a GO lets
+    every robot it reaches that stores an order of its sequence number start after a
+    countdown. A STOP before that calls the start off.
 
     Args:
         plane: the focal plane.
@@ -51,38 +63,36 @@ def replay(plane: FocalPlane, units: WireUnits, counts, logs: Iterable[FrameLog]
         counts: encoders before the plan [quanta], shape (n, 2).
         logs: its frames, in the order they were published.
     """
-    row_of = {hung: row for row, hung in enumerate(zip(plane.bus.tolist(), plane.address.tolist()))}
-    stored = np.full(plane.n, -1)  # number of the frame a robot holds, among all frames
+    log = FrameLog.joined(logs)
+    rows_of = {
+        (bus, address): np.array([row])
+        for row, (bus, address) in enumerate(zip(plane.bus.tolist(), plane.address.tolist()))
+    }
+    rows_on = {bus: np.flatnonzero(plane.bus == bus) for bus in np.unique(plane.bus).tolist()}
+    stored = np.full(plane.n, -1)  # number of the frame a robot holds
     running = np.full(plane.n, -1)
     sequence = np.full(plane.n, -1)
-    load_s, go_s, before = np.nan, np.nan, 0
-    logs = list(logs)
-    for log in logs:
-        written = np.flatnonzero(~log.read & (log.ack == 0) & (np.diff(log.offsets) > 0))
-        called = (log.address == 0) & ~log.ten_bit
-        head = _heads(log, written, called)
-        opcode = head >> 4
-        go = written[opcode == Opcode.GO]
-        for frame, number in zip(go, head[opcode == Opcode.GO] & 15):
-            starts = (plane.bus == log.bus[frame]) & (stored >= 0) & (sequence == number)
-            running[starts], stored[starts] = stored[starts], -1
-            go_s = np.fmax(go_s, log.time_s[frame])
-        single = ~called[written]
-        for code in (Opcode.LOAD, Opcode.CLEAR):
-            chosen = written[single & (opcode == code)]
-            rows = np.array(
-                [row_of[h] for h in zip(log.bus[chosen].tolist(), log.address[chosen].tolist())],
-                dtype=np.int64,
-            )
-            if code == Opcode.CLEAR:
-                stored[rows] = -1
-            elif len(rows):
-                stored[rows] = before + chosen
-                sequence[rows] = head[single & (opcode == code)] & 15
-                load_s = np.fmin(load_s, log.time_s[chosen].min())
-        before += len(log)
+    starts_s = np.full(plane.n, np.nan)
+    load_s = go_s = start_s = np.nan
+    for frame, opcode, number, countdown_s, called in _orders(log):
+        bus, time_s = int(log.bus[frame]), log.time_s[frame]
+        rows = rows_on[bus] if called else rows_of[bus, int(log.address[frame])]
+        if opcode == Opcode.LOAD:
+            stored[rows], sequence[rows] = frame, number
+            load_s = np.fmin(load_s, time_s)
+        elif opcode == Opcode.CLEAR:
+            stored[rows] = -1
+        elif opcode == Opcode.GO:
+            rows = rows[(stored[rows] >= 0) & (sequence[rows] == number)]
+            running[rows], stored[rows] = stored[rows], -1
+            starts_s[rows] = time_s + countdown_s
+            go_s, start_s = np.fmax(go_s, time_s), np.fmax(start_s, time_s + countdown_s)
+        else:
+            stored[rows] = -1
+            running[rows[starts_s[rows] > time_s]] = -1
     started = running >= 0
-    frames = _frames(logs, running[started])
+    frames = Frames(Addresses(log.bus, log.address, log.ten_bit), log.offsets, log.data)
+    frames = frames[running[started]]
     orders = decode_load(units, frames)
     segments = np.zeros((plane.n, 2), dtype=np.int64)
     segments[started] = np.diff(orders.offsets).reshape(-1, 2)
@@ -90,7 +100,7 @@ def replay(plane: FocalPlane, units: WireUnits, counts, logs: Iterable[FrameLog]
     load_bytes = np.zeros(plane.n, dtype=np.int64)
     load_bytes[started] = frames.lengths
     motion = WireMotion(units, counts, offsets, orders.ticks, orders.velocity)
-    return Replay(motion, started, load_bytes, float(load_s), float(go_s))
+    return Replay(motion, started, load_bytes, float(load_s), float(go_s), float(start_s))
 
 
 def settled_replay(client: PlaneClient, ended: PlanEnd, counts, timeout_s: float) -> Replay:
@@ -135,23 +145,17 @@ def unexplained(plane: FocalPlane, told: Replay, ended: PlanEnd, counts) -> np.n
     return (told.motion.end != counts).any(axis=1) & obeyed
 
 
-def _heads(log, written, called):
-    # opcode and sequence number; a general call carries them behind its prefix
-    first = log.offsets[written]
-    prefixed = called[written] & (log.data[first] == CALL_PREFIX)
-    return log.data[first + prefixed].astype(np.int64)
-
-
-def _frames(logs, numbers) -> Frames:
-    # the frames of these numbers, counted through all logs, as one table
-    def joined(values, dtype):
-        return np.concatenate([np.zeros(0, dtype), *values])
-
-    to = Addresses(
-        joined([log.bus for log in logs], np.int64),
-        joined([log.address for log in logs], np.int64),
-        joined([log.ten_bit for log in logs], bool),
-    )
-    lengths = joined([np.diff(log.offsets) for log in logs], np.int64)
-    offsets = np.concatenate([[0], np.cumsum(lengths)])
-    return Frames(to, offsets, joined([log.data for log in logs], np.uint8))[numbers]
+def _orders(log):
+    # What makes robots store, forget or start: frame, opcode, sequence number, countdown of a
+    # GO [s], and whether it is a general call, which has a prefix.
+    written = np.flatnonzero(~log.read & (log.ack == 0) & (np.diff(log.offsets) > 0))
+    called = (log.address[written] == 0) & ~log.ten_bit[written]
+    first = log.offsets[written] + called * (log.data[log.offsets[written]] == CALL_PREFIX)
+    opcode, number = log.data[first] >> 4, log.data[first] & 15
+    for at in np.flatnonzero(np.isin(opcode, _TOLD)):
+        countdown_s = 0.0
+        if opcode[at] == Opcode.GO:
+            countdown_s = (
+                int.from_bytes(log.data[first[at] + 1 : first[at] + 3].tobytes()) * COUNTDOWN_S
+            )
+        yield written[at], opcode[at], number[at], countdown_s, called[at]

@@ -62,7 +62,8 @@ def test_all_frames_are_counted_and_a_go_is_told(run):
     load, events = run.done.load, run.done.events
     assert load.frames.sum() > 3 * len(run.before) and load.bytes.sum() > 20 * len(run.before)
     assert load.edges_s[0] < 0 < load.edges_s[-1]
-    assert events.kind.tolist() == [EventKind.GO] and events.time_s[0] == 0.0
+    assert events.kind.tolist() == [EventKind.GO]
+    assert -0.2 < events.time_s[0] < 0.0  # robots count down from there
     assert not events.bad.any()
     assert run.done.about["codes"]["fault"]["33"] == "memory"
 

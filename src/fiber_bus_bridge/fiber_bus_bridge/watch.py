@@ -21,6 +21,7 @@ from fiber_bus_bridge.wire import (
 __all__ = ["Watch"]
 
 _TRIES = 3  # looks at a robot that fail in a row before it counts as silent
+_KEPT_S = 0.1  # of each robot no more than one look in this time becomes part of the traffic
 _FIRST_CHUNK = 8  # robots of a bus looked at in the first step, before their time is known
 
 
@@ -31,6 +32,8 @@ class Watch:
     bus, and looks at the alert lines. Something wrong gives `freeze_s`, the instant at which
     everybody must stop: now, when a robot has stopped by itself; when no BEAT gets through to
     a bus, the instant at which its robots will stop themselves, so that all stop together.
+    Steps in which only robots are read that were read a moment ago are left out of the
+    traffic, which is for people and recordings; a capture has them all.
 
     Args:
         link: the wire.
@@ -66,7 +69,7 @@ class Watch:
         self._bus = link.at(link.addresses.bus)
         self._boot, self._sequence = boot, sequence[self._bus]
         self._tries = np.zeros(n, dtype=np.int64)
-        self._read_s = np.full(n, -np.inf)
+        self._read_s, self._kept_s = np.full((2, n), -np.inf)
         self._chunk = np.full(len(link.buses), _FIRST_CHUNK)
         self.beat_s = np.full(len(link.buses), go_s)
         # a line that is low already tells nothing
@@ -90,7 +93,10 @@ class Watch:
         calls = encode_command(Opcode.BEAT, general_call(self.link.buses[ready]))
         frames = _joined(calls, self.link.addresses[rows])
         read = np.where(np.arange(len(frames)) < len(ready), 0, width)
-        replies = self.link.transfer(frames, read, t, keep=False)
+        keep = bool((t - self._kept_s[rows] >= _KEPT_S).any())
+        if keep:
+            self._kept_s[rows] = t
+        replies = self.link.transfer(frames, read, t, keep)
         beats, looks = np.arange(len(ready)), np.arange(len(ready), len(frames))
 
         through = ready[replies.ack[beats] == Ack.OK]

@@ -5,6 +5,7 @@ to whoever listens, and one batch is one message. Bytes are padded with zeros to
 longest frame of the batch.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +54,26 @@ class FrameLog:
 
     def __len__(self) -> int:
         return len(self.bus)
+
+    @classmethod
+    def joined(cls, logs: Iterable["FrameLog"]) -> "FrameLog":
+        """Return the frames of several logs as one, in their order."""
+        logs = list(logs)
+
+        def column(name, dtype):
+            return np.concatenate([np.zeros(0, dtype), *(getattr(log, name) for log in logs)])
+
+        lengths = np.concatenate([np.zeros(0, np.int64), *(np.diff(x.offsets) for x in logs)])
+        return cls(
+            time_s=column("time_s", float),
+            bus=column("bus", np.int64),
+            address=column("address", np.int64),
+            ten_bit=column("ten_bit", bool),
+            read=column("read", bool),
+            ack=column("ack", np.int64),
+            offsets=np.concatenate([[0], np.cumsum(lengths)]),
+            data=column("data", np.uint8),
+        )
 
 
 def encode(log: FrameLog, stamp: PlanStamp) -> PointCloud2:

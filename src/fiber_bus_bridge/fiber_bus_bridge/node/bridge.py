@@ -230,10 +230,8 @@ class BridgeNode(Node):
 
     def _publish_frames(self):
         traffic = self._session.link.take_traffic()
-        if self._stamp is None or self._frames.get_subscription_count() == 0:
-            return
-        for exchange in traffic:
-            self._frames.publish(frames.encode(frame_log(exchange), self._stamp))
+        if traffic and self._stamp is not None and self._frames.get_subscription_count() > 0:
+            self._frames.publish(frames.encode(frame_log(traffic), self._stamp))
 
     def _bus_statuses(self):
         link = self._session.link

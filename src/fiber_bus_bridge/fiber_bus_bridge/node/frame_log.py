@@ -1,5 +1,7 @@
 """Traffic on the buses as the frames topic tells it."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from fiber_bus_bridge.bus import Exchange
@@ -8,8 +10,16 @@ from fiber_msgs_py import FrameLog
 __all__ = ["frame_log"]
 
 
-def frame_log(exchange: Exchange) -> FrameLog:
-    """Return one row for what was written to each robot, and one for what was read from it."""
+def frame_log(exchanges: Iterable[Exchange]) -> FrameLog:
+    """Return one row for what was written to each robot, and one for what was read from it.
+
+    All exchanges go into one log: looks at moving robots are many and small, and messages
+    cost by the piece.
+    """
+    return FrameLog.joined(map(_of_one, exchanges))
+
+
+def _of_one(exchange):
     sent, replies = exchange.frames, exchange.replies
     lengths = np.stack([sent.lengths, np.diff(replies.offsets)], axis=1)
     both = np.concatenate([sent.data, replies.data])
