@@ -75,6 +75,7 @@ def take_turns(
         done += 1
         if not (taken or held.any()):
             break
+    table.rescue()
     table.sweep(draft.counts().max(axis=1) > _MANY)
     table.make_room()
     return done
@@ -120,6 +121,23 @@ class _Turns:
             taken += self._turn(rows)
             todo[rows] = False
         return taken
+
+    def rescue(self):
+        # Whoever found nothing beside what the others chose goes by its plan, those then in
+        # its way by theirs, and so on: where all plans together are safe this ends well.
+        draft, candidates = self.draft, self.candidates
+        for row in np.flatnonzero(self.idle):
+            before, planned = draft.snapshot(), np.zeros(draft.plane.n, dtype=bool)
+            fresh = np.array([row])
+            while len(fresh):
+                planned[fresh] = True
+                draft.give(fresh, candidates.rounded_plan(fresh, _FINE_MM[0]))
+                fresh = np.flatnonzero(draft.in_conflict & candidates.moves & ~planned)
+            crowded = draft.counts()[planned].max() > self.options.max_segments
+            if crowded or (draft.unsafe & ~before.unsafe).any():
+                draft.go_back(before)
+            else:
+                self.sweep(planned)
 
     def make_room(self):
         # Whoever still has many segments goes by its plan, and those then in its way choose
