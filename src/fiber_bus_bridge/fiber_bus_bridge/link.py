@@ -168,7 +168,8 @@ class Link:
     def transfer(self, frames: Frames, read_bytes, not_before_s, keep: bool = True) -> Replies:
         """Send a batch once, each frame not before its time; see BusBackend.transfer.
 
-        Frames for buses given up are not sent. With `keep` it becomes part of the traffic.
+        Frames for buses given up are not sent. With `keep` the batch becomes part of the
+        traffic, which can be done afterwards too.
         """
         at = self.at(frames.to.bus)
         live = ~self.given_up[at]
@@ -182,13 +183,17 @@ class Link:
             replies = _with_unsent(sent, live, read, before)
         self.counters.add(Exchange(frames, replies))
         if keep:
-            self._traffic.append(Exchange(frames, replies))
-            del self._traffic[: -self._limit]
+            self.keep(frames, replies)
         np.maximum.at(self.free_s, at[live], replies.end_s[live])
         failed = live & np.isin(replies.ack, (Ack.STUCK, Ack.TIMED_OUT))
         for bus in np.unique(at[failed]):
             self._free(bus)
         return replies
+
+    def keep(self, frames: Frames, replies: Replies) -> None:
+        """Make a batch part of the traffic."""
+        self._traffic.append(Exchange(frames, replies))
+        del self._traffic[: -self._limit]
 
     def _free(self, at):
         """Free the lines of a bus, or give it up."""

@@ -32,8 +32,8 @@ class Watch:
     bus, and looks at the alert lines. Something wrong gives `freeze_s`, the instant at which
     everybody must stop: now, when a robot has stopped by itself; when no BEAT gets through to
     a bus, the instant at which its robots will stop themselves, so that all stop together.
-    Steps in which only robots are read that were read a moment ago are left out of the
-    traffic, which is for people and recordings; a capture has them all.
+    Steps in which nobody arrives and only robots are read that were read a moment ago are
+    left out of the traffic, which is for people and recordings; a capture has them all.
 
     Args:
         link: the wire.
@@ -93,15 +93,15 @@ class Watch:
         calls = encode_command(Opcode.BEAT, general_call(self.link.buses[ready]))
         frames = _joined(calls, self.link.addresses[rows])
         read = np.where(np.arange(len(frames)) < len(ready), 0, width)
-        keep = bool((t - self._kept_s[rows] >= _KEPT_S).any())
-        if keep:
-            self._kept_s[rows] = t
-        replies = self.link.transfer(frames, read, t, keep)
+        replies = self.link.transfer(frames, read, t, keep=False)
         beats, looks = np.arange(len(ready)), np.arange(len(ready), len(frames))
 
         through = ready[replies.ack[beats] == Ack.OK]
         self.beat_s[through] = replies.end_s[beats][replies.ack[beats] == Ack.OK]
-        self._hear(rows, replies, looks, width)
+        arrived = self._hear(rows, replies, looks, width)
+        if arrived or (t - self._kept_s[rows] >= _KEPT_S).any():
+            self.link.keep(frames, replies)
+            self._kept_s[rows] = t
         for _ in range(_TRIES - 1):
             self._look_again(rows, t, width)
         free = self.link.free_s[through[~self.link.given_up[through]]]
@@ -123,9 +123,11 @@ class Watch:
             to = self.link.addresses[rows]
             frames = Frames(to, np.zeros(len(rows) + 1, dtype=np.int64), np.zeros(0, np.uint8))
             replies = self.link.transfer(frames, width, t, keep=False)
-            self._hear(rows, replies, np.arange(len(rows)), width)
+            if self._hear(rows, replies, np.arange(len(rows)), width):
+                self.link.keep(frames, replies)
 
     def _hear(self, rows, replies, looks, width):
+        """Take in what robots said; returns whether one of them has arrived."""
         data = replies.data.reshape(-1, width)
         status = decode_status(self.link.addresses[rows], data)
         took = (replies.end_s - replies.start_s)[looks]
@@ -145,11 +147,13 @@ class Watch:
         same &= status.sequence[status.ok] == self._sequence[good]
         runs = same & ((state == RobotState.MOVING) | (state == RobotState.DONE))
         self.seen[good] |= runs
-        self.arrived[good] |= runs & (state == RobotState.DONE)
+        arrived = runs & (state == RobotState.DONE) & ~self.arrived[good]
+        self.arrived[good] |= arrived
         self.deaf[good] = same & (state == RobotState.LOADED) & self.counting
         self.wrong[good] |= ~runs & ~self.deaf[good]
         if width == STATUS_BYTES and status.ok.any():
             self.listen(good, status.only(status.ok), self.now_s)
+        return bool(arrived.any())
 
     def _judge(self):
         running = self.running
