@@ -31,7 +31,7 @@ from fiber_core.report import ORDER_BYTES_BOUND, plan_report
 from fiber_core.sources import problem_from
 from fiber_core.tables import read_targets
 from fiber_core.targets import assign
-from fiber_planner import DEFAULT_PLANNER
+from fiber_planner import DEFAULT_PLANNER, planners
 from fiber_viewer import before_and_after, write_player
 
 __all__ = ["main"]
@@ -92,7 +92,7 @@ def _parser():
     parser.add_argument("--layout", type=Path, help="table of robots instead (CSV, ECSV, FITS)")
     parser.add_argument("--targets", type=Path, help="table id, x_mm, y_mm; by default random")
     parser.add_argument("--seed", type=int, default=0, help="of random starts and targets")
-    parser.add_argument("--planner", default=DEFAULT_PLANNER, help="dnf, dnf_arms, or direct")
+    parser.add_argument("--planner", choices=planners(), default=DEFAULT_PLANNER)
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="output folder")
     parser.add_argument(
         "--time-scale",

@@ -24,7 +24,9 @@ def generate_launch_description():
             DeclareLaunchArgument("seed", default_value="0", description="of random starts"),
             DeclareLaunchArgument("layout", default_value="", description="table of robots"),
             DeclareLaunchArgument("problem", default_value="", description="problem.npz"),
-            DeclareLaunchArgument("planner", default_value="direct", description="or dnf"),
+            DeclareLaunchArgument(
+                "planner", default_value="direct", description="or dnf_priority, dnf, ..."
+            ),
             DeclareLaunchArgument("time_scale", default_value="1.0", description="simulated s / s"),
             DeclareLaunchArgument(
                 "folder", default_value="recordings", description="of recordings, one a plan"

@@ -38,6 +38,7 @@ _DRAWS = (30, 100)  # candidates of a robot in a sweep: not folding, folding
 _SWEEPS = (60, 24)  # of a repair: not folding, folding
 _VISITS = 100  # robots between two looks at the clock
 _AT_ONE_MAKESPAN = 200  # candidates per robot after which no more are folded anew
+_REFOLDED_AT_MOST = 20  # times at one makespan
 _CERTIFIED_AT_MOST = 8  # rounds of certificate and repair
 _GIVE_UP_ROUNDS = 12
 _LAST_EFFORT = 900  # candidates per robot granted to each of these rounds
@@ -185,7 +186,9 @@ class Search:
         folding = int(self._folding > 0.0)
         until = self._spent + _AT_ONE_MAKESPAN * max(_SMALL_PLANE, self._problem.plane.n)
         conflicts = self._sweep_over(_SWEEPS[folding])
-        while conflicts and folding and self._spent < until and not self._over:
+        for _ in range(_REFOLDED_AT_MOST * folding):
+            if conflicts == 0 or self._spent >= until or self._over:
+                break
             self._fold_around()
             conflicts = self._sweep_over(_SWEEPS[folding])
         return conflicts
