@@ -28,7 +28,7 @@ __all__ = ["Search"]
 _CROWDED = 0.5
 _STRETCHES = (
     (1.0, 1.02, 1.05, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.0),
-    (1.2, 1.35, 1.5, 1.75, 2.0, 2.2),
+    (1.2, 1.35, 1.5, 1.75, 2.0, 2.15),
 )
 _FOLD_FROM = (1.4, 1.2)  # stretch from which arms are folded on their way
 _PATIENCE = (1.1, 1.5)  # stretch at which robots stuck beside what cannot move are given up
