@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiber_core.clearance import certify, gaps
+from fiber_core.clearance import certify, gaps, profiles_of, unproven
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
@@ -246,13 +246,16 @@ class Search:
         plane, safety = self._problem.plane, self._parameters.safety
         more = replace(safety, margin_mm=safety.margin_mm + 0.5 * self._parameters.allowance_mm)
         pieces, pairs = straight_pieces(motion), self._crowd.pairs[which]
+        required = more.required_mm(plane, pieces, pairs)
+        doubtful = unproven(self._crowd.bodies, profiles_of(pieces), pairs, required)
+        pairs = pairs[doubtful]
         found = certify(plane, pieces, more, pairs)
-        pairs, gap = pairs[found.unsafe], found.gap_mm[found.unsafe]
+        gap = found.gap_mm
         at_ends = np.minimum(gaps(plane, pairs, pieces.start), gaps(plane, pairs, pieces.end))
-        wanted = np.minimum(found.required_mm[found.unsafe], at_ends - _MEASURED_MM)
+        wanted = np.minimum(found.required_mm, at_ends - _MEASURED_MM)
         wanted = np.maximum(wanted, safety.required_mm(plane, pieces, pairs))
         missing = np.zeros(len(which))
-        missing[np.flatnonzero(which)[found.unsafe]] = np.maximum(wanted - gap, 0.0)
+        missing[np.flatnonzero(which)[doubtful]] = np.maximum(wanted - gap, 0.0)
         return missing
 
     # -- best effort
