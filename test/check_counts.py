@@ -21,6 +21,19 @@ def count(report: Path) -> dict[str, int]:
     }
 
 
+def failures(report: Path) -> list[str]:
+    """Return a line for each test of a JUnit report that failed: where, and its last words."""
+    if not report.exists():
+        return []
+    lines = []
+    for case in ElementTree.parse(report).getroot().iter("testcase"):
+        for kind in ("failure", "error"):
+            for trouble in case.iter(kind):
+                said = (trouble.get("message") or trouble.text or "").strip().splitlines()
+                lines.append(f"{case.get('classname')}::{case.get('name')}  {' '.join(said)[:300]}")
+    return lines
+
+
 def main(build: Path, minimum_file: Path) -> int:
     """Print the counts of every suite; return 1 if one is too small or anything failed."""
     minimum = tomllib.loads(minimum_file.read_text())["minimum"]
@@ -34,6 +47,8 @@ def main(build: Path, minimum_file: Path) -> int:
         print(f"{suite:<18} {collected:4d} tests, at least {expected} expected")
         if collected < expected:
             short.append(f"{suite}: {collected} tests instead of at least {expected}")
+        for line in failures(build / suite / "pytest.xml"):
+            print(f"FAILED   {line}")
     for line in short:
         print(f"TOO FEW  {line}")
     print("{passed} passed, {failed} failed, {skipped} skipped".format(**total))

@@ -184,9 +184,6 @@ def test_the_client_itself_refuses_to_send_a_bad_table(client):
         client.send([1, 7], [[0.0, 0.0], [np.nan, 0.0]])
 
 
-# Known and not yet understood: after a stop, now and then the bridge never answers the next call.
-# Until that is found the test is tried again, and every failure is reported in the summary.
-@pytest.mark.flaky(reruns=4)
 @pytest.mark.usefixtures("fast")
 def test_in_the_middle_of_a_motion(problem_file, new_domain):
     domain = new_domain()

@@ -3,6 +3,7 @@
 import signal
 import sys
 import threading
+import traceback
 
 import rclpy
 from rclpy.context import Context
@@ -107,6 +108,8 @@ class Graph:
             pass
         except BaseException as error:
             self._error = error
+            said = "".join(traceback.format_exception(error))
+            rclpy.logging.get_logger("graph").fatal(f"a node has died: {said}")
 
     def _leave(self):
         for node in self.nodes:

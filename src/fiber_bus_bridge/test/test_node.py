@@ -63,7 +63,7 @@ class Rest:
         self.segments = topics.SEGMENTS.publisher(peer.node)
         self.targets = topics.TARGETS.publisher(peer.node)
         self.held = topics.HELD_BY_PLANNER.publisher(peer.node)
-        peer.host(BridgeNode, problem=path, **{"time_scale": 0.0} | parameters)
+        self.bridge = peer.host(BridgeNode, problem=path, **{"time_scale": 0.0} | parameters)
         self.until(
             lambda: self.heard[topics.JOINT_STATES.name] and self.heard[topics.DIAGNOSTICS.name]
         )
@@ -216,6 +216,23 @@ def test_newer_orders_replace_those_that_wait(rest):
     assert rest.call(topics.START).success
     rest.end(21)
     rest.until(lambda: np.array_equal(rest.counts(), turning(ticks=10).end))
+
+
+def test_a_stop_while_the_next_look_is_due_leaves_a_bridge_that_answers(path):
+    with Peer("rest") as peer:
+        rest = Rest(peer, path, time_scale=1.0)
+        rest.ready(9)
+        assert rest.call(topics.START).success
+        looks = min(rest.bridge.timers, key=lambda timer: timer.timer_period_ns)
+        stop = next(s for s in rest.bridge.services if s.service_name.endswith("stop"))
+        waits = rest.bridge.executor.wait_for_ready_callbacks
+        while (due := waits(timeout_sec=WAIT_S))[1] is not looks:
+            due[0]()
+        # as another thread does: after the look is found to be due, and before it is taken
+        assert stop.callback(stop.srv_type.Request(), stop.srv_type.Response()).success
+        due[0]()
+        assert due[0].exception() is None
+        assert rest.call(topics.CLEAR).success
 
 
 def test_settings_it_cannot_work_with_end_it(path):

@@ -191,6 +191,10 @@ class BridgeNode(Node):
                 self._due_s += _TICK_S
                 self._session.advance(self._due_s)
                 self._after()
+            else:
+                # here, and never from the thread that serves stop: a timer cancelled when it is
+                # due fails in rclpy as it is taken, and its whole callback group with it
+                self._timer.cancel()
 
     def _after(self):
         """Tell everybody what a call has changed."""
@@ -203,7 +207,6 @@ class BridgeNode(Node):
             gone = np.clip((self._time_s - motion.start_s) / lasts, 0.0, 1.0)
             self._report.progress(self._stamp, gone, "robots are moving")
             return
-        self._timer.cancel()
         if self._session.result is not None and self._stamp is not None:
             self._publish_outcome(self._session.take_result())
 
