@@ -76,16 +76,18 @@ class Graph:
         self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
         for node in self.nodes:
             self._executor.add_node(node)
-        self._ending = threading.Event()
+        self._ending, self._ended = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._spin, name="graph", daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, kind, *_):
-        # the executor may not go before its loop: callbacks at work still wake it
+        # neither executor nor nodes may go before the loop and what is at work in its threads,
+        # and shutdown alone does not wait for those
         self._ending.set()
         self._executor.wake()
         self._thread.join()
+        self._executor._executor.shutdown()
         self._executor.shutdown()
         self._leave()
         if self._error is not None and kind is None:
@@ -94,11 +96,12 @@ class Graph:
     @property
     def running(self) -> bool:
         """Whether all nodes are up."""
-        return self._thread.is_alive()
+        return not self._ended.is_set()
 
     def wait(self) -> None:
         """Wait until the graph ends by itself; an interrupt gets through."""
-        self._thread.join()
+        # not by joining: until Python 3.13 an interrupted join takes its thread for ended
+        self._ended.wait()
 
     def _spin(self):
         try:
@@ -110,6 +113,8 @@ class Graph:
             self._error = error
             said = "".join(traceback.format_exception(error))
             rclpy.logging.get_logger("graph").fatal(f"a node has died: {said}")
+        finally:
+            self._ended.set()
 
     def _leave(self):
         for node in self.nodes:

@@ -1,5 +1,8 @@
 """The graph in one process: what it says when one of its nodes dies."""
 
+import signal
+import threading
+
 import pytest
 
 from fiber_bringup.graph import Graph
@@ -20,3 +23,17 @@ def test_an_exception_that_escapes_a_node_ends_the_graph_and_is_told_at_once(new
         assert not graph.running
         said = capfd.readouterr().err
         assert "a node has died" in said and "a callback without care" in said
+
+
+def test_an_interrupt_while_waiting_ends_the_loop_before_the_nodes_go(new_domain, monkeypatch):
+    looping = []
+    leave = Graph._leave
+    monkeypatch.setattr(Graph, "_leave", lambda self: (looping.append(self.running), leave(self)))
+    with (
+        pytest.raises(KeyboardInterrupt),
+        Graph(bridge={"robots": 7}, domain=new_domain()) as graph,
+    ):
+        main = threading.main_thread().ident
+        threading.Timer(0.5, signal.pthread_kill, [main, signal.SIGINT]).start()
+        graph.wait()
+    assert looping == [False]
