@@ -44,6 +44,13 @@ class DiscretizerNode(Node):
     def _on_trajectory(self, message):
         try:
             stamp = PlanStamp.of(message)
+        except FiberError as error:
+            self._report.refuse(f"trajectory refused: {error}")
+            return
+        self._view.when_new_enough(stamp, lambda: self._take(stamp, message))
+
+    def _take(self, stamp, message):
+        try:
             if self._stamp is not None and stamp <= self._stamp:
                 self._report.drop(f"trajectory {stamp} dropped: plan {self._stamp} is not older")
                 return

@@ -42,7 +42,11 @@ class Progress:
 
 def encode(progress: Progress) -> DiagnosticStatus:
     """Return progress as a message."""
-    values = {"fraction": repr(float(progress.fraction)), "plan_ns": progress.stamp.ns}
+    values = {
+        "fraction": repr(float(progress.fraction)),
+        "plan_ns": progress.stamp.ns,
+        "attempt": progress.stamp.attempt,
+    }
     return Status(progress.stage, Level.OK, progress.text, values).to_message()
 
 
@@ -54,7 +58,7 @@ def decode(message: DiagnosticStatus) -> Progress:
     """
     values = {pair.key: pair.value for pair in message.values}
     numbers = []
-    for key, kind in (("fraction", float), ("plan_ns", int)):
+    for key, kind in (("fraction", float), ("plan_ns", int), ("attempt", int)):
         if key not in values:
             raise MessageError("progress", "is missing", field="value", value=key)
         try:
@@ -63,4 +67,4 @@ def decode(message: DiagnosticStatus) -> Progress:
             raise MessageError(
                 "progress", "is no number", field=key, value=repr(values[key])
             ) from None
-    return Progress(message.name, numbers[0], message.message, PlanStamp(numbers[1]))
+    return Progress(message.name, numbers[0], message.message, PlanStamp(*numbers[1:]))

@@ -23,6 +23,15 @@ def test_round_trip_keeps_the_order(example):
     np.testing.assert_allclose(got_mm, xy_mm, rtol=1e-12, atol=1e-300)
 
 
+@given(st.integers(0, 2**31 * 10**9 - 1))
+def test_targets_may_say_since_when_the_plane_must_be_known(since_ns):
+    message = targets.encode([4, 7], np.ones((2, 2)), PlanStamp(5, 2), since_ns)
+    assert targets.since(message) == since_ns
+    ids, xy_mm = targets.decode(message)
+    assert ids.tolist() == [4, 7] and np.array_equal(xy_mm, np.ones((2, 2)))
+    assert targets.since(targets.encode([4], [[0.0, 1.0]], PlanStamp(5))) is None
+
+
 def test_targets_travel_in_metres(stamp):
     message = targets.encode([7], [[1500.0, -2.0]], stamp)
     assert np.frombuffer(message.data, "<f8", 2, offset=4).tolist() == [1.5, -0.002]

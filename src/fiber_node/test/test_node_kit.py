@@ -21,6 +21,7 @@ from fiber_msgs_py import (
     joint_states,
     layout,
     progress,
+    targets,
     topics,
 )
 from fiber_node import PlaneView, Reporter, declare_settings, run
@@ -124,6 +125,47 @@ def test_the_view_is_complete_only_with_joint_states_of_the_same_robots(graph):
     assert view.moving
     np.testing.assert_array_equal(view.angles, still + 0.5)
     np.testing.assert_array_equal(view.plane.ids, plane.ids)
+
+
+def test_work_on_a_later_attempt_waits_for_a_plane_as_new_as_its_targets_say(graph):
+    plane, node, source = preset("desi", robots=7), graph("view"), graph("source")
+    view = PlaneView(node, Reporter(node, "planner"))
+    layouts, states, asks = (
+        topic.publisher(source) for topic in (topics.LAYOUT, topics.JOINT_STATES, topics.TARGETS)
+    )
+    still, done = np.zeros((7, 2)), []
+
+    def tell_layout(ns):
+        layouts.publish(layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(ns)))
+        graph.until(lambda: view._layout_ns == ns)
+
+    def tell_states(ns):
+        states.publish(joint_states.encode(plane.ids, still, still, ns))
+        graph.until(lambda: view._states_ns == ns)
+
+    def ask(stamp, since_ns):
+        graph.until(lambda: node.count_subscribers(topics.TARGETS.name) == 1)
+        asks.publish(targets.encode([1], [[0.0, 0.0]], stamp, since_ns))
+        graph.until(lambda: view._since is not None and view._since[0] == stamp)
+
+    view.when_new_enough(PlanStamp(5), lambda: done.append("first"))
+    assert done == ["first"]  # nothing to wait for
+    tell_layout(10)
+    tell_states(10)
+    view.when_new_enough(PlanStamp(5, 2), lambda: done.append("second"))
+    assert done == ["first"]  # its targets are not there yet
+    ask(PlanStamp(5, 2), 20)
+    tell_layout(20)
+    tell_states(19)
+    assert done == ["first"]
+    tell_states(20)
+    assert done == ["first", "second"]
+    # newer work takes the place of what waits, and is done once
+    view.when_new_enough(PlanStamp(5, 3), lambda: done.append("third"))
+    view.when_new_enough(PlanStamp(6), lambda: done.append("newer"))
+    ask(PlanStamp(5, 3), 15)
+    tell_states(30)
+    assert done == ["first", "second", "newer"]
 
 
 def test_a_malformed_layout_is_refused_and_the_old_one_stays(graph):

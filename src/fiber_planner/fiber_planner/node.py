@@ -49,6 +49,13 @@ class PlannerNode(Node):
         try:
             stamp = PlanStamp.of(message)
             ids, xy_mm = targets.decode(message)
+        except FiberError as error:
+            self._report.refuse(f"targets refused: {error}")
+            return
+        self._view.when_new_enough(stamp, lambda: self._take(stamp, ids, xy_mm))
+
+    def _take(self, stamp, ids, xy_mm):
+        try:
             if self._stamp is not None and stamp <= self._stamp:
                 self._report.drop(f"targets {stamp} dropped: plan {self._stamp} is not older")
                 return

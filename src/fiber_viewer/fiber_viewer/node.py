@@ -72,6 +72,8 @@ class ViewerNode(Node):
         self._publish(self._plane_points, plane_cloud(self._plane))
 
     def _on_targets(self, message):
+        if PlanStamp.of(message).attempt > 1:
+            return  # some of those that were asked before
         try:
             xy_mm = targets.decode(message)[1]
         except FiberError:
