@@ -36,7 +36,7 @@ ARROWS = {
     "fiber_planner.node": {"fiber_planner", "fiber_node"} | ROS,
     "fiber_discretizer": {"fiber_core"},
     "fiber_discretizer.node": {"fiber_discretizer", "fiber_node"} | ROS,
-    "fiber_bus_bridge": {"fiber_core", "vcd", "smbus2"},
+    "fiber_bus_bridge": {"fiber_core", "yaml", "vcd", "smbus2"},
     "fiber_bus_bridge.node": {"fiber_bus_bridge", "fiber_node"} | ROS,
     "fiber_viewer": {"fiber_core", "matplotlib"},
     "fiber_viewer.node": {"fiber_viewer", "fiber_node", "visualization_msgs"} | ROS,

@@ -34,7 +34,7 @@ __all__ = ["PlanEnd", "PlaneClient"]
 
 _STAGES = ("planner", "discretizer", "bridge")
 _LISTENERS = ("planner", "bridge")
-_PLANS_KEPT = 4
+_PLANS_KEPT = 8  # attempts of one count as plans of their own
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,9 @@ class PlaneClient:
     """Talks to a graph as an observatory would: through its topics and services only.
 
     It listens while it waits, and only then. Every wait ends: with what was waited for,
-    with the refusal of a node, or after its time-out with a WaitError.
+    with the refusal of a node, or after its time-out with a WaitError. `frames`, `held` and
+    `before`, the encoders before the first frame [quanta], are kept of each attempt of a plan;
+    `ends` and `times` of the plan.
 
     Args:
         domain: ROS domain of the graph; by default that of the environment.
@@ -97,10 +99,12 @@ class PlaneClient:
         self.units: WireUnits | None = None
         self.moving = False
         self.frames: dict[PlanStamp, list[FrameLog]] = {}
+        self.before: dict[PlanStamp, np.ndarray] = {}
         self.held: dict[PlanStamp, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
         self.ends: dict[PlanStamp, PlanEnd] = {}
         self.times: dict[PlanStamp, dict[str, float]] = {}
         self._states: tuple[np.ndarray, np.ndarray] | None = None
+        self._rest: np.ndarray | None = None  # angles when last nothing moved
         self._statuses: dict[str, diagnostics.Status] = {}
         self._refusals: list[PlaneRefusal] = []  # since targets were last sent
         self._asked: PlanStamp | None = None  # when that was
@@ -217,6 +221,11 @@ class PlaneClient:
         self.until(lambda: stamp in self.ends, timeout_s, f"outcome of plan {stamp}")
         return self.ends[stamp]
 
+    def last_attempt(self, stamp: PlanStamp) -> PlanStamp:
+        """Return the last attempt of a plan of which frames were heard, else the first."""
+        heard = [attempt for attempt in self.frames if attempt.plan == stamp]
+        return max(heard, default=stamp)
+
     def wait_recording(self, stamp: PlanStamp, timeout_s: float) -> None:
         """Wait until a recorder of the graph has written the recording of a plan.
 
@@ -318,22 +327,27 @@ class PlaneClient:
     def _on_joint_states(self, message):
         ids, angles, velocities, _ = joint_states.decode(message)
         self._states, self.moving = (ids, angles), bool(np.any(velocities))
+        if not self.moving:
+            self._rest = angles
 
     def _on_held(self, message):
         self._of(self.held, PlanStamp.of(message), list).append(held.decode(message))
 
     def _on_frames(self, message):
-        self._of(self.frames, PlanStamp.of(message), list).append(frames.decode(message))
+        stamp = PlanStamp.of(message)
+        if stamp not in self.before and self._rest is not None and self.units is not None:
+            self._of(self.before, stamp, lambda: self.units.to_counts(self._rest))
+        self._of(self.frames, stamp, list).append(frames.decode(message))
 
     def _on_outcome(self, message):
-        stamp = PlanStamp.of(message)
+        stamp = PlanStamp.of(message).plan
         self._of(self.ends, stamp, lambda: PlanEnd(stamp, *outcome.decode(message)))
         self._of(self.times, stamp, dict).setdefault("ended", self._clock())
 
     def _on_progress_message(self, message):
         heard = progress.decode(message)
         if heard.fraction == 1.0 or heard.stage == "bridge":
-            self._of(self.times, heard.stamp, dict).setdefault(heard.stage, self._clock())
+            self._of(self.times, heard.stamp.plan, dict).setdefault(heard.stage, self._clock())
         self._on_progress(heard)
 
     def _on_diagnostics(self, message):

@@ -81,7 +81,9 @@ def _run(client, options, display) -> int:
 
     ended = _moved(client, run, options.timeout).of(ids)
     if options.json:
-        print(json.dumps(_as_json(ended) | _how_it_went(client.times[stamp], display)))
+        attempts = {"attempts": client.last_attempt(stamp).attempt}
+        went = _how_it_went(client.times[stamp], display)
+        print(json.dumps(_as_json(ended) | attempts | went))
     else:
         print(summary(ended))
     return 0 if went_well(ended) else 1

@@ -16,6 +16,7 @@ from fiber_bringup.record import record
 from fiber_bringup.replay import replay, unexplained
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
+from fiber_core.focal_plane import FocalPlane
 from fiber_msgs_py import (
     FrameLog,
     PlanStamp,
@@ -44,16 +45,35 @@ def recording_name(stamp: PlanStamp) -> str:
 
 
 @dataclass
+class _Attempt:
+    """What was heard of an attempt of a plan."""
+
+    plane: FocalPlane | None = None  # as it was before the first frame
+    counts: np.ndarray | None = None  # encoders then
+    trajectory: object = None
+    logs: list[FrameLog] = field(default_factory=list)
+
+
+@dataclass
 class _Heard:
     """What was heard of a plan."""
 
-    counts: np.ndarray | None = None  # encoders before its first frame
     targets: object = None
-    trajectory: object = None
-    logs: list[FrameLog] = field(default_factory=list)
+    attempts: dict[int, _Attempt] = field(default_factory=dict)
     looked_at: int = 0  # how many logs there were at the last look
     ended: PlanEnd | None = None
     ended_s: float = 0.0  # when that was heard
+
+    def attempt(self, message) -> _Attempt:
+        """Return the attempt a message is about."""
+        return self.attempts.setdefault(PlanStamp.of(message).attempt, _Attempt())
+
+    @property
+    def last(self) -> tuple[int, _Attempt]:
+        """Number and attempt of the last that put frames on the buses, else of the first."""
+        ran = [number for number, attempt in self.attempts.items() if attempt.logs]
+        number = max(ran, default=1)
+        return number, self.attempts.get(number, _Attempt())
 
 
 class RecorderNode(Node):
@@ -87,7 +107,7 @@ class RecorderNode(Node):
         self.create_timer(_LOOK_S, self._write_ended)
 
     def _of(self, message) -> _Heard:
-        stamp = PlanStamp.of(message)
+        stamp = PlanStamp.of(message).plan
         for old in sorted(self._heard)[: -(_PLANS_KEPT - 1)]:
             if old < stamp:
                 del self._heard[old]
@@ -106,16 +126,17 @@ class RecorderNode(Node):
             self._rest = message
 
     def _on_targets(self, message):
-        self._of(message).targets = message
+        if PlanStamp.of(message).attempt == 1:  # later ones ask some of these again
+            self._of(message).targets = message
 
     def _on_trajectory(self, message):
-        self._of(message).trajectory = message
+        self._of(message).attempt(message).trajectory = message
 
     def _on_frames(self, message):
-        heard = self._of(message)
+        heard = self._of(message).attempt(message)
         try:
             if heard.counts is None and self._rest is not None and self._units is not None:
-                heard.counts = self._counts(self._rest)
+                heard.plane, heard.counts = self._plane, self._counts(self._rest)
             heard.logs.append(frames.decode(message))
         except FiberError as error:
             self._report.refuse(f"frames refused: {error}")
@@ -123,7 +144,7 @@ class RecorderNode(Node):
     def _on_outcome(self, message):
         heard = self._of(message)
         try:
-            heard.ended = PlanEnd(PlanStamp.of(message), *outcome.decode(message))
+            heard.ended = PlanEnd(PlanStamp.of(message).plan, *outcome.decode(message))
         except FiberError as error:
             self._report.refuse(f"outcome refused: {error}")
             return
@@ -146,12 +167,14 @@ class RecorderNode(Node):
                 del self._heard[stamp]
 
     def _complete(self, heard) -> bool:
-        more, heard.looked_at = len(heard.logs) > heard.looked_at, len(heard.logs)
+        logs = sum(len(attempt.logs) for attempt in heard.attempts.values())
+        more, heard.looked_at = logs > heard.looked_at, logs
         if more:  # the outcome can overtake the last frames
             return False
-        if heard.counts is None:
+        _, last = heard.last
+        if last.counts is None:
             return time.monotonic() > heard.ended_s + _QUIET_S
-        told = replay(self._plane, self._units, heard.counts, heard.logs)
+        told = replay(self._plane, self._units, last.counts, last.logs)
         now = self._counts(self._state)
         return not unexplained(self._plane, told, heard.ended, now).any()
 
@@ -160,18 +183,22 @@ class RecorderNode(Node):
         asked = np.zeros(0, np.int64), np.zeros((0, 2))
         if heard.targets is not None:
             asked = targets.decode(heard.targets)
+        number, last = heard.last
         planned = None
-        if heard.trajectory is not None:
-            planned = trajectory.decode(heard.trajectory)[:2]
+        if last.trajectory is not None:
+            planned = trajectory.decode(last.trajectory)[:2]
         notes = []
-        if not heard.logs:
+        if number > 1:
+            notes = [f"the last of {number} attempts: it begins where the one before had ended"]
+        if not last.logs:
             notes = ["no frames were heard: nobody was started"]
         elif late:
-            notes = ["the frames heard do not explain where all robots are"]
-        counts = heard.counts if heard.counts is not None else self._counts(self._state)
+            notes += ["the frames heard do not explain where all robots are"]
+        plane = last.plane if last.plane is not None else self._plane
+        counts = last.counts if last.counts is not None else self._counts(self._state)
         recording = record(
-            self._plane, self._units, counts, asked, planned, heard.logs, heard.ended,
-            self._safety, self._about | {"notes": notes},
+            plane, self._units, counts, asked, planned, last.logs, heard.ended,
+            self._safety, self._about | {"attempts": number, "notes": notes},
         )  # fmt: skip
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._folder / recording_name(stamp)

@@ -106,6 +106,8 @@ def replay(plane: FocalPlane, units: WireUnits, counts, logs: Iterable[FrameLog]
 def settled_replay(client: PlaneClient, ended: PlanEnd, counts, timeout_s: float) -> Replay:
     """Wait until the frames a client heard explain where all encoders are; return the replay.
 
+    Of a plan with several attempts it is the replay of the last.
+
     Args:
         client: has followed the plan.
         ended: what became of it, to its end without a stop; failed robots may be anywhere.
@@ -119,7 +121,9 @@ def settled_replay(client: PlaneClient, ended: PlanEnd, counts, timeout_s: float
 
     def elsewhere():
         nonlocal told
-        told = replay(client.plane, client.units, counts, client.frames.get(ended.stamp, ()))
+        last = client.last_attempt(ended.stamp)
+        before = counts if last.attempt == 1 else client.before[last]
+        told = replay(client.plane, client.units, before, client.frames.get(last, ()))
         off = unexplained(client.plane, told, ended, client.units.to_counts(client.angles))
         return client.plane.ids[off]
 

@@ -147,6 +147,15 @@ class Session:
         taken, self.result = self.result, None
         return taken
 
+    def enable(self, enabled) -> None:
+        """Say who may move from now on, shape (n,); the others are obstacles where they are.
+
+        Raises:
+            SessionError: robots are moving.
+        """
+        self._require("change who may move", *set(SessionState) - {SessionState.MOVING})
+        self.plane = self._uploader.plane = self.plane.with_enabled(enabled)
+
     def configure(self, t: float) -> float:
         """Find out who is there, check identities, and send units, limits and speeds.
 

@@ -151,7 +151,7 @@ class Uploader:
             sequence = self._sequence[self._bus]
             sent = frames[rows]
             return Upload(verified, reason, sequence, sent, loaded, certificate, *begun[:3])
-        return self._nothing(motion, frames, wanted, verified, reason, Reason.NOT_VERIFIED)
+        return self._nothing(motion, frames, wanted, verified, reason, Reason.STOPPED)
 
     def _nothing(self, motion, frames, wanted, verified, reason, why):
         """Drop what was loaded: nobody is started."""

@@ -2,106 +2,27 @@
 
 import numpy as np
 import pytest
+from rest_of_graph import COUNTS, PLANE, START, UNITS, WAIT_S, Rest, turning
 
 from fiber_bus_bridge import BridgeError
 from fiber_bus_bridge.node import BridgeNode
 from fiber_bus_bridge.wire import Opcode
 from fiber_core.outcomes import Outcome, Reason
-from fiber_core.presets import preset
 from fiber_core.problem import Problem, save_problem
-from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import (
     MessageError,
     PlanStamp,
     Stage,
-    diagnostics,
     frames,
     held,
-    joint_states,
     layout,
-    outcome,
-    segments,
     targets,
     topics,
 )
 from fiber_node import Peer
 
 pytestmark = pytest.mark.timeout(600)
-
-WAIT_S = 300.0  # the first motion compiles
-PLANE = preset("desi", 7)
-UNITS = WireUnits.for_plane(PLANE)
-# folded, where arms are clear of each other whatever theta is
-START = np.stack([np.linspace(-1.0, 1.0, 7), np.full(7, 3.1)], axis=1)
-COUNTS = UNITS.to_counts(START)
-TICKS, VELOCITY = 50, 700
-
-
-def turning(ids=PLANE.ids, ticks=TICKS):
-    """Orders that turn every theta by the same angle."""
-    n = len(ids)
-    offsets = np.repeat(np.arange(n + 1), 2)[1:]
-    return WireMotion(UNITS, COUNTS[:n], offsets, np.full(n, ticks), np.full(n, VELOCITY))
-
-
-class Rest:
-    """The rest of the graph, as the bridge sees it."""
-
-    def __init__(self, peer, path, **parameters):
-        self.peer = peer
-        self.heard = {
-            topic.name: peer.hear(topic)
-            for topic in (
-                topics.LAYOUT,
-                topics.JOINT_STATES,
-                topics.FRAMES,
-                topics.OUTCOME,
-                topics.DIAGNOSTICS,
-                topics.PROGRESS,
-            )
-        }
-        self.segments = topics.SEGMENTS.publisher(peer.node)
-        self.targets = topics.TARGETS.publisher(peer.node)
-        self.held = topics.HELD_BY_PLANNER.publisher(peer.node)
-        self.bridge = peer.host(BridgeNode, problem=path, **{"time_scale": 0.0} | parameters)
-        self.until(
-            lambda: self.heard[topics.JOINT_STATES.name] and self.heard[topics.DIAGNOSTICS.name]
-        )
-        self.until(lambda: self.segments.get_subscription_count() == 1)
-
-    def until(self, condition):
-        self.peer.until(condition, WAIT_S)
-
-    def status(self):
-        return diagnostics.decode(self.heard[topics.DIAGNOSTICS.name][-1])[0]
-
-    def counts(self):
-        ids, angles, _, _ = joint_states.decode(self.heard[topics.JOINT_STATES.name][-1])
-        assert np.array_equal(ids, PLANE.ids)
-        return UNITS.to_counts(angles)
-
-    def order(self, ns, motion=None, ids=PLANE.ids):
-        self.heard[topics.PROGRESS.name].clear()
-        self.segments.publish(segments.encode(ids, motion or turning(), PlanStamp(ns)))
-
-    def ready(self, ns, motion=None):
-        self.order(ns, motion)
-        self.until(lambda: self.heard[topics.PROGRESS.name])
-
-    def call(self, service):
-        client = service.client(self.peer.node)
-        self.until(client.service_is_ready)
-        future = client.call_async(service.type.Request())
-        self.until(future.done)
-        return future.result()
-
-    def end(self, ns):
-        """What became of the robots of a plan."""
-        self.until(lambda: any(PlanStamp.of(m).ns == ns for m in self.heard[topics.OUTCOME.name]))
-        message = next(m for m in self.heard[topics.OUTCOME.name] if PlanStamp.of(m).ns == ns)
-        ids, result, reason, error_mm = outcome.decode(message)
-        assert np.array_equal(ids, PLANE.ids)
-        return result, reason, error_mm
 
 
 @pytest.fixture

@@ -674,5 +674,5 @@ def test_nobody_moves_when_no_sequence_number_is_safe(monkeypatch):
     rig.call("start")
     ended_once(rig.session.result, 7)
     told = rig.session.result.reason.tolist()
-    assert told == [Reason.UNSAFE_AS_LOADED] * 4 + [Reason.NOT_VERIFIED] * 3
+    assert told == [Reason.UNSAFE_AS_LOADED] * 4 + [Reason.STOPPED] * 3
     assert np.array_equal(rig.robots.positions(rig.t + 9), motion.start)

@@ -1,43 +1,41 @@
 """The bus bridge as a node: segments in, bytes on the buses, outcomes out."""
 
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
+from fiber_bus_bridge.attempts import Attempts
+from fiber_bus_bridge.bus import bus_timing
 from fiber_bus_bridge.capture import Tap
-from fiber_bus_bridge.node.frame_log import frame_log
+from fiber_bus_bridge.errors import SessionError
+from fiber_bus_bridge.node.hardware import device_hardware, simulated_hardware
 from fiber_bus_bridge.node.notes import PlanNotes
+from fiber_bus_bridge.node.operators import declare_roster, follow_operators
+from fiber_bus_bridge.node.telling import Telling
 from fiber_bus_bridge.session import Session, SessionConfig, SessionState
-from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
+from fiber_bus_bridge.simulation import SimulationConfig
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Outcome
-from fiber_core.wire_units import WireUnits
-from fiber_msgs_py import (
-    Level,
-    MessageError,
-    PlanStamp,
-    Status,
-    frames,
-    joint_states,
-    layout,
-    outcome,
-    topics,
-)
+from fiber_msgs_py import MessageError, PlanStamp, targets, topics
 from fiber_node import Reporter, declare_settings, run
 
 __all__ = ["BridgeNode", "main"]
 
-_TICK_S = 0.1  # simulated time between two looks at moving robots
+_TICK_S = 0.1  # time of the buses between two looks at moving robots
+_SOON_S = 1e-3
+_LOOK_S = 0.5  # how often it is seen whether orders planned again have been waited for too long
 
 
 class BridgeNode(Node):
-    """Carries plans to simulated positioners and says what became of every robot.
+    """Carries plans to positioners and says what became of every robot.
 
-    Simulated time goes on only while robots move, `time_scale` seconds a second.
+    The time of simulated buses goes on only while robots move, `time_scale` seconds a second.
 
     Args:
         options: keyword arguments of rclpy.node.Node.
@@ -47,28 +45,42 @@ class BridgeNode(Node):
         super().__init__("bridge", **options)
         simulation = declare_settings(self, SimulationConfig)
         safety = declare_settings(self, Safety, "safety")
-        scale = self.declare_parameter("time_scale", 1.0).value
-        if not scale >= 0:
-            raise MessageError("parameters", "is negative", field="time_scale", value=scale)
-        plane, start = simulated_plane(simulation)
-        self._plane, self._units = plane, WireUnits.for_plane(plane)
-        buses = simulated_buses(plane, self._units, start, simulation)
+        scale = self._positive("time_scale", 1.0)
+        self._most = self.declare_parameter("attempts", 2).value
+        self._patience_s = self._positive("attempt_timeout_s", 60.0)
+        self.declare_parameter("devices", Parameter.Type.STRING_ARRAY)
+        none = Parameter("devices", Parameter.Type.STRING_ARRAY, [])
+        devices = self.get_parameter_or("devices", none).value
+        if devices:
+            hardware = device_hardware(simulation, devices)
+        else:
+            hardware = simulated_hardware(simulation)
+        plane, buses = hardware.plane, hardware.buses
+        self._units, self._bus_clock, self._slice_s = (
+            hardware.units,
+            hardware.clock,
+            hardware.slice_s,
+        )
         self._capture = self.declare_parameter("capture", "").value
         if self._capture:
-            buses = Tap(buses, buses.timing)
+            buses = Tap(buses, bus_timing(simulation.clock))
         self._buses = buses
         config = declare_settings(self, SessionConfig, "session")
-        self._session = Session(plane, self._units, safety, buses, start, config)
+        self._session = Session(plane, self._units, safety, buses, hardware.start, config)
         self._lock, self._halt = threading.Lock(), threading.Event()
         self._time_s = self._due_s = 0.0
         self._stamp: PlanStamp | None = None
         self._notes = PlanNotes(plane)
+        self._attempts = Attempts(np.full((plane.n, 2), np.nan), 1)
+        self._ordered = np.zeros(plane.n, dtype=bool)  # robots with orders in this attempt
+        self._again: PlanStamp | None = None  # the attempt whose orders are waited for
+        self._again_until_s = 0.0
+        self._roster = declare_roster(self, plane)
+        self._session.enable(self._roster.enabled)
 
-        self._report = Reporter(self, "bridge", self._bus_statuses)
-        self._layout = topics.LAYOUT.publisher(self)
-        self._joint_states = topics.JOINT_STATES.publisher(self)
-        self._frames = topics.FRAMES.publisher(self)
-        self._outcome = topics.OUTCOME.publisher(self)
+        self._tell = Telling(self, self._session, self._roster)
+        self._report = Reporter(self, "bridge", self._tell.statuses)
+        self._targets = topics.TARGETS.publisher(self)
         topics.TARGETS.subscription(self, self._on_targets)
         topics.HELD_BY_PLANNER.subscription(self, self._on_held)
         topics.HELD_BY_DISCRETIZER.subscription(self, self._on_held)
@@ -83,17 +95,28 @@ class BridgeNode(Node):
         # stop is served while another call is at work
         alone = MutuallyExclusiveCallbackGroup()
         topics.STOP.server(self, self._on_stop, callback_group=alone)
-        self._timer = self.create_timer(_TICK_S / scale if scale else 1e-3, self._tick)
+        follow_operators(self, self._disable, self._report.refuse)
+        pause_s = _TICK_S / scale if scale and not devices else _SOON_S
+        self._timer = self.create_timer(pause_s, self._tick)
         self._timer.cancel()
+        self.create_timer(_LOOK_S, self._look_at_clock)
         self._configure()
-        self._publish_state()
         self.get_logger().info(f"{plane.n} robots on {len(self._session.link.buses)} buses")
+
+    def _positive(self, name, default):
+        value = self.declare_parameter(name, default).value
+        if not value >= 0:
+            raise MessageError("parameters", "is negative", field=name, value=value)
+        return value
 
     # --- plans ---------------------------------------------------------------
 
     def _on_targets(self, message):
         try:
             self._notes.hear_targets(message)
+            with self._lock:
+                if self._again is not None and PlanStamp.of(message) > self._again:
+                    self._give_up_attempt("there are new targets")
         except FiberError:
             pass  # the planner says so
 
@@ -104,22 +127,95 @@ class BridgeNode(Node):
             self._report.refuse(f"held refused: {error}")
 
     def _on_segments(self, message):
-        try:
-            stamp = PlanStamp.of(message)
-            if self._stamp is not None and stamp <= self._stamp:
-                self._report.drop(f"segments {stamp} dropped: plan {self._stamp} is not older")
-                return
-            with self._lock:
-                motion = self._notes.motion(message, self._units, self._session.counts)
-                replaced = self._session.submit(motion, self._notes.asked(stamp))
-                if replaced is not None:
-                    self._publish_outcome(replaced)
-                self._stamp = stamp
-        except FiberError as error:
-            self._report.refuse(f"segments refused: {error}")
-            return
-        moving = int(np.diff(motion.offsets).reshape(-1, 2).any(axis=1).sum())
-        self._report.done(stamp, f"ready: orders for {moving} robots")
+        with self._lock:
+            again = False
+            try:
+                stamp = PlanStamp.of(message)
+                again = stamp == self._again
+                if stamp.attempt > 1 and not again:
+                    self._report.drop(f"segments {stamp} dropped: nobody waits for this attempt")
+                elif self._stamp is not None and stamp <= self._stamp:
+                    self._report.drop(f"segments {stamp} dropped: plan {self._stamp} is not older")
+                else:
+                    self._take_orders(stamp, message)
+            except FiberError as error:
+                self._report.refuse(f"segments refused: {error}")
+                if again:
+                    self._give_up_attempt("its orders were refused")
+
+    def _take_orders(self, stamp, message):
+        motion = self._notes.motion(message, self._units, self._session.counts)
+        asked, again = self._notes.asked(stamp), stamp == self._again
+        if not again:
+            self._give_up_attempt("there are new orders")
+        replaced = self._session.submit(motion, asked)
+        if replaced is not None:
+            self._attempt_ends(replaced, last=True)
+        if not again:
+            unasked = np.full((self._session.plane.n, 2), np.nan)
+            self._attempts = Attempts(*((unasked, 1) if asked is None else (asked, self._most)))
+        self._stamp, self._again = stamp, None
+        self._ordered = np.diff(motion.offsets).reshape(-1, 2).any(axis=1)
+        self._report.done(stamp, f"ready: orders for {self._ordered.sum()} robots")
+        if again:  # start was asked for this plan
+            self.get_logger().info(self._start())
+
+    def _attempt_ends(self, result, last):
+        """Take what came of an attempt; ask for another, or tell the outcome of the plan."""
+        result = result.explained_by(self._notes.reasons(self._stamp))
+        self._roster.leave_out(result, self._session.known)
+        asked = self._notes.asked(self._stamp)
+        asked = False if asked is None else np.isfinite(asked).all(axis=1)
+        self._attempts.add(self._roster.explain(result), asked)
+        again = self._attempts.again(self._ordered, self._roster.commandable(self._session.known))
+        if last or self._halt.is_set() or not again.any():
+            self._tell.plane()
+            self._publish_outcome()
+        else:
+            self._ask_again(again)
+
+    def _ask_again(self, robots):
+        """Have a plan planned again for some robots, with all others as obstacles."""
+        if self._session.state is SessionState.STOPPED:  # by itself, and not by an operator
+            self._session.clear(self._now_s())
+        self._again = self._stamp.next_attempt
+        self._again_until_s = time.monotonic() + self._patience_s
+        now_ns = self._tell.now_ns()
+        self._tell.plane(always=True, now_ns=now_ns)
+        ids, goals = self._session.plane.ids[robots], self._attempts.goals[robots]
+        message = targets.encode(ids, goals, self._again, since_ns=now_ns)
+        self._notes.hear_targets(message)
+        self._targets.publish(message)
+        held = int((robots & (self._attempts.result.outcome == Outcome.HELD)).sum())
+        said = f"planned again: {held} robots were held for others that cannot be commanded"
+        self.get_logger().info(f"plan {self._again}: {said}")
+        self._report.progress(self._again, 0.0, said)
+
+    def _give_up_attempt(self, why):
+        """End a plan whose next attempt is waited for, with what there is."""
+        if self._again is not None:
+            self.get_logger().warning(f"plan {self._again} given up: {why}")
+            self._again = None
+            self._publish_outcome()
+
+    def _look_at_clock(self):
+        with self._lock:
+            if self._again is not None and time.monotonic() > self._again_until_s:
+                self._report.drop(
+                    f"plan {self._again}: no orders within {self._patience_s:g} s, it ends without"
+                )
+                self._give_up_attempt("no orders came")
+
+    def _publish_outcome(self):
+        result, stamp = self._attempts.result, self._stamp.plan
+        self._tell.outcome(result, stamp)
+        counts = np.bincount(result.outcome, minlength=len(Outcome))
+        said = ", ".join(f"{counts[o]} {o.name.lower()}" for o in Outcome)
+        made = self._attempts.made
+        self._report.counters |= {"plan": stamp, "outcome": said, "attempts": made}
+        self._report.done(stamp, said if made == 1 else f"{said}, in {made} attempts")
+        if self._capture:
+            self._buses.write(Path(self._capture) / str(stamp))
 
     # --- services ------------------------------------------------------------
 
@@ -139,12 +235,14 @@ class BridgeNode(Node):
         return serve
 
     def _start(self):
-        self._session.start(self._time_s, self._may_go)
+        self._session.start(self._now_s(), self._may_go)
         return self._under_way()
 
     def _home(self):
-        self._session.home(self._time_s, self._may_go)
-        self._stamp = PlanStamp(self.get_clock().now().nanoseconds)
+        self._give_up_attempt("the robots go home")
+        self._session.home(self._now_s(), self._may_go)
+        self._stamp = PlanStamp(self._tell.now_ns())
+        self._attempts = Attempts(np.full((self._session.plane.n, 2), np.nan), 1)
         return self._under_way()
 
     def _may_go(self):
@@ -152,11 +250,12 @@ class BridgeNode(Node):
 
     def _under_way(self):
         started = int(self._session.upload.started.sum())
+        stamp = self._stamp
         self._after()
         if self._session.state is SessionState.MOVING:
             self._due_s = self._time_s
             self._timer.reset()
-        return f"plan {self._stamp}: {started} robots started"
+        return f"plan {stamp}: {started} robots started"
 
     def _on_stop(self, request, response):
         self._halt.set()  # a start that is not through its checks yet will not go
@@ -166,41 +265,70 @@ class BridgeNode(Node):
             self._halt.clear()
 
     def _stop(self):
-        self._session.stop(self._time_s)
-        self._after()
+        self._session.stop(self._now_s())
+        self._after(last=True)
+        self._give_up_attempt("stopped")
         return f"stopped: {SessionState.STOPPED.value}"
 
     def _clear(self):
-        self._session.clear(self._time_s)
-        self._after()
+        self._session.clear(self._now_s())
+        self._roster.take_back()
+        self._after(last=True)
+        self._give_up_attempt("cleared")
+        self._tell.plane()
         return self._session.state.value
 
     def _configure(self):
-        self._session.configure(self._time_s)
-        stamp = PlanStamp(self.get_clock().now().nanoseconds)
-        self._layout.publish(layout.encode(self._plane, self._units, stamp))
+        self._session.configure(self._now_s())
+        self._roster.take_back()
+        self._give_up_attempt("configured")
+        self._tell.plane(always=True)
         self._after()
-        return f"{self._session.known.sum()} of {self._plane.n} robots configured"
+        return f"{self._session.known.sum()} of {self._session.plane.n} robots configured"
+
+    def _disable(self, ids, why):
+        with self._lock:
+            changed = sorted(set(ids) ^ set(self._roster.disabled))
+            under_way = self._session.state is SessionState.MOVING or self._again is not None
+            if changed and under_way:
+                what = f"{changed[0]}: cannot be {'dis' if changed[0] in ids else 'en'}abled"
+                raise SessionError(f"robot {what} while a plan is under way")
+            self._roster.disable(ids, why)
+            self._session.enable(self._roster.enabled)
+            self._tell.plane()
+        self.get_logger().info(f"disabled by operators: {sorted(ids) or 'nobody'}")
 
     # --- what the robots do --------------------------------------------------
+
+    def _now_s(self):
+        """The time of the buses [s]."""
+        self._time_s = max(self._time_s, self._session.link.now_s, self._bus_clock())
+        return self._time_s
 
     def _tick(self):
         with self._lock:
             if self._session.state is SessionState.MOVING:
-                # from tick to tick, whatever time the polling takes on the buses
-                self._due_s += _TICK_S
-                self._session.advance(self._due_s)
+                self._watch()
                 self._after()
             else:
                 # here, and never from the thread that serves stop: a timer cancelled when it is
                 # due fails in rclpy as it is taken, and its whole callback group with it
                 self._timer.cancel()
 
-    def _after(self):
-        """Tell everybody what a call has changed."""
-        self._time_s = max(self._time_s, self._session.link.now_s)
-        self._publish_frames()
-        self._publish_state()
+    def _watch(self):
+        # from tick to tick, whatever time the polling takes on the buses
+        until_s = max(self._due_s, self._bus_clock()) + _TICK_S
+        while self._due_s < until_s and self._session.state is SessionState.MOVING:
+            self._due_s = min(max(self._due_s, self._bus_clock()) + self._slice_s, until_s)
+            self._session.advance(self._due_s)
+            if self._halt.is_set():
+                return
+
+    def _after(self, last=False):
+        """Tell everybody what a call has changed; after the last a plan is not tried again."""
+        self._now_s()
+        self._tell.frames(self._stamp)
+        self._tell.state()
         if self._session.state is SessionState.MOVING:
             motion = self._session.upload
             lasts = max(motion.motion.decoded().makespan_s, _TICK_S)
@@ -208,46 +336,7 @@ class BridgeNode(Node):
             self._report.progress(self._stamp, gone, "robots are moving")
             return
         if self._session.result is not None and self._stamp is not None:
-            self._publish_outcome(self._session.take_result())
-
-    def _publish_outcome(self, result):
-        result = result.explained_by(self._notes.reasons(self._stamp))
-        self._outcome.publish(
-            outcome.encode(
-                self._plane.ids, result.outcome, result.reason, result.error_mm, self._stamp
-            )
-        )
-        counts = np.bincount(result.outcome, minlength=len(Outcome))
-        said = ", ".join(f"{counts[o]} {o.name.lower()}" for o in Outcome)
-        self._report.counters |= {"plan": self._stamp, "outcome": said}
-        self._report.done(self._stamp, said)
-        if self._capture:
-            self._buses.write(Path(self._capture) / str(self._stamp))
-
-    def _publish_state(self):
-        speeds = self._session.velocities
-        stamp_ns = self.get_clock().now().nanoseconds
-        self._joint_states.publish(
-            joint_states.encode(self._plane.ids, self._session.angles, speeds, stamp_ns)
-        )
-
-    def _publish_frames(self):
-        traffic = self._session.link.take_traffic()
-        if traffic and self._stamp is not None and self._frames.get_subscription_count() > 0:
-            self._frames.publish(frames.encode(frame_log(traffic), self._stamp))
-
-    def _bus_statuses(self):
-        link = self._session.link
-        for bus, figures in link.counters.table().items():
-            here = np.flatnonzero(self._plane.bus == bus)
-            worst = here[np.argmax(link.failures[here])]
-            if link.failures[worst]:
-                named = {"robot": self._plane.ids[worst], "failures": link.failures[worst]}
-                figures |= {f"worst_{name}": int(value) for name, value in named.items()}
-            figures |= {"given_up": int(link.given_up[link.at(bus)])}
-            bad = sum(figures[n] for n in ("no_address", "refused", "line_errors", "bad_replies"))
-            level, text = (Level.WARN, f"{bad} frames failed") if bad else (Level.OK, "good")
-            yield Status(f"bridge: bus {bus}", level, text, figures, f"i2c-{bus}")
+            self._attempt_ends(self._session.take_result(), last)
 
 
 def main(args=None) -> int:

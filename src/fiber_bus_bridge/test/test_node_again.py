@@ -1,0 +1,254 @@
+"""A plan that is planned again around who cannot be commanded: a test plays planner and operator.
+
+Robot 0 stands stretched towards robot 4, which is to pass there once robot 0 has folded.
+"""
+
+import threading
+
+import numpy as np
+import pytest
+from rest_of_graph import PLANE, START, UNITS, WAIT_S, Rest
+
+import fiber_bus_bridge.node.hardware
+from fiber_core.kinematics import forward
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.problem import Problem, save_problem
+from fiber_core.wire_units import WireMotion
+from fiber_msgs_py import PlanStamp, joint_states, layout, targets, topics
+from fiber_node import Peer
+
+pytestmark = pytest.mark.timeout(600)
+
+ALL = PLANE.ids.tolist()
+STANDING = START.copy()
+STANDING[0], STANDING[4] = (0.0, 0.0), (np.pi, 3.0)
+BEGIN = UNITS.to_counts(STANDING)
+FOLD, WAIT, TURN, UNFOLD = (270, 7000), (300, 0), (270, -3730), (270, -6100)
+
+
+def orders(start, profiles):
+    """Orders from lists of (ticks, velocity) by robot and joint."""
+    lists = [profiles.get((robot, joint), []) for robot in range(7) for joint in range(2)]
+    offsets = np.concatenate([[0], np.cumsum([len(each) for each in lists])])
+    table = np.array([segment for each in lists for segment in each], dtype=np.int64)
+    return WireMotion(UNITS, start, offsets, *table.reshape(-1, 2).T)
+
+
+OTHERS = {(robot, 0): [(50, 700)] for robot in (1, 2, 3, 5, 6)}
+FIRST = orders(
+    BEGIN,
+    {(0, 0): [TURN], (0, 1): [FOLD], (4, 1): [WAIT, UNFOLD], (4, 0): [WAIT, WAIT, TURN]} | OTHERS,
+)
+ENDS_MM = forward(PLANE, UNITS.to_angles(FIRST.end))[1]
+AROUND = {(4, 0): [TURN], (4, 1): [WAIT, UNFOLD]}  # the same end, clear of where robot 0 stands
+
+
+class Scene(Rest):
+    """A bridge with a plan whose first attempt robot 0 cannot take part in."""
+
+    def __init__(self, peer, path, made, **parameters):
+        super().__init__(peer, path, **parameters)
+        self.robots = made[-1].positioners
+
+    def first_attempt(self):
+        self.until(lambda: self.bridge.count_subscribers(topics.TARGETS.name) == 2)
+        self.ask(9, ALL, ENDS_MM)
+        self.ready(9, FIRST)
+        self.robots.power([0], False, 0.0)
+        answer = self.call(topics.START)
+        assert answer.success and "5 robots started" in answer.message
+
+    def asked_again(self):
+        """The targets of the second attempt, once they and what it needs to be known came."""
+        self.until(lambda: self.asked_in(2))
+        (message,) = self.asked_in(2)
+        needed = [self.heard[topic.name] for topic in (topics.LAYOUT, topics.JOINT_STATES)]
+        since_ns = targets.since(message)
+        self.until(lambda: all(PlanStamp.of(told[-1]).ns >= since_ns for told in needed))
+        return message
+
+    def asked_in(self, attempt):
+        wanted = PlanStamp(9, attempt)
+        return [m for m in self.heard[topics.TARGETS.name] if PlanStamp.of(m) == wanted]
+
+    def second(self):
+        now = FIRST.end.copy()
+        now[[0, 4]] = BEGIN[[0, 4]]
+        return orders(now, AROUND)
+
+    def outcomes(self):
+        return [PlanStamp.of(m) for m in self.heard[topics.OUTCOME.name]]
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    """Function that makes a scene; parameters are those of the bridge."""
+    problem = Problem(PLANE, STANDING, np.full((7, 2), np.nan))
+    save_problem(tmp_path / "problem.npz", problem)
+    made, build = [], fiber_bus_bridge.node.hardware.simulated_buses
+    monkeypatch.setattr(
+        fiber_bus_bridge.node.hardware,
+        "simulated_buses",
+        lambda *given: made.append(build(*given)) or made[-1],
+    )
+    with Peer("rest") as peer:
+        yield lambda **parameters: Scene(peer, str(tmp_path / "problem.npz"), made, **parameters)
+
+
+def test_who_was_held_for_another_is_asked_again_and_arrives(scene):
+    rest = scene()
+    rest.first_attempt()
+    message = rest.asked_again()
+    ids, xy_mm = targets.decode(message)
+    assert ids.tolist() == ALL[1:]
+    np.testing.assert_allclose(xy_mm, ENDS_MM[1:], atol=1e-9)
+    # what it must be planned with is told: robot 0 is out, and all stand
+    plane, _ = layout.decode(rest.heard[topics.LAYOUT.name][-1])
+    assert plane.enabled.tolist() == [False] + [True] * 6
+    states = joint_states.decode(rest.heard[topics.JOINT_STATES.name][-1])
+    assert np.array_equal(UNITS.to_counts(states[1]), rest.second().start) and not states[2].any()
+    assert not rest.outcomes()
+
+    rest.order(9, rest.second(), attempt=2)  # and nobody calls start
+    result, reason, error_mm = rest.end(9)
+    assert result.tolist() == [Outcome.HELD] + [Outcome.REACHED] * 6
+    assert reason.tolist() == [Reason.NOT_ACKNOWLEDGED] + [Reason.OK] * 6
+    assert np.all(error_mm[1:] < 1e-6) and error_mm[0] > 1
+    rest.until(lambda: np.array_equal(rest.counts()[1:], FIRST.end[1:]))
+    assert np.array_equal(rest.counts()[0], BEGIN[0])
+    assert rest.outcomes() == [PlanStamp(9)]
+    stamps = {PlanStamp.of(m) for m in rest.heard[topics.FRAMES.name]}
+    assert stamps == {PlanStamp(9), PlanStamp(9, 2)}
+    rest.until(lambda: rest.status().values.get("attempts") == "2")
+
+
+def test_one_attempt_is_all_where_that_is_set(scene):
+    rest = scene(attempts=1)
+    rest.first_attempt()
+    result, reason, _ = rest.end(9)
+    assert (result[4], reason[4]) == (Outcome.HELD, Reason.UNSAFE_AS_LOADED)
+    rest.ask(20, ALL, ENDS_MM)
+    rest.until(lambda: PlanStamp.of(rest.heard[topics.TARGETS.name][-1]) == PlanStamp(20))
+    assert not rest.asked_in(2)
+
+
+def test_a_stop_while_it_is_planned_again_ends_it(scene):
+    rest = scene()
+    rest.first_attempt()
+    rest.asked_again()
+    before = rest.counts()
+    assert rest.call(topics.STOP).success
+    result, reason, _ = rest.end(9)
+    assert (
+        result.tolist()
+        == [Outcome.HELD] + [Outcome.REACHED] * 3 + [Outcome.HELD] + [Outcome.REACHED] * 2
+    )
+    assert (reason[0], reason[4]) == (Reason.NOT_ACKNOWLEDGED, Reason.UNSAFE_AS_LOADED)
+    rest.order(9, rest.second(), attempt=2)
+    rest.until(lambda: "nobody waits for this attempt" in rest.status().text)
+    assert rest.call(topics.CLEAR).success
+    assert not rest.call(topics.START).success
+    assert np.array_equal(rest.counts(), before) and rest.outcomes() == [PlanStamp(9)]
+
+
+def test_a_stop_while_it_is_started_again_ends_it(scene):
+    rest = scene(attempts=3)
+    rest.first_attempt()
+    rest.asked_again()
+    session, stop = rest.bridge._session, None
+    certify = session._uploader._certify
+    handler = next(s for s in rest.bridge.services if s.service_name.endswith("stop"))
+
+    def while_certified(loaded):
+        nonlocal stop
+        if stop is None:
+            empty = handler.srv_type.Request(), handler.srv_type.Response()
+            stop = threading.Thread(target=handler.callback, args=empty)
+            stop.start()
+            assert rest.bridge._halt.wait(WAIT_S)
+        return certify(loaded)
+
+    session._uploader._certify = while_certified
+    before = rest.counts()
+    rest.order(9, rest.second(), attempt=2)
+    result, reason, _ = rest.end(9)
+    stop.join(WAIT_S)
+    assert (result[4], reason[4]) == (Outcome.HELD, Reason.STOPPED)
+    assert np.array_equal(rest.counts(), before)
+    assert not rest.asked_in(3) and rest.outcomes() == [PlanStamp(9)]
+
+
+def test_a_stop_while_it_moves_again_ends_it(scene):
+    rest = scene(attempts=3, time_scale=1.0)
+    rest.first_attempt()
+    rest.asked_again()
+    rest.order(9, rest.second(), attempt=2)
+
+    def moving():
+        return joint_states.decode(rest.heard[topics.JOINT_STATES.name][-1])[2].any()
+
+    rest.until(lambda: PlanStamp(9, 2) in map(PlanStamp.of, rest.heard[topics.FRAMES.name]))
+    rest.until(moving)
+    assert rest.call(topics.STOP).success
+    result, reason, _ = rest.end(9)
+    assert (result[4], reason[4]) == (Outcome.HELD, Reason.STOPPED)
+    assert result[[1, 2, 3, 5, 6]].tolist() == [Outcome.REACHED] * 5
+    assert not rest.asked_in(3) and rest.outcomes() == [PlanStamp(9)]
+
+
+@pytest.mark.parametrize("service", ["CLEAR", "HOME", "CONFIGURE"])
+def test_whatever_else_an_operator_wants_ends_it_too(scene, service):
+    rest = scene()
+    rest.first_attempt()
+    rest.asked_again()
+    assert rest.call(getattr(topics, service)).success
+    result, reason, _ = rest.end(9)
+    assert (result[4], reason[4]) == (Outcome.HELD, Reason.UNSAFE_AS_LOADED)
+    assert rest.outcomes().count(PlanStamp(9)) == 1
+
+
+def test_new_targets_end_it_and_are_carried_out(scene):
+    rest = scene()
+    rest.first_attempt()
+    rest.asked_again()
+    rest.ask(20, ALL, ENDS_MM)
+    _, reason, _ = rest.end(9)
+    assert reason[4] == Reason.UNSAFE_AS_LOADED
+    rest.ready(20, rest.second())
+    assert rest.call(topics.START).success
+    result, reason, _ = rest.end(20)
+    assert result.tolist() == [Outcome.HELD] + [Outcome.REACHED] * 6
+    # it is not known to answer again, and is not tried until somebody clears
+    assert reason[0] == Reason.NOT_PLANNED
+
+
+def test_orders_that_do_not_come_end_it_after_a_time(scene):
+    rest = scene(attempt_timeout_s=0.2)
+    rest.first_attempt()
+    rest.asked_again()
+    _, reason, _ = rest.end(9)
+    assert reason[4] == Reason.UNSAFE_AS_LOADED
+    rest.until(lambda: "no orders within 0.2 s" in rest.status().text)
+
+
+def test_orders_that_are_refused_end_it(scene):
+    rest = scene()
+    rest.first_attempt()
+    rest.asked_again()
+    rest.order(9, rest.second(), ids=PLANE.ids + 90, attempt=2)
+    _, reason, _ = rest.end(9)
+    assert reason[4] == Reason.UNSAFE_AS_LOADED
+    rest.until(lambda: "robot 90" in rest.status().text)
+
+
+def test_who_failed_is_left_out_until_somebody_clears(scene):
+    rest = scene(attempts=1)
+    rest.first_attempt()
+    rest.end(9)
+
+    def enabled():
+        return layout.decode(rest.heard[topics.LAYOUT.name][-1])[0].enabled.tolist()
+
+    rest.until(lambda: enabled() == [False] + [True] * 6)
+    assert rest.call(topics.CLEAR).success
+    rest.until(lambda: enabled() == [True] * 7)

@@ -1,0 +1,130 @@
+"""Operators take robots out of use and put them back, by the parameter service of the bridge."""
+
+import numpy as np
+import pytest
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+from rest_of_graph import COUNTS, PLANE, START, Rest, turning
+
+from fiber_bus_bridge import BridgeError
+from fiber_bus_bridge.disabled import read_disabled, write_disabled
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.problem import Problem, save_problem
+from fiber_msgs_py import diagnostics, layout, topics
+from fiber_node import Peer
+
+pytestmark = pytest.mark.timeout(600)
+
+
+class Operator(Rest):
+    """The rest of the graph, and an operator."""
+
+    def set(self, **values):
+        client = self.peer.node.create_client(
+            SetParametersAtomically, "bridge/set_parameters_atomically"
+        )
+        self.until(client.service_is_ready)
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        request = SetParametersAtomically.Request(
+            parameters=[parameter.to_parameter_msg() for parameter in parameters]
+        )
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result().result
+
+    def shown(self):
+        return list(self.bridge.get_parameter("disabled").value)
+
+    def enabled(self):
+        return layout.decode(self.heard[topics.LAYOUT.name][-1])[0].enabled.tolist()
+
+    def left_out(self):
+        statuses = diagnostics.decode(self.heard[topics.DIAGNOSTICS.name][-1])
+        return next(s for s in statuses if s.name == "bridge: left out").values
+
+
+@pytest.fixture
+def path(tmp_path):
+    problem = Problem(PLANE, START, np.full((7, 2), np.nan))
+    save_problem(tmp_path / "problem.npz", problem)
+    return str(tmp_path / "problem.npz")
+
+
+@pytest.fixture
+def peer():
+    with Peer("rest") as peer:
+        yield peer
+
+
+def test_the_disabled_are_obstacles_where_they_stand_and_come_back(peer, path, tmp_path):
+    file = tmp_path / "disabled.yaml"
+    rest = Operator(peer, path, disabled_file=str(file))
+    assert rest.shown() == []
+    assert rest.set(disabled=[5, 2], disabled_why="arm bent").successful
+    rest.until(lambda: rest.enabled() == [True, True, False, True, True, False, True])
+    assert read_disabled(file) == {2: "arm bent", 5: "arm bent"}
+    rest.until(lambda: rest.left_out() == {"robot 2": "arm bent", "robot 5": "arm bent"})
+
+    rest.ask(9, [2, 5], PLANE.centers[[2, 5]] + 3.0)
+    rest.ready(9)  # whatever a planner thinks of it
+    assert rest.call(topics.START).success
+    result, reason, _ = rest.end(9)
+    assert np.all(result[[2, 5]] == Outcome.HELD) and np.all(reason[[2, 5]] == Reason.DISABLED)
+    moves = ~np.isin(PLANE.ids, [2, 5])
+    rest.until(lambda: np.array_equal(rest.counts()[moves], turning().end[moves]))
+    assert np.array_equal(rest.counts()[~moves], COUNTS[~moves])
+
+    assert rest.set(disabled=[2]).successful
+    rest.until(lambda: rest.enabled()[5])
+    assert rest.set(disabled=[]).successful
+    rest.until(lambda: all(rest.enabled()))
+    assert read_disabled(file) == {}
+
+
+def test_the_list_survives_a_restart_and_stands_before_the_parameter(peer, path, tmp_path):
+    file = tmp_path / "disabled.yaml"
+    write_disabled(file, {4: "dark"})
+    rest = Operator(peer, path, disabled_file=str(file), disabled=[1])
+    rest.until(lambda: rest.enabled() == [True] * 4 + [False] + [True] * 2)
+    assert rest.shown() == [4] and read_disabled(file) == {4: "dark"}
+
+
+def test_without_a_file_the_parameter_is_the_list(peer, path):
+    rest = Operator(peer, path, disabled=[1])
+    rest.until(lambda: rest.enabled() == [True, False] + [True] * 5)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ([3, 99], "robot 99: no such robot"),
+        ("3", "disabled is '3', expected robot ids"),
+        ([0.5], "disabled holds 0.5"),
+    ],
+)
+def test_what_names_no_robot_is_refused_and_nothing_changes(peer, path, tmp_path, value, said):
+    file = tmp_path / "disabled.yaml"
+    rest = Operator(peer, path, disabled_file=str(file))
+    answer = rest.set(disabled=value)
+    assert not answer.successful and said in answer.reason
+    rest.until(lambda: said in rest.status().text)
+    assert rest.shown() == [] and all(rest.enabled()) and not file.exists()
+
+
+def test_while_robots_move_the_list_stays(peer, path):
+    rest = Operator(peer, path, time_scale=0.2, disabled=[1])
+    rest.ready(9, turning(ticks=200))
+    assert rest.call(topics.START).success
+    for value, said in (([1, 3], "robot 3: cannot be dis"), ([], "robot 1: cannot be en")):
+        answer = rest.set(disabled=value)
+        assert not answer.successful and f"{said}abled while a plan is under way" in answer.reason
+    assert rest.shown() == [1] and not rest.heard[topics.OUTCOME.name]
+    assert rest.call(topics.STOP).success
+    assert rest.set(disabled=[1, 3]).successful
+
+
+def test_a_list_that_cannot_be_read_ends_the_bridge(peer, path, tmp_path):
+    file = tmp_path / "disabled.yaml"
+    file.write_text("3: [")
+    with pytest.raises(BridgeError, match=r"disabled\.yaml: while parsing"):
+        Operator(peer, path, disabled_file=str(file))
