@@ -27,6 +27,8 @@ setup(
             "graph = fiber_bringup.graph:main",
             "recorder = fiber_bringup.recorder:main",
             "bag = fiber_bringup.bag:main",
+            "disable = fiber_bringup.disable:disable",
+            "enable = fiber_bringup.disable:enable",
         ]
     },
 )

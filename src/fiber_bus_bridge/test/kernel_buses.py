@@ -42,35 +42,35 @@ def umockdev():
     return UMockdev, GLib
 
 
-class KernelBuses(LinuxBuses):
-    """The real backend on devices that do not exist; time is that of the simulated buses."""
+class Kernel:
+    """Devices, /dev/i2c-N, that do not exist, for simulated buses.
 
-    def __init__(self, simulated: SimulatedBuses):
+    Args:
+        simulated: the buses.
+        clock: tells the time of the buses [s]; by default it goes on with what is done on them.
+    """
+
+    def __init__(self, simulated: SimulatedBuses, clock=lambda: 0.0):
         mock, glib = umockdev()
-        self.simulated, self.now_s, self.calls = simulated, 0.0, []
-        self._testbed, self._bases, devices = mock.Testbed.new(), [], {}
+        self.simulated, self.now_s, self.calls, self._clock = simulated, 0.0, [], clock
+        self._testbed, self._bases, self.devices = mock.Testbed.new(), [], {}
         for bus in np.unique(simulated.positioners.bus).tolist():
-            devices[bus] = f"/dev/i2c-{bus}"
+            self.devices[bus] = f"/dev/i2c-{bus}"
             self._testbed.add_from_string(
                 f"P: /devices/fake/i2c-{bus}\nN: i2c-{bus}\nE: DEVNAME=/dev/i2c-{bus}\n"
                 f"E: SUBSYSTEM=i2c-dev\nE: MAJOR=89\nE: MINOR={bus}\nA: dev=89:{bus}\\n\n"
             )
             base = mock.IoctlBase()
             base.connect("handle-ioctl", self._handle, bus)
-            self._testbed.attach_ioctl(devices[bus], base)
+            self._testbed.attach_ioctl(self.devices[bus], base)
             self._bases.append(base)
         self._loop = glib.MainLoop()
         self._server = threading.Thread(target=self._loop.run, daemon=True)
         self._server.start()
-        super().__init__(devices, clock=lambda: self.now_s, wait=self._pass)
 
     def close(self):
-        super().close()
         self._loop.quit()
         self._server.join()
-
-    def _pass(self, seconds):
-        self.now_s += seconds
 
     def _handle(self, _, client, bus):
         request, argument = client.get_request() & 0xFFFFFFFF, client.get_arg()
@@ -111,6 +111,27 @@ class KernelBuses(LinuxBuses):
         to = Addresses([bus], [address], [ten_bit])
         read = 0 if into is None else head[2]
         frame = Frames.from_bytes(to, [payload])
+        self.now_s = max(self.now_s, self._clock())
         replies = self.simulated.transfer(frame, read, self.now_s)
         self.now_s = max(self.now_s, float(replies.end_s[0]))
         return Ack(int(replies.ack[0])), replies.data.tobytes()
+
+
+class KernelBuses(LinuxBuses):
+    """The real backend on such devices; time is that of the simulated buses."""
+
+    def __init__(self, simulated: SimulatedBuses):
+        self._kernel = Kernel(simulated)
+        super().__init__(self._kernel.devices, clock=lambda: self._kernel.now_s, wait=self._pass)
+
+    @property
+    def calls(self):
+        """Messages of each call of the kernel."""
+        return self._kernel.calls
+
+    def close(self):
+        super().close()
+        self._kernel.close()
+
+    def _pass(self, seconds):
+        self._kernel.now_s += seconds

@@ -296,6 +296,7 @@ class BridgeNode(Node):
             self._roster.disable(ids, why)
             self._session.enable(self._roster.enabled)
             self._tell.plane()
+        self._report.publish()
         self.get_logger().info(f"disabled by operators: {sorted(ids) or 'nobody'}")
 
     # --- what the robots do --------------------------------------------------

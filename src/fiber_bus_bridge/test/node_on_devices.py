@@ -1,0 +1,92 @@
+"""The bridge node in real time, on devices that are run by `test_node_devices.py`.
+
+Not collected by itself: it works inside `umockdev-wrapper` only.
+"""
+
+import time
+
+import numpy as np
+import pytest
+from kernel_buses import Kernel
+from rest_of_graph import COUNTS, PLANE, START, UNITS, Rest, turning
+
+from fiber_bus_bridge import Positioners, SimulatedBuses, addresses_of
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.problem import Problem, save_problem
+from fiber_core.wire_units import WireMotion
+from fiber_msgs_py import joint_states, topics
+from fiber_node import Peer
+
+PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
+  <transport_descriptors><transport_descriptor>
+    <transport_id>udp</transport_id><type>UDPv4</type>
+    <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
+  </transport_descriptor></transport_descriptors>
+  <participant profile_name="udp" is_default_profile="true"><rtps>
+    <userTransports><transport_id>udp</transport_id></userTransports>
+    <useBuiltinTransports>false</useBuiltinTransports>
+  </rtps></participant>
+</profiles></dds>
+"""
+# a message takes longer here than on a bus, and this machine does other things meanwhile
+PATIENT = {"session__silence_ms": 400, "session__watch_s": 0.02}
+
+
+@pytest.fixture
+def path(tmp_path):
+    problem = Problem(PLANE, START, np.full((7, 2), np.nan))
+    save_problem(tmp_path / "problem.npz", problem)
+    return str(tmp_path / "problem.npz")
+
+
+@pytest.fixture
+def rest(path, tmp_path, monkeypatch):
+    """A bridge on a device behind which robots are elsewhere than it believes."""
+    # umockdev takes every file below /dev for one of its own, also what Fast DDS has in /dev/shm
+    (tmp_path / "udp.xml").write_text(PROFILE)
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(tmp_path / "udp.xml"))
+    moved = COUNTS + [30, 0]
+    robots = Positioners(addresses_of(PLANE), PLANE.ids, UNITS.quantum_prad, moved)
+    kernel = Kernel(SimulatedBuses(robots), time.monotonic)
+    with Peer("rest") as peer:
+        rest = Rest(peer, path, devices=["/dev/i2c-0"], **PATIENT)
+        rest.robots = robots
+        yield rest
+    kernel.close()
+
+
+def orders(ticks):
+    motion = turning(ticks=ticks)
+    return WireMotion(UNITS, COUNTS + [30, 0], motion.offsets, motion.ticks, motion.velocity)
+
+
+def test_a_plan_is_carried_out_in_real_time(rest):
+    rest.until(lambda: np.array_equal(rest.counts(), COUNTS + [30, 0]))  # of the encoders
+    motion = orders(200)
+    rest.ready(9, motion)
+    begin = time.monotonic()
+    answer = rest.call(topics.START)
+    assert answer.success and "7 robots started" in answer.message
+    result, reason, _ = rest.end(9)
+    assert time.monotonic() - begin > motion.decoded().makespan_s
+    assert set(result) == {Outcome.REACHED} and set(reason) == {Reason.OK}
+    rest.until(lambda: np.array_equal(rest.counts(), motion.end))
+    assert np.array_equal(rest.robots.memory["position"], motion.end)
+
+
+def test_a_stop_is_carried_out_at_once(rest):
+    motion = orders(1000)
+    rest.ready(9, motion)
+    assert rest.call(topics.START).success
+
+    def moving():
+        return joint_states.decode(rest.heard[topics.JOINT_STATES.name][-1])[2].any()
+
+    rest.until(moving)
+    assert rest.call(topics.STOP).success
+    rest.end(9)
+    there = rest.robots.memory["position"]
+    rest.until(lambda: np.array_equal(rest.counts(), there))
+    gone = np.abs(there - motion.start)[:, 0] / np.abs(motion.end - motion.start)[:, 0]
+    assert np.all(gone > 0) and np.all(gone < 0.9)

@@ -1,0 +1,54 @@
+"""The bridge node on devices of this machine: /dev/i2c-N of a kernel that umockdev plays."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kernel_buses import umockdev
+from rest_of_graph import PLANE, START
+
+from fiber_bus_bridge import BridgeError
+from fiber_bus_bridge.node import BridgeNode
+from fiber_core.problem import Problem, save_problem
+from fiber_node import Peer
+
+pytestmark = pytest.mark.timeout(600)
+
+WRAPPER = shutil.which("umockdev-wrapper")
+HERE = Path(__file__)
+
+
+def test_the_node_on_devices():
+    if WRAPPER is None or umockdev() is None:
+        pytest.skip("umockdev with its Python bindings is not installed: devices are not tested")
+    pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
+    inside = str(HERE.with_name("node_on_devices.py"))
+    run = subprocess.run(
+        [WRAPPER, sys.executable, "-m", "pytest", "-q", inside],
+        capture_output=True,
+        text=True,
+        timeout=500,
+        cwd=HERE.parents[3],
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert re.search(r"\b2 passed\b", run.stdout), run.stdout
+
+
+@pytest.mark.parametrize(
+    ("devices", "problem", "said"),
+    [
+        (["/dev/i2c-0"], False, "devices need problem"),
+        (["a", "b"], True, r"\['a', 'b'\] for the 1 buses \[0\]"),
+        (["/dev/no-such"], True, "No such file or directory"),
+    ],
+)
+def test_devices_that_cannot_be_used_end_it(tmp_path, devices, problem, said):
+    pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
+    path = tmp_path / "problem.npz"
+    save_problem(path, Problem(PLANE, START, np.full((7, 2), np.nan)))
+    with Peer("rest") as peer, pytest.raises(BridgeError, match=said):
+        peer.host(BridgeNode, devices=devices, problem=str(path) if problem else "")
