@@ -1,0 +1,210 @@
+"""The dissector for Wireshark says of our packets what our own decoder says, field by field."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fiber_bus_bridge import Positioners, SimulatedBuses, bus_timing
+from fiber_bus_bridge.bus import Ack
+from fiber_bus_bridge.capture import Tap
+from fiber_bus_bridge.wire import (
+    ADDRESS_FIELDS,
+    CALL_PREFIX,
+    GO_FIELDS,
+    IDENTITY_BYTES,
+    STATUS_BYTES,
+    VERIFY_BYTES,
+    VERSION,
+    Addresses,
+    Configuration,
+    Fault,
+    Frames,
+    Opcode,
+    RobotState,
+    decode_command,
+    decode_config,
+    decode_identity,
+    decode_load,
+    decode_status,
+    encode_address,
+    encode_command,
+    encode_config,
+    encode_load,
+    general_call,
+)
+from fiber_core.wire_units import WireUnits
+
+pytest.importorskip("vcd", reason="pyvcd is not installed: no captures")
+
+TSHARK = shutil.which("tshark")
+SCRIPT = Path(__file__).parents[3] / "tools" / "fiber_positioners.lua"
+
+TO = Addresses([0, 0, 1, 1], [8, 0x77, 300, 1023], [False, False, True, True])
+CALLED = general_call([0, 1])
+UNITS = WireUnits()
+NOTHING = Frames(TO, np.zeros(5, dtype=int), np.zeros(0, dtype=np.uint8))
+# by name in the dissector: of hexadecimal fields the text, of others the number
+HEX = {"order_crc": 4, "alerts": 2, "crc": 4, "pec": 2}
+FIELDS = (
+    "bus address ten_bit read opcode sequence theta_segments phi_segments segments countdown "
+    "version velocity_bits duration_bits tick_us quantum_prad theta_low theta_high phi_low "
+    "phi_high theta_speed phi_speed watchdog_ms silence_ms serial new_address state order_crc "
+    "boot fault alerts theta phi crc pec"
+).split()
+
+
+@pytest.fixture(scope="module")
+def talk():
+    """A tap with frames of every kind: configuration, orders, motion, refusals, absence."""
+    robots = Positioners(TO, [11, 22, 33, 44], UNITS.quantum_prad, np.full((4, 2), -70_000))
+    tap, t = Tap(SimulatedBuses(robots, bus_timing("1M")), bus_timing("1M")), 0.0
+    limits = np.tile([[-2_000_000, 2_000_001], [-1_000_002, 2_000_003]], (4, 1, 1))
+    config = Configuration(UNITS, limits, np.tile([8000, 7000], (4, 1)), 9000, 20)
+    load = encode_load(UNITS, TO, 5, [0, 1, 2, 2, 2, 3, 3, 4, 4], [9, 8, 7, 6], [50, -60, 70, 0])
+    absent = Addresses([0, 1], [0x20, 301], [False, True])
+    for frames, read in (
+        (encode_command(Opcode.IDENTIFY, TO), IDENTITY_BYTES),
+        (load, 0),  # refused: nobody is configured
+        (encode_config(config, TO), 0),
+        (NOTHING, STATUS_BYTES),
+        (load, 0),
+        (NOTHING, VERIFY_BYTES),
+        (encode_command(Opcode.GO, CALLED, 5, 700), 0),
+        (encode_command(Opcode.GO, TO[:1], 6, 0x1234), 0),
+        (encode_command(Opcode.BEAT, CALLED), 0),
+        (NOTHING, STATUS_BYTES),
+        (encode_command(Opcode.STOP, absent), 0),
+        (encode_command(Opcode.STOP, CALLED), 0),
+        (NOTHING, STATUS_BYTES),
+        (encode_command(Opcode.CLEAR, TO), 0),
+        (encode_address(TO, [11, 22, 33, 44], TO[::-1]), 0),
+        (encode_command(Opcode.RESET, TO), 0),
+    ):
+        t = float(tap.transfer(frames, read, t).end_s.max()) + 1e-3
+    return tap
+
+
+def packets_of(exchange):
+    """What is on the wire of an exchange, by bus: fields by name, in the order of the frames."""
+    frames, replies = exchange.frames, exchange.replies
+    for row in range(len(frames)):
+        to = frames.to[row : row + 1]
+        place = {
+            "bus": int(to.bus[0]), "address": int(to.address[0]), "ten_bit": int(to.ten_bit[0])
+        }  # fmt: skip
+        read = replies.data[replies.offsets[row] : replies.offsets[row + 1]]
+        payload = frames.payload(row) if replies.ack[row] != Ack.NO_ADDRESS else b""
+        if payload or place["ten_bit"] or not len(read):
+            yield place | {"read": 0} | written(to, frames[np.array([row])], payload)
+        if len(read) and replies.ack[row] == Ack.OK:
+            yield place | {"read": 1} | answered(to, read[None])
+
+
+def written(to, frame, payload):
+    if not payload:
+        return {}
+    head = payload[1:] if payload[0] == CALL_PREFIX else payload
+    opcode, sequence = Opcode(head[0] >> 4), head[0] & 15
+    fields = {"opcode": int(opcode)}
+    if opcode == Opcode.LOAD:
+        order = decode_load(UNITS, frame)
+        assert order.ok.all()
+        counts = np.diff(order.offsets)
+        fields |= {"sequence": int(order.sequence[0]), "crc": int(order.crc[0])}
+        fields |= {"theta_segments": int(counts[0]), "phi_segments": int(counts[1])}
+        return fields | ({"segments": payload[2:-2].hex()} if counts.any() else {})
+    told = decode_command(payload, int(to.address[0]), bool(to.ten_bit[0]))
+    assert told == (opcode, sequence)
+    if opcode == Opcode.GO:
+        row = np.frombuffer(head, GO_FIELDS)[0]
+        return fields | {
+            "sequence": sequence, "countdown": int(row["countdown"]), "crc": int(row["crc"])
+        }  # fmt: skip
+    if opcode == Opcode.ADDRESS:
+        row = np.frombuffer(head, ADDRESS_FIELDS)[0]
+        new = int(row["form_address"]) & 0x7FFF
+        return fields | {"serial": int(row["serial"]), "new_address": new, "crc": int(row["crc"])}
+    if opcode == Opcode.CONFIG:
+        config = decode_config(payload, int(to.address[0]), bool(to.ten_bit[0]))
+        units = config.units
+        limits = dict(zip(("theta_low", "theta_high", "phi_low", "phi_high"), config.limits.flat))
+        speeds = dict(zip(("theta_speed", "phi_speed"), config.speed.flat))
+        named = ("velocity_bits", "duration_bits", "tick_us", "quantum_prad")
+        fields |= {"version": VERSION} | {name: getattr(units, name) for name in named}
+        fields |= {"watchdog_ms": config.watchdog_ms, "silence_ms": config.silence_ms}
+        return fields | limits | speeds | {"crc": int.from_bytes(head[-2:])}
+    return fields | {"pec": head[-1]}
+
+
+def answered(to, data):
+    pec = int(data[0, VERIFY_BYTES - 1])
+    if data.shape[1] == IDENTITY_BYTES:
+        who = decode_identity(to, data)
+        assert who.ok.all()
+        return {
+            "opcode": int(Opcode.IDENTIFY), "version": VERSION, "serial": int(who.serial[0]),
+            "new_address": int(who.address[0]), "boot": int(who.boot[0]), "pec": int(data[0, -1]),
+        }  # fmt: skip
+    status = decode_status(to, data)
+    assert status.ok.all()
+    names = ("state", "sequence", "order_crc", "boot")
+    fields = {name: int(getattr(status, name)[0]) for name in names} | {"pec": pec}
+    if data.shape[1] == STATUS_BYTES:
+        theta, phi = status.position[0]
+        fields |= {"fault": int(status.fault[0]), "alerts": int(status.alerts[0])}
+        fields |= {"theta": int(theta), "phi": int(phi), "crc": int.from_bytes(data[0, -2:])}
+    return fields
+
+
+def dissected(path):
+    """Fields and words of every packet, by tshark with the script of tools/."""
+    names = [f"fiber.{name}" for name in FIELDS]
+    command = [TSHARK, "-X", f"lua_script:{SCRIPT}", "-r", str(path), "-T", "fields"]
+    command += ["-E", "separator=;", *(word for name in names for word in ("-e", name))]
+    run = subprocess.run(
+        [*command, "-e", "_ws.col.Info"], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    for line in run.stdout.splitlines():
+        *values, words = line.split(";")
+        yield {name: value for name, value in zip(FIELDS, values) if value}, words
+
+
+@pytest.mark.skipif(TSHARK is None, reason="tshark is not installed: the dissector is not tested")
+def test_every_field_is_as_our_decoder_reads_it(talk, tmp_path):
+    expected = {0: [], 1: []}
+    for exchange in talk.exchanges:
+        for fields in packets_of(exchange):
+            shown = {
+                name: f"0x{value:0{HEX[name]}x}" if name in HEX else str(value)
+                for name, value in fields.items()
+            }
+            expected[fields["bus"]].append(shown)
+    states = {fields.get("state") for fields in expected[0]}
+    assert states >= {str(int(s)) for s in (RobotState.IDLE, RobotState.LOADED, RobotState.STOPPED)}
+    talk.write(tmp_path)
+    found = {0: [], 1: []}
+    said = set()
+    for fields, words in dissected(tmp_path / "buses.pcap"):
+        found[int(fields["bus"])].append(fields)
+        said.add(words)
+    assert found == expected
+    assert {field for packets in found.values() for packet in packets for field in packet} == set(
+        FIELDS
+    )
+    assert said >= {
+        "identity", "address only", "CONFIG", "LOAD, 1 + 1 segments", "GO to all", "GO",
+        "BEAT to all", "STOP to all", "CLEAR", "ADDRESS", "RESET", "verify LOADED",
+        "status IDLE", "status STOPPED",
+    }  # fmt: skip
+
+
+def test_the_names_in_the_dissector_are_those_of_our_codes():
+    text = SCRIPT.read_text(encoding="utf-8")
+    for table, codes in (("OPCODES", Opcode), ("STATES", RobotState), ("FAULTS", Fault)):
+        body = text.split(f"local {table} = {{")[1].split("}")[0]
+        named = dict(entry.strip().split(" = ") for entry in body.split(",") if entry.strip())
+        assert named == {f"[{int(code)}]": f'"{code.name}"' for code in codes}, table
