@@ -21,6 +21,9 @@ from fiber_bus_bridge.wire import (
 
 __all__ = ["Link"]
 
+# plain numbers: members of an enumeration are slow to look up batch by batch
+_STUCK, _TIMED_OUT = int(Ack.STUCK), int(Ack.TIMED_OUT)
+
 
 class Link:
     """The controller's side of the wire.
@@ -126,7 +129,7 @@ class Link:
 
     def _read(self, rows, asks, width, decode, t):
         to = self.addresses[rows]
-        frames = asks or Frames.equal_length(to, np.zeros((len(to), 0)))
+        frames = asks or Frames.empty(to)
         # a reply that never came stays all ones, which no decoder accepts
         data = np.full((len(to), width), 0xFF, dtype=np.uint8)
 
@@ -185,9 +188,10 @@ class Link:
         if keep:
             self.keep(frames, replies)
         np.maximum.at(self.free_s, at[live], replies.end_s[live])
-        failed = live & np.isin(replies.ack, (Ack.STUCK, Ack.TIMED_OUT))
-        for bus in np.unique(at[failed]):
-            self._free(bus)
+        failed = live & ((replies.ack == _STUCK) | (replies.ack == _TIMED_OUT))
+        if failed.any():
+            for bus in np.unique(at[failed]):
+                self._free(bus)
         return replies
 
     def keep(self, frames: Frames, replies: Replies) -> None:

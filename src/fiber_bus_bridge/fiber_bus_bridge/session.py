@@ -52,8 +52,10 @@ class SessionConfig:
         watchdog_ms: how long an order may wait on a robot for its GO [ms].
         grace_s: how long after the last robot should have arrived the plan is ended [s].
         silence_ms: how long a moving robot goes on without hearing from the bridge [ms].
-        watch_s: shortest time between two beats [s]; the longer, the later a robot that
-            stops by itself is noticed.
+        watch_s: time between two beats [s]; the longer, the later a robot that stops by
+            itself is noticed, which `Safety.stop_skew_s` must contain.
+        stretch_s: how much longer than usual a beat may take on a bus before all are stopped,
+            as a STOP would come as late there [s]; inf where the host keeps no time.
         resumes: how often in a plan those who can go on after all had to stop, without whoever
             was at fault.
     """
@@ -62,8 +64,9 @@ class SessionConfig:
     start_tolerance_rad: float = 1e-4
     watchdog_ms: int = 10_000
     grace_s: float = 1.0
-    silence_ms: int = 20
+    silence_ms: int = 5
     watch_s: float = 2.5e-3
+    stretch_s: float = 1e-3
     resumes: int = 3
 
 
@@ -120,8 +123,9 @@ class Session:
         self._plan: Plan | None = None
         silence_s = 1e-3 * self.config.silence_ms
         self._starter = Starter(
-            self.link, silence_s, self.config.watch_s, 0.25 * safety.start_skew_s, self._hear
-        )
+            self.link, silence_s, self.config.watch_s, self.config.stretch_s,
+            0.25 * safety.start_skew_s, self._hear,
+        )  # fmt: skip
         self._uploader = Uploader(
             plane, units, safety, self.link, neighbour_pairs(plane), self._starter
         )

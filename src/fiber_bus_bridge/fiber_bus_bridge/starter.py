@@ -22,6 +22,7 @@ __all__ = ["AT_REST", "Start", "Starter"]
 AT_REST = (RobotState.UNCONFIGURED, RobotState.STOPPED, RobotState.FAULT)
 _LONGEST_S = 0.65  # what the field of the countdown carries
 _SLACK_S = 10e-3  # for robots that have to be asked or told once more
+_CALLS = 3  # times the call to STOP is sent
 _STOPS = 3  # times STOP is tried on who does not stop
 
 
@@ -33,12 +34,14 @@ class Start(NamedTuple):
         start_s: when the robots begin to move [s].
         watch: the watch over them; None when nobody moves, because all were called off.
         missing: for whom all were called off: who did not count down, shape (n,).
+        late: whose bus the GO reached too late, or else they would be missing, shape (n,).
     """
 
     go_s: float
     start_s: float
     watch: Watch | None
     missing: np.ndarray
+    late: np.ndarray
 
 
 class Starter:
@@ -53,6 +56,7 @@ class Starter:
         link: the wire.
         silence_s: after how long without a BEAT robots stop themselves [s].
         period_s: shortest time between two looks at the robots [s].
+        stretch_s: how much longer than usual a BEAT may take, as by Watch [s].
         skew_s: how much later than the first a bus may have heard the GO [s].
         listen: told of every status, as by Watch.
     """
@@ -62,11 +66,12 @@ class Starter:
         link: Link,
         silence_s: float,
         period_s: float,
+        stretch_s: float,
         skew_s: float,
         listen: Callable[[np.ndarray, Statuses, float], None],
     ):
         self.link, self.silence_s, self.period_s, self.listen = link, silence_s, period_s, listen
-        self.skew_s = skew_s
+        self.stretch_s, self.skew_s = stretch_s, skew_s
         self._bus = link.at(link.addresses.bus)
 
     def go(self, rows, known, sequence, boot, look_s: float, t: float) -> Start:
@@ -81,9 +86,9 @@ class Starter:
             t: not before this time [s].
         """
         t = max(t, self.link.now_s)
-        missing = np.zeros(len(boot), dtype=bool)
+        nobody = np.zeros(len(boot), dtype=bool)
         if len(rows) == 0:
-            return Start(t, t, None, missing)
+            return Start(t, t, None, nobody, nobody)
         buses = np.unique(self._bus[rows])
         countdown_s = min(1.2 * look_s + _SLACK_S + self.silence_s, _LONGEST_S)
         units = round(countdown_s / COUNTDOWN_S)
@@ -94,59 +99,71 @@ class Starter:
         took_s = float((replies.end_s - replies.start_s).min())
         go_s = float(replies.start_s.min() + took_s)
         start_s = go_s + units * COUNTDOWN_S
-        missing[rows] = (replies.end_s > go_s + self.skew_s)[
+        late, everyone = nobody.copy(), ~nobody
+        late[rows] = (replies.end_s > go_s + self.skew_s)[
             np.searchsorted(buses, self._bus[rows])
         ]
         watch = Watch(
-            self.link, rows, boot, sequence, go_s, self.silence_s, self.period_s, self.listen
-        )
-        if missing.any():  # a clock held low made the GO late on their bus
-            self._call_off(rows, known, watch)
-            return Start(go_s, start_s, None, missing)
+            self.link, rows, boot, sequence, go_s,
+            self.silence_s, self.period_s, self.stretch_s, self.listen,
+        )  # fmt: skip
+        if late.any():  # a clock held low made the GO late on their bus
+            missing = self._call_off(rows, known, watch, everyone)
+            return Start(go_s, start_s, None, missing, late & ~missing)
         # without a BEAT from then on nobody starts
         until_s = start_s - self.silence_s - self.period_s
         while not watch.seen[rows].all():
             watch.step(VERIFY_BYTES)
-            late = watch.now_s >= until_s and not watch.seen[rows].all()
-            if watch.freeze_s is not None or late:
-                return Start(go_s, start_s, None, self._call_off(rows, known, watch))
+            over = watch.now_s >= until_s and not watch.seen[rows].all()
+            if watch.freeze_s is not None or over:
+                missing = self._call_off(rows, known, watch, watch.seen)
+                return Start(go_s, start_s, None, missing, nobody)
             self._again(watch, sequence, took_s, start_s)
         watch.counting = False
-        return Start(go_s, start_s, watch, missing)
+        return Start(go_s, start_s, watch, nobody, nobody)
 
     def _again(self, watch, sequence, took_s, start_s):
         """GO to each robot that said it is loaded and has not heard it, for the same instant."""
         rows = np.flatnonzero(watch.deaf)
         if len(rows) == 0:
             return
+        rows = rows[np.argsort(self._bus[rows], kind="stable")]
         bus = self._bus[rows]
-        slot = np.arange(len(rows)) - np.searchsorted(bus, bus[np.argsort(bus, kind="stable")])
+        slot = np.arange(len(rows)) - np.searchsorted(bus, bus)
+        # beats must not wait for them: the others are told after the next step
+        soon = 1.5 * took_s * (slot + 1) <= 0.5 * self.period_s
+        soon |= slot == 0
+        rows, bus, slot = rows[soon], bus[soon], slot[soon]
         begin_s = np.maximum(watch.now_s, self.link.free_s[bus]) + 1.5 * took_s * slot
         left = np.rint((start_s - begin_s - took_s) / COUNTDOWN_S)
         frames = encode_command(
             Opcode.GO, self.link.addresses[rows], sequence[bus], np.maximum(left, 1)
         )
         self.link.transfer(frames, 0, begin_s)
-        watch.deaf[:] = False
+        watch.deaf[rows] = False
 
-    def _call_off(self, rows, known, watch):
-        """Stop and clear everybody before anyone moves; return who did not count down, (n,)."""
+    def _call_off(self, rows, known, watch, heard):
+        """Stop and clear everybody before anyone moves; return who must be left out, (n,)."""
         everybody = np.flatnonzero(known)
         status = self.stop(everybody, watch.now_s)
         stopped = status.ok & (status.state == RobotState.STOPPED)
         self.link.command(Opcode.CLEAR, everybody[stopped], watch.now_s)
         stopped = np.isin(rows, everybody[stopped])
-        missing = np.zeros(len(watch.seen), dtype=bool)
-        missing[rows] = ~stopped | ~watch.seen[rows]
+        missing = np.zeros(len(heard), dtype=bool)
+        missing[rows] = ~stopped | ~heard[rows]
         # no BEAT gets through to them, whatever they answered before
         bus = self._bus[rows]
         missing[rows] |= watch.beat_s[bus] < watch.beat_s[bus].max() - 2 * self.period_s
         return missing
 
     def stop(self, rows, t: float) -> Statuses:
-        """Stop robots by general call, then one by one who has not; return their statuses."""
-        calls = encode_command(Opcode.STOP, general_call(self.link.buses))
-        self.link.call(calls, t)
+        """Stop robots by general call, then one by one who has not; return their statuses.
+
+        The call is repeated at once, and no bus waits for another: a lost STOP costs less time
+        than finding out.
+        """
+        calls = encode_command(Opcode.STOP, general_call(np.repeat(self.link.buses, _CALLS)))
+        self.link.transfer(calls, 0, t)
         status = self.link.statuses(rows, t)
         for _ in range(_STOPS):
             going = rows[~(status.ok & np.isin(status.state, AT_REST))]

@@ -17,7 +17,7 @@ from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["Upload", "Uploader"]
 
-_ROUNDS = 4  # fresh sequence numbers tried on a bus before nothing is started
+_ROUNDS = 6  # fresh sequence numbers tried on a bus before nothing is started
 _TRIES = 2  # deliveries of an order under one sequence number
 
 
@@ -112,6 +112,7 @@ class Uploader:
         motion = _only(motion, wanted)
         verified, self._look_s = np.zeros_like(wanted), 0.0
         stale = np.ones(len(self.link.buses), dtype=bool)  # buses that need a fresh sequence
+        late = np.zeros_like(wanted)  # whose bus the GO has once reached too late
         for _ in range(_ROUNDS):
             verified &= ~stale[self._bus]
             self._sequence = np.where(stale, self._sequence % 15 + 1, self._sequence)
@@ -143,13 +144,18 @@ class Uploader:
             rows = np.flatnonzero(verified)
             begun = self._starter.go(rows, known, self._sequence, boot, self._look_s, t)
             if begun.watch is None and len(rows):
-                # nobody has moved: again, without those that did not count down
-                reason[begun.missing] = Reason.NOT_ACKNOWLEDGED
-                wanted &= ~begun.missing
+                # nobody has moved, which all have confirmed that are told again; the others, and
+                # those that a GO reached too late for the second time, are left out
+                missing = begun.missing | (begun.late & late)
+                late |= begun.late
+                reason[missing] = Reason.NOT_ACKNOWLEDGED
+                wanted &= ~missing
                 stale[:] = True
                 continue
             sequence = self._sequence[self._bus]
             sent = frames[rows]
+            if begun.watch is not None:
+                begun.watch.moves_until_s = begun.start_s + loaded.decoded().makespan_s
             return Upload(verified, reason, sequence, sent, loaded, certificate, *begun[:3])
         return self._nothing(motion, frames, wanted, verified, reason, Reason.STOPPED)
 

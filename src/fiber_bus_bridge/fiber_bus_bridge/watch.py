@@ -6,9 +6,9 @@ import numpy as np
 
 from fiber_bus_bridge.bus import Ack
 from fiber_bus_bridge.link import Link
+from fiber_bus_bridge.turns import Turns
 from fiber_bus_bridge.wire import (
     STATUS_BYTES,
-    Addresses,
     Frames,
     Opcode,
     RobotState,
@@ -22,18 +22,29 @@ __all__ = ["Watch"]
 
 _TRIES = 3  # looks at a robot that fail in a row before it counts as silent
 _KEPT_S = 0.1  # of each robot no more than one look in this time becomes part of the traffic
-_FIRST_CHUNK = 8  # robots of a bus looked at in the first step, before their time is known
+_AGAIN = 2  # robots of a bus looked at once more in one step
+_BEATS = 2  # calls in a row, twice in each step: one lost costs nothing
+_BEAT_KNOWN = 0.4  # of a step after which it is known whether its BEATs got through
+_OVERRUN = 0.1  # of a step that a bus may still be busy with the one before
+_SLOW = 3  # BEATs in a row that take too long tell that a STOP would come too late
+# plain numbers: members of an enumeration are slow to look up step by step
+_OK, _NO_ADDRESS, _LOST = int(Ack.OK), int(Ack.NO_ADDRESS), int(Ack.LOST)
+_LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
+_DONE = int(RobotState.DONE)
 
 
 class Watch:
     """Watches every robot that heard a GO until it has arrived.
 
-    Each step sends a BEAT on all buses at one instant, reads the next few robots of each
-    bus, and looks at the alert lines. Something wrong gives `freeze_s`, the instant at which
-    everybody must stop: now, when a robot has stopped by itself; when no BEAT gets through to
-    a bus, the instant at which its robots will stop themselves, so that all stop together.
-    Steps in which nobody arrives and only robots are read that were read a moment ago are
-    left out of the traffic, which is for people and recordings; a capture has them all.
+    Each step sends BEATs on all buses, asks robots whether they are there, reads the next few
+    of each bus, sends BEATs once more, and looks at the alert lines. A robot that is there
+    acknowledges its address, which takes a tenth of the time of a status. Something wrong
+    gives `freeze_s`, the instant at which everybody must stop: at once, when a robot has
+    stopped by itself, does not answer or holds the clock; when no BEAT gets through to a bus,
+    the instant at which its robots will stop themselves, so that all stop together. No bus
+    waits for a slow one. Steps in which nobody arrives and only robots are read that were
+    read a moment ago are left out of the traffic, which is for people and recordings; a
+    capture has them all.
 
     Args:
         link: the wire.
@@ -42,7 +53,8 @@ class Watch:
         sequence: sequence number of the orders of each bus, shape (b,).
         go_s: when the GO was complete [s].
         silence_s: after how long without a BEAT robots stop themselves [s].
-        period_s: shortest time between two steps [s].
+        period_s: time between two steps [s].
+        stretch_s: how much longer than the shortest a BEAT may take on a bus [s].
         listen: called with rows, their valid statuses, and the time of the look.
     """
 
@@ -55,23 +67,27 @@ class Watch:
         go_s: float,
         silence_s: float,
         period_s: float,
+        stretch_s: float = np.inf,
         listen: Callable[[np.ndarray, Statuses, float], None] = lambda *_: None,
     ):
-        n = len(link.addresses)
+        n, buses = len(link.addresses), len(link.buses)
         self.link, self.listen = link, listen
         self.counting = True  # a robot that has not heard the GO may still be told
-        self.silence_s, self.period_s = silence_s, period_s
+        self.moves_until_s = np.inf  # who loses power later does no harm
+        self.silence_s, self.period_s, self.stretch_s = silence_s, period_s, stretch_s
         self.now_s = go_s
         self.freeze_s: float | None = None
         self.seen, self.arrived, self.wrong, self.deaf = np.zeros((4, n), dtype=bool)
         self._running = np.zeros(n, dtype=bool)
         self._running[rows] = True
         self._bus = link.at(link.addresses.bus)
+        self._turns = Turns(self._bus, buses, (1.0 - _OVERRUN) * period_s)
         self._boot, self._sequence = boot, sequence[self._bus]
         self._tries = np.zeros(n, dtype=np.int64)
-        self._read_s, self._kept_s = np.full((2, n), -np.inf)
-        self._chunk = np.full(len(link.buses), _FIRST_CHUNK)
-        self.beat_s = np.full(len(link.buses), go_s)
+        self._kept_s = np.full(n, -np.inf)
+        self.beat_s = np.full(buses, go_s)
+        self._shortest_s, self._slow = np.full(buses, np.inf), np.zeros(buses, dtype=np.int64)
+        self._beats_key = b""
         # a line that is low already tells nothing
         self._low = link.backend.alert_lines(go_s)
 
@@ -86,94 +102,104 @@ class Watch:
         Args:
             width: bytes to read of each, STATUS_BYTES or VERIFY_BYTES.
         """
-        t = self.now_s
-        buses = np.unique(self._bus[self.running])
-        ready = buses[(self.link.free_s[buses] <= t + 1e-9) & ~self.link.given_up[buses]]
-        rows = self._next(ready)
-        calls = encode_command(Opcode.BEAT, general_call(self.link.buses[ready]))
-        frames = _joined(calls, self.link.addresses[rows])
-        read = np.where(np.arange(len(frames)) < len(ready), 0, width)
+        t, running = self.now_s, self.running
+        ready = np.bincount(self._bus[running], minlength=len(self.beat_s)) > 0
+        ready &= (self.link.free_s <= t + _OVERRUN * self.period_s) & ~self.link.given_up
+        ask = not self.counting and t < self.moves_until_s
+        looked, asked = self._turns.next(running & ready[self._bus], ask)
+        buses = np.repeat(np.flatnonzero(ready), _BEATS)
+        b, a, r = len(buses), len(asked), len(looked)
+        to = self.link.addresses[np.concatenate([asked, looked])]
+        frames = self._frames(buses, to)
+        read = np.zeros(len(frames), dtype=np.int64)
+        looks = slice(b + a, b + a + r)
+        read[looks] = width
         replies = self.link.transfer(frames, read, t, keep=False)
-        beats, looks = np.arange(len(ready)), np.arange(len(ready), len(frames))
 
-        through = ready[replies.ack[beats] == Ack.OK]
-        self.beat_s[through] = replies.end_s[beats][replies.ack[beats] == Ack.OK]
-        arrived = self._hear(rows, replies, looks, width)
-        if arrived or (t - self._kept_s[rows] >= _KEPT_S).any():
+        took_s = replies.end_s - replies.start_s
+        for beats in (slice(0, b), slice(b + a + r, None)):
+            self._beaten(buses, replies.ack[beats], replies.end_s[beats], took_s[beats])
+        arrived = self._hear(looked, replies, looks, width)
+        self._tries[asked[replies.ack[b : b + a] == _NO_ADDRESS]] += 1
+        self._turns.learn(looked, took_s[looks], asked, took_s[b : b + a])
+        if arrived or (t - self._kept_s[looked] >= _KEPT_S).any():
             self.link.keep(frames, replies)
-            self._kept_s[rows] = t
-        for _ in range(_TRIES - 1):
-            self._look_again(rows, t, width)
-        free = self.link.free_s[through[~self.link.given_up[through]]]
-        self.now_s = max(t + self.period_s, free.max(initial=-np.inf))
-        self._judge()
+            self._kept_s[looked] = t
+        self._look_again(np.concatenate([asked, looked]), t, width)
+        self.now_s = t + self.period_s
+        self._judge(running)
 
-    def _next(self, ready):
-        """The robots of each ready bus that were not looked at for longest."""
-        rows = np.flatnonzero(self.running & np.isin(self._bus, ready))
-        rows = rows[np.lexsort([self._read_s[rows], self._bus[rows]])]
-        bus = self._bus[rows]
-        place = np.arange(len(rows)) - np.searchsorted(bus, bus)
-        return rows[place < self._chunk[bus]]
+    def _frames(self, buses, to):
+        """BEATs on some buses, frames without data to robots, and BEATs again."""
+        key = buses.tobytes()
+        if key != self._beats_key:
+            self._beats = encode_command(Opcode.BEAT, general_call(self.link.buses[buses]))
+            self._beats_key = key
+        return self._beats.then(Frames.empty(to)).then(self._beats)
+
+    def _beaten(self, buses, ack, end_s, took_s):
+        """Take note of which BEATs got through when, and how slowly."""
+        through = ack == _OK
+        buses, took_s = buses[through], took_s[through]
+        self.beat_s[buses] = end_s[through]
+        self._shortest_s[buses] = np.minimum(self._shortest_s[buses], took_s)
+        slow = took_s > self._shortest_s[buses] + self.stretch_s
+        self._slow[buses] = np.where(slow, self._slow[buses] + 1, 0)
 
     def _look_again(self, rows, t, width):
-        """Look once more at those that gave no answer; a robot may not be silent for long."""
-        rows = rows[(self._tries[rows] > 0) & ~self.link.given_up[self._bus[rows]]]
-        if len(rows):
-            to = self.link.addresses[rows]
-            frames = Frames(to, np.zeros(len(rows) + 1, dtype=np.int64), np.zeros(0, np.uint8))
+        """Look once more at some that gave no answer; a robot may not be silent for long."""
+        rows = np.unique(rows[self._tries[rows] > 0])
+        if len(rows) == 0:
+            return
+        rows = rows[np.argsort(self._bus[rows], kind="stable")]
+        bus = self._bus[rows]
+        rows = rows[np.arange(len(rows)) - np.searchsorted(bus, bus) < _AGAIN]
+        for _ in range(_TRIES - 1):
+            rows = rows[(self._tries[rows] > 0) & ~self.link.given_up[self._bus[rows]]]
+            if len(rows) == 0:
+                return
+            frames = Frames.empty(self.link.addresses[rows])
             replies = self.link.transfer(frames, width, t, keep=False)
-            if self._hear(rows, replies, np.arange(len(rows)), width):
+            if self._hear(rows, replies, slice(None), width):
                 self.link.keep(frames, replies)
 
     def _hear(self, rows, replies, looks, width):
         """Take in what robots said; returns whether one of them has arrived."""
-        data = replies.data.reshape(-1, width)
-        status = decode_status(self.link.addresses[rows], data)
-        took = (replies.end_s - replies.start_s)[looks]
-        bus, count = self._bus[rows[status.ok]], len(self._chunk)
-        looks_of = np.bincount(bus, minlength=count)
-        took_of = np.bincount(bus, took[status.ok], minlength=count)
-        known = looks_of > 0
-        fit = self.period_s * looks_of[known] / took_of[known]
-        self._chunk[known] = np.maximum(fit.astype(np.int64), 1)
-        # when the lines fail it is not the robot that is silent
-        missed = ~status.ok & (replies.ack[looks] < Ack.LOST)
-        self._tries[rows[missed]] += 1
-        good = rows[status.ok]
-        self._tries[good], self._read_s[good] = 0, replies.end_s[looks][status.ok]
-        state = status.state[status.ok]
-        same = status.boot[status.ok] == self._boot[good]
-        same &= status.sequence[status.ok] == self._sequence[good]
-        runs = same & ((state == RobotState.MOVING) | (state == RobotState.DONE))
+        if len(rows) == 0:
+            return False
+        status = decode_status(self.link.addresses[rows], replies.data.reshape(-1, width))
+        good = rows
+        if not status.ok.all():
+            # when the lines fail it is not the robot that is silent
+            self._tries[rows[~status.ok & (replies.ack[looks] < _LOST)]] += 1
+            good, status = rows[status.ok], status.only(status.ok)
+        self._tries[good] = 0
+        same = (status.boot == self._boot[good]) & (status.sequence == self._sequence[good])
+        done = same & (status.state == _DONE)
+        runs = done | (same & (status.state == _MOVING))
         self.seen[good] |= runs
-        arrived = runs & (state == RobotState.DONE) & ~self.arrived[good]
-        self.arrived[good] |= arrived
-        self.deaf[good] = same & (state == RobotState.LOADED) & self.counting
+        arrived = bool((done & ~self.arrived[good]).any())
+        self.arrived[good] |= done
+        self.deaf[good] = same & (status.state == _LOADED) & self.counting
         self.wrong[good] |= ~runs & ~self.deaf[good]
-        if width == STATUS_BYTES and status.ok.any():
-            self.listen(good, status.only(status.ok), self.now_s)
-        return bool(arrived.any())
+        if width == STATUS_BYTES and len(good):
+            self.listen(good, status, self.now_s)
+        return arrived
 
-    def _judge(self):
-        running = self.running
-        low = np.setdiff1d(self.link.backend.alert_lines(self.now_s), self._low)
-        if (self.wrong | (self._tries >= _TRIES))[running].any() or len(low):
+    def _judge(self, running):
+        """Decide whether all must stop, and when."""
+        wrong = running & (self.wrong | (self._tries >= _TRIES))
+        if wrong.any():
+            # known as soon as the bus is through with them
+            self.freeze_s = float(self.link.free_s[self._bus[wrong]].max())
+            return
+        low = self.link.backend.alert_lines(self.now_s)
+        if (len(low) and not np.isin(low, self._low).all()) or (self._slow >= _SLOW).any():
             self.freeze_s = self.now_s
             return
-        buses = np.unique(self._bus[running])
-        if self.silence_s > 0 and len(buses):
-            last = self.beat_s[buses].min() + self.silence_s
-            if self.now_s + self.period_s >= last:
+        running = running & ~self.arrived
+        if self.silence_s > 0 and running.any():
+            last = self.beat_s[self._bus[running]].min() + self.silence_s
+            # the BEATs that begin the next step come in time, or it is known then
+            if self.now_s + _BEAT_KNOWN * self.period_s >= last:
                 self.freeze_s = max(last, self.now_s)
-
-
-def _joined(calls: Frames, to: Addresses) -> Frames:
-    """General calls, then plain reads of robots, in one batch."""
-    both = Addresses(
-        np.concatenate([calls.to.bus, to.bus]),
-        np.concatenate([calls.to.address, to.address]),
-        np.concatenate([calls.to.ten_bit, to.ten_bit]),
-    )
-    offsets = np.concatenate([calls.offsets, np.full(len(to), calls.offsets[-1])])
-    return Frames(both, offsets, calls.data)

@@ -15,6 +15,7 @@ from kernel_buses import KernelBuses, umockdev
 from fiber_bus_bridge import (
     Positioners,
     Session,
+    SessionConfig,
     SessionState,
     SimulatedBuses,
     addresses_of,
@@ -171,7 +172,8 @@ def test_a_plan_is_carried_out(backend):
     to = addresses_of(plane)
     buses, robots = backend(to, robots=Positioners(to, plane.ids, units.quantum_prad, start))
     # the kernel here serves one bus after the other, which makes a GO late on the second
-    session = Session(plane, units, Safety(start_skew_s=2e-3), buses, units.to_angles(start))
+    safety, unhurried = Safety(start_skew_s=2e-3), SessionConfig(stretch_s=np.inf)
+    session = Session(plane, units, safety, buses, units.to_angles(start), unhurried)
     t = session.configure(0.0)
     assert session.known.all()
     offsets = np.repeat(np.arange(20), 2)[1:]

@@ -16,6 +16,7 @@ from fiber_bus_bridge import (
     addresses_of,
     bus_timing,
 )
+from fiber_bus_bridge.bus import Faults
 from fiber_bus_bridge.firmware import Event
 from fiber_bus_bridge.resume import remaining_motion
 from fiber_bus_bridge.wire import Fault, Frames, Opcode, RobotState, decode_command, decode_load
@@ -29,7 +30,7 @@ from fiber_core.wire_units import WireMotion, WireUnits
 class Rig:
     """A plane of nearly folded robots on simulated buses, ten to a bus, and a session with it."""
 
-    def __init__(self, n=19, start=None, enabled=None, config=None, **positioners):
+    def __init__(self, n=19, start=None, enabled=None, config=None, faults=None, **positioners):
         rows = np.arange(n)
         plane = replace(preset("desi", n), bus=rows // 10, address=8 + rows % 10)
         self.plane = plane if enabled is None else plane.with_enabled(enabled)
@@ -43,7 +44,7 @@ class Rig:
             self.plane,
             self.units,
             Safety(),
-            SimulatedBuses(self.robots, bus_timing("1M")),
+            SimulatedBuses(self.robots, bus_timing("1M"), faults),
             self.units.to_angles(start),
             config,
         )
@@ -291,10 +292,23 @@ def test_a_robot_that_hears_no_general_call_keeps_nobody_else_from_the_end(when_
     assert np.array_equal(np.delete(rig.where(), 3, 0), np.delete(motion.end, 3, 0))
 
 
+def test_a_bus_that_hears_the_go_late_once_is_told_again():
+    quiet = Rig()
+    quiet.ready()
+    quiet.call("start")
+    # the clock of the second bus is held when the GO is on it, and never again
+    go_s = quiet.session.upload.go_s
+    rig = Rig(faults=Faults(stretches=((12, go_s - 1.1e-4, go_s, 1e-3),)))
+    motion = rig.ready()
+    rig.call("start")
+    assert rig.session.upload.started.all() and rig.session.upload.go_s > go_s + 2e-3
+    assert set(rig.run().outcome) == {Outcome.REACHED}
+    assert np.array_equal(rig.where(), motion.end)
+
+
 def test_a_bus_that_hears_the_go_late_does_not_start_and_nobody_is_left_stopped():
-    rig = Rig()
+    rig = Rig(faults=Faults(stretches=((12, 0.0, np.inf, 1e-3),)))
     motion = rig.ready(theta=np.where(np.arange(19) == 4, 0, 400))
-    rig.session.link.backend._line(1)._stretches = [(12, 0.0, np.inf, 1e-3)]
     rig.call("start")
     moves = (np.arange(19) < 10) & (np.arange(19) != 4)
     assert np.array_equal(rig.session.upload.started, moves)
@@ -674,5 +688,5 @@ def test_nobody_moves_when_no_sequence_number_is_safe(monkeypatch):
     rig.call("start")
     ended_once(rig.session.result, 7)
     told = rig.session.result.reason.tolist()
-    assert told == [Reason.UNSAFE_AS_LOADED] * 4 + [Reason.STOPPED] * 3
+    assert told == [Reason.UNSAFE_AS_LOADED] * 6 + [Reason.STOPPED]
     assert np.array_equal(rig.robots.positions(rig.t + 9), motion.start)

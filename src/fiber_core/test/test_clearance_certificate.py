@@ -181,7 +181,7 @@ def test_no_motion_requires_more_than_at_full_speed(name):
     assert np.all((safety.margin_mm <= required) & (required <= most + 1e-12))
 
 
-_MARGIN_ONLY = Safety(margin_mm=0.05, clock_ppm=0.0, start_skew_s=0.0)
+_MARGIN_ONLY = Safety(margin_mm=0.05, clock_ppm=0.0, start_skew_s=0.0, stop_skew_s=0.0)
 
 
 def _needles() -> FocalPlane:
@@ -370,8 +370,8 @@ def _gap_lost(plane, motion, safety, pairs, clocks):
         clocks: for each trial, rates of the robots' clocks and how late they start [s].
     """
     nominal = certify(plane, motion, _RESOLVE_ALL, pairs).gap_mm
-    # so far below any gap at the start that pairs too close at the start do not matter
-    allowance = 1e3 + replace(safety, margin_mm=-1e3).required_mm(plane, motion, pairs)
+    speeds = point_speeds(levers_of(plane), profiles_of(motion).fastest)
+    allowance = replace(safety, margin_mm=0.0).required_at(speeds, motion.makespan_s, pairs)
     t = np.linspace(0.0, 1.1 * motion.makespan_s + safety.start_skew_s, 800)
     lost = np.zeros(len(pairs))
     for rate, late in clocks:
@@ -416,6 +416,30 @@ def test_allowance_covers_clock_error_and_start_skew_of_random_motions(name):
         lost, allowance = _gap_lost(plane, motion, safety, neighbour_pairs(plane), clocks)
         assert (lost <= allowance + 1e-9).all()
         assert lost.max() > 0.05
+
+
+@pytest.mark.parametrize("name", ["desi", "desi_outlines", "sdss_v"])
+def test_robots_that_stop_apart_in_time_use_up_the_margin_and_no_more(name):
+    rng = np.random.default_rng(2)
+    plane = replace(preset(name, 30), limits=np.tile([-9.0, 9.0], (30, 2, 1)))
+    pairs, safety = neighbour_pairs(plane), Safety(0.0, 0.0, 0.0, stop_skew_s=0.02)
+    worst = 0.0
+    for _ in range(3):
+        motion = _random_motion(rng, 30, most=2)
+        speeds = point_speeds(levers_of(plane), profiles_of(motion).fastest)
+        required = safety.required_at(speeds, motion.makespan_s, pairs)
+        for stop_s in rng.uniform(0.0, motion.makespan_s, 20):
+            instants = _all_at(motion, [stop_s, stop_s + 0.02])
+            together = sampled_gaps(plane, pairs, instants).min(axis=1)
+            late = stop_s + 0.02 * rng.integers(0, 2, (30, 1))
+            apart = sampled_gaps(plane, pairs, _angles_at(motion, late))[:, 0]
+            assert (together - apart <= required + 1e-9).all()
+            worst = max(worst, (together - apart).max())
+    assert worst > 0.1
+    one = point_speeds(levers_of(plane), plane.speeds)
+    both = replace(safety, margin_mm=0.05, start_skew_s=1e-3).required_at(one, 0.0, pairs)
+    slower = one[pairs].min(axis=1)
+    np.testing.assert_allclose(both, np.maximum(0.05 + 1e-3 * slower, 0.021 * slower))
 
 
 @pytest.mark.parametrize("gap_mm", [0.03, 0.0, -0.4])

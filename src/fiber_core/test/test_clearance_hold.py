@@ -10,7 +10,7 @@ from fiber_core.fields import random_field
 from fiber_core.motion import SegmentMotion
 from fiber_core.presets import preset
 
-_MARGIN_ONLY = Safety(margin_mm=0.05, clock_ppm=0.0, start_skew_s=0.0)
+_MARGIN_ONLY = Safety(margin_mm=0.05, clock_ppm=0.0, start_skew_s=0.0, stop_skew_s=0.0)
 
 
 def _direct(start, goal, speed=1.0) -> SegmentMotion:

@@ -12,6 +12,11 @@ _COUNTS = (
 )  # fmt: skip
 
 
+# plain numbers: members of an enumeration are slow to look up batch by batch
+_OK, _NO_ADDRESS = int(Ack.OK), int(Ack.NO_ADDRESS)
+_REFUSED, _LOST = int(Ack.REFUSED), int(Ack.LOST)
+
+
 class BusCounters:
     """Running totals, one entry per bus, in the order of `buses`.
 
@@ -29,15 +34,17 @@ class BusCounters:
     def add(self, exchange: Exchange) -> None:
         """Count a batch; bytes are data bytes, read and written."""
         frames, replies = exchange.frames, exchange.replies
-        at = self._rows(frames.to.bus)
-        heard = (replies.ack == Ack.OK) | (replies.ack == Ack.REFUSED)
+        at, ack = self._rows(frames.to.bus), replies.ack
+        good, refused = ack == _OK, ack == _REFUSED
+        moved = np.where(good | refused, frames.lengths, 0)
+        moved += np.where(good, np.diff(replies.offsets), 0)
         self.frames += self._count(at)
-        np.add.at(self.bytes, at, np.where(heard, frames.lengths, 0))
-        np.add.at(self.bytes, at, np.where(replies.ack == Ack.OK, np.diff(replies.offsets), 0))
-        self.no_address += self._count(at[replies.ack == Ack.NO_ADDRESS])
-        self.refused += self._count(at[replies.ack == Ack.REFUSED])
-        self.line_errors += self._count(at[replies.ack >= Ack.LOST])
-        np.add.at(self.busy_s, at, replies.end_s - replies.start_s)
+        self.bytes += self._count(at, moved).astype(np.int64)
+        self.busy_s += self._count(at, replies.end_s - replies.start_s)
+        if not good.all():
+            self.no_address += self._count(at[ack == _NO_ADDRESS])
+            self.refused += self._count(at[refused])
+            self.line_errors += self._count(at[ack >= _LOST])
 
     def add_retries(self, buses) -> None:
         """Count one more try on each of these buses, shape (f,)."""
@@ -62,5 +69,5 @@ class BusCounters:
     def _rows(self, buses):
         return np.searchsorted(self.buses, buses)
 
-    def _count(self, rows):
-        return np.bincount(rows, minlength=len(self.buses))
+    def _count(self, rows, weights=None):
+        return np.bincount(rows, weights, minlength=len(self.buses))

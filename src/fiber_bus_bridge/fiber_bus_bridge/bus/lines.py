@@ -1,11 +1,12 @@
 """The lines of one simulated bus in time: messages in turn, lines that stick, slow clocks."""
 
 import numpy as np
+from numba import njit
 
 from fiber_bus_bridge.bus.backend import Ack
 from fiber_bus_bridge.bus.faults import Cure, Faults, Line
 
-__all__ = ["STRETCH_LIMIT_S", "BusLines"]
+__all__ = ["STRETCH_LIMIT_S", "BusLines", "take_in_turn"]
 
 STRETCH_LIMIT_S = 25e-3  # SMBus: who holds the clock for longer is timed out
 # plain numbers: members of an enumeration are slow to look up message by message
@@ -15,22 +16,59 @@ _SDA_LOW, _BABBLE = int(Line.SDA_LOW), int(Line.BABBLE)
 _RESET_S, _POWER_S = 1e-3, 50e-3
 
 
-class BusLines:
-    """One bus: until when it is busy, and what is wrong with its lines.
+@njit(cache=True)
+def take_in_turn(at, lasts, not_before_s, free_s, start_s, end_s):
+    """Put messages on buses on which nothing is wrong, in turn on each.
 
     Args:
+        at: place of the bus of each message, -1 for those left alone, shape (f,).
+        lasts: how long each takes [s], shape (f,).
+        not_before_s: earliest start of each [s], shape (f,).
+        free_s: when each bus is free [s], shape (b,); brought up to date.
+        start_s: filled in [s], shape (f,).
+        end_s: filled in [s], shape (f,).
+    """
+    for f in range(len(at)):
+        if at[f] >= 0:
+            start_s[f] = max(free_s[at[f]], not_before_s[f])
+            end_s[f] = free_s[at[f]] = start_s[f] + lasts[f]
+
+
+class BusLines:
+    """The lines of one bus, and what is wrong with them.
+
+    Args:
+        at: place of the bus among all.
+        free_s: when each bus is free [s], shape (b,); this one's is kept up to date.
         bus: its number.
         faults: what will go wrong, on any bus.
         rows: robots on this bus, shape (k,).
         bit_s: one bit [s].
     """
 
-    def __init__(self, bus: int, faults: Faults, rows, bit_s: float):
-        self.free_s = -np.inf
-        self._bit_s = bit_s
+    def __init__(self, at: int, free_s, bus: int, faults: Faults, rows, bit_s: float):
+        self._at, self._free_s, self._bit_s = at, free_s, bit_s
         self._troubles = [trouble for trouble in faults.lines if trouble[1] == bus]
         here = set(np.asarray(rows).tolist())
         self._stretches = [stretch for stretch in faults.stretches if stretch[0] in here]
+
+    @property
+    def free_s(self) -> float:
+        """When the bus is free [s]."""
+        return float(self._free_s[self._at])
+
+    @free_s.setter
+    def free_s(self, t: float):
+        self._free_s[self._at] = t
+
+    @property
+    def troubled_from_s(self) -> float:
+        """From when on anything is wrong that is not over yet [s]; inf if nothing ever will be."""
+        now = self._free_s[self._at]
+        self._troubles = [x for x in self._troubles if x[3] > now]
+        self._stretches = [x for x in self._stretches if x[2] > now]
+        begins = [x[2] for x in self._troubles] + [x[1] for x in self._stretches]
+        return min(begins, default=np.inf)
 
     def take(self, lasts, not_before_s, listeners):
         """Put messages on the bus in turn.
@@ -45,13 +83,6 @@ class BusLines:
         """
         k = len(lasts)
         ack, heard = np.full(k, _OK, dtype=np.int64), np.ones(k, dtype=bool)
-        if not (self._troubles or self._stretches):
-            # end_i = lasts_i + max(not_before_i, end_{i-1}), unrolled
-            total = np.cumsum(lasts)
-            begin = np.maximum(not_before_s, self.free_s)
-            end = np.maximum.accumulate(begin - (total - lasts)) + total
-            self.free_s = end[-1]
-            return end - lasts, end, ack, heard
         start, end = np.empty(k), np.empty(k)
         broken = False
         for i in range(k):

@@ -4,7 +4,7 @@ import numpy as np
 
 from fiber_bus_bridge.bus.backend import Ack, Replies
 from fiber_bus_bridge.bus.faults import Cure, Faults
-from fiber_bus_bridge.bus.lines import BusLines
+from fiber_bus_bridge.bus.lines import BusLines, take_in_turn
 from fiber_bus_bridge.bus.noise import Heard, add_noise
 from fiber_bus_bridge.bus.timing import BusTiming, bus_timing
 from fiber_bus_bridge.firmware import Positioners
@@ -12,6 +12,9 @@ from fiber_bus_bridge.wire import Addresses, Frames
 
 __all__ = ["SimulatedBuses"]
 
+# plain numbers: members of an enumeration are slow to look up batch by batch
+_OK, _NO_ADDRESS, _REFUSED = int(Ack.OK), int(Ack.NO_ADDRESS), int(Ack.REFUSED)
+_NO_BUS = np.zeros(0, dtype=np.int64)
 _KEYS_PER_BUS = 4096  # general call, then 128 seven-bit and 1024 ten-bit addresses
 
 
@@ -55,18 +58,28 @@ class SimulatedBuses:
         self._rng = rng or np.random.default_rng(0)
         positioners.schedule(self._faults.events)
         self._buses = np.unique(positioners.bus)
-        self._lines: dict[int, BusLines] = {}
+        self._free_s = np.full(len(self._buses), -np.inf)
+        self._lines = [
+            BusLines(
+                at, self._free_s, bus, self._faults,
+                np.flatnonzero(positioners.bus == bus), 1.0 / self.timing.clock_hz,
+            )
+            for at, bus in enumerate(self._buses.tolist())
+        ]  # fmt: skip
+        self._troubled_s = np.array([line.troubled_from_s for line in self._lines])
         self._address_book(positioners.addresses)
 
     def _address_book(self, addresses):
         self._addresses = addresses
-        keys = self._keys(addresses)
+        keys = self._at(addresses.bus) * _KEYS_PER_BUS + addresses.ten_bit * 1024
+        keys += addresses.address
         self._order = np.argsort(keys, kind="stable")
         self._sorted_keys = keys[self._order]
 
-    def _keys(self, to):
-        bus = np.searchsorted(self._buses, to.bus)
-        return bus * _KEYS_PER_BUS + to.ten_bit * 1024 + to.address
+    def _at(self, buses):
+        """Places of buses among all, -1 for those nobody hangs on."""
+        at = np.searchsorted(self._buses, buses)
+        return np.where(self._buses[np.minimum(at, len(self._buses) - 1)] == buses, at, -1)
 
     def transfer(self, frames: Frames, read_bytes, not_before_s) -> Replies:
         """Carry a batch of messages; see BusBackend.transfer."""
@@ -77,29 +90,28 @@ class SimulatedBuses:
         if f == 0:
             nothing = np.zeros(0)
             return Replies(nothing.astype(np.int64), nothing, nothing, offsets, _no_bytes())
-        self._bring_up(frames, not_before)
-        low, high = self._listeners(frames.to)
+        at = self._at(frames.to.bus)
+        self._bring_up(at, not_before)
+        low, high = self._listeners(at, frames.to)
         answered = self._answered(low, high)
-        lasts = np.where(
-            answered,
-            self.timing.message_s(frames.lengths, read, frames.to.ten_bit),
-            self.timing.unanswered_s(frames.to.ten_bit),
+        lasts = self.timing.message_s(
+            np.where(answered, frames.lengths, 0), np.where(answered, read, 0), frames.to.ten_bit
         )
-        start_s, end_s, fate, reaches = self._schedule(frames.to.bus, lasts, not_before, low, high)
+        start_s, end_s, fate, reaches = self._schedule(at, lasts, not_before, low, high)
 
         heard = Heard.clean(frames, offsets)
         rate = self._error_rate(frames.to.bus, start_s)
-        if rate.any():
+        if rate is not None:
             add_noise(heard, frames, offsets, rate, self._rng)
-            low, high = self._listeners(Addresses(frames.to.bus, heard.address, heard.ten_bit))
-        heard.reads[heard.turned | heard.cut | (fate != Ack.OK)] = False
+            low, high = self._listeners(at, Addresses(frames.to.bus, heard.address, heard.ten_bit))
+        heard.reads[heard.turned | heard.cut | (fate != _OK)] = False
         high = np.where(reaches & ~heard.lost, high, low)
         there, accepted, data = self.positioners.exchange(
             self._order, low, high, heard, offsets, start_s, end_s
         )
         taken = (accepted ^ heard.turned) & ~heard.cut
-        ack = np.where(there, np.where(taken, Ack.OK, Ack.REFUSED), Ack.NO_ADDRESS)
-        ack = np.where(fate == Ack.OK, ack, fate)
+        ack = np.where(there, np.where(taken, _OK, _REFUSED), _NO_ADDRESS)
+        ack = np.where(fate == _OK, ack, fate)
         return Replies(ack, start_s, end_s, offsets, data ^ heard.wrong)
 
     def recover(self, bus: int, cure: Cure, t: float) -> tuple[float, bool]:
@@ -113,24 +125,20 @@ class SimulatedBuses:
 
     def alert_lines(self, t: float) -> np.ndarray:
         """Return the buses whose alert line is low; see BusBackend.alert_lines."""
-        return np.unique(self.positioners.bus[self.positioners.alerting(t)])
+        alerting = self.positioners.alerting(t)
+        return np.unique(self.positioners.bus[alerting]) if alerting.any() else _NO_BUS
 
     def _line(self, bus):
-        if bus not in self._lines:
-            rows = np.flatnonzero(self.positioners.bus == bus)
-            bit_s = 1.0 / self.timing.clock_hz
-            self._lines[bus] = BusLines(bus, self._faults, rows, bit_s)
-        return self._lines[bus]
+        return self._lines[int(np.searchsorted(self._buses, bus))]
 
-    def _bring_up(self, frames, not_before):
+    def _bring_up(self, at, not_before):
         """Let happen what befalls robots until the first message begins."""
         if len(self._faults.events) == 0:
             return
-        free = [self._line(bus).free_s for bus in np.unique(frames.to.bus).tolist()]
-        self.positioners.bring_up(max(not_before.min(), min(free)))
-        addresses = self.positioners.addresses
-        if not np.array_equal(addresses.address, self._addresses.address):
-            self._address_book(addresses)
+        free_s = self._free_s[at].min()
+        self.positioners.bring_up(max(not_before.min(), free_s))
+        if not np.array_equal(self.positioners.memory["address"], self._addresses.address):
+            self._address_book(self.positioners.addresses)
 
     def _answered(self, low, high):
         memory = self.positioners.memory
@@ -138,37 +146,47 @@ class SimulatedBuses:
         awake = np.concatenate([[0], np.cumsum(awake)])
         return awake[high] > awake[low]
 
-    def _listeners(self, to):
+    def _listeners(self, at, to):
         """Range of the robots, in the sorted order, that listen to each frame."""
-        known = np.isin(to.bus, self._buses)
-        keys = np.where(known, self._keys(to), -1)
+        keys = np.where(at >= 0, at * _KEYS_PER_BUS + to.ten_bit * 1024 + to.address, -1)
         low = np.searchsorted(self._sorted_keys, keys, side="left")
-        called = (to.address == 0) & ~to.ten_bit & known
+        called = (to.address == 0) & ~to.ten_bit & (at >= 0)
         last = np.where(called, keys + _KEYS_PER_BUS - 1, keys)
         return low, np.searchsorted(self._sorted_keys, last, side="right")
 
-    def _schedule(self, buses, lasts, not_before, low, high):
+    def _schedule(self, at, lasts, not_before, low, high):
         """Start, end, what the lines allow and who is reached, of each frame."""
-        start, end = np.empty_like(lasts), np.empty_like(lasts)
-        fate, reaches = np.empty(len(lasts), dtype=np.int64), np.empty(len(lasts), dtype=bool)
-        for bus in np.unique(buses).tolist():
-            rows = np.flatnonzero(buses == bus)
-            takes = lasts[rows]
-            takes[0] += self.timing.entry_s
+        start = not_before.copy()
+        end = np.where(at < 0, start + lasts, start)
+        fate, reaches = np.full(len(lasts), _OK), np.ones(len(lasts), dtype=bool)
+        if self.timing.entry_s:
+            lasts[np.unique(at, return_index=True)[1]] += self.timing.entry_s
+        quiet = at
+        if np.isfinite(self._troubled_s).any():
+            # no message of this batch lasts beyond this time
+            last = np.maximum(self._free_s, not_before.max(initial=-np.inf)) + lasts.sum()
+            troubled = self._troubled_s < last
+            quiet = np.where(troubled[at], -1, at)
+        take_in_turn(quiet, lasts, not_before, self._free_s, start, end)
+        for one in np.unique(at[quiet < at]):
+            rows = np.flatnonzero(at == one)
 
             def listeners(i, rows=rows):
                 return self._order[low[rows[i]] : high[rows[i]]]
 
-            found = self._line(bus).take(takes, not_before[rows], listeners)
+            found = self._lines[one].take(lasts[rows], not_before[rows], listeners)
             start[rows], end[rows], fate[rows], reaches[rows] = found
+            self._troubled_s[one] = self._lines[one].troubled_from_s
         return start, end, fate, reaches
 
     def _error_rate(self, buses, start_s):
-        """Chance that a bit of each frame is read wrong, shape (f,)."""
+        """Chance that a bit of each frame is read wrong, shape (f,); None on a quiet wire."""
+        if not self._faults.noise:
+            return None
         rate = np.zeros(len(buses))
         for bus, since, until, level in self._faults.noise:
             rate[(buses == bus) & (start_s >= since) & (start_s < until)] = level
-        return rate
+        return rate if rate.any() else None
 
 
 def _no_bytes():

@@ -33,6 +33,7 @@ MEMORY = np.dtype(
         ("state", "i8"),
         ("fault", "i8"),
         ("alerts", "i8"),
+        ("told", "?"),  # the alerts have been read: it lets go of the alert line
         ("asked_identity", "?"),
         ("tick_us", "i8"),
         ("velocity_bits", "i8"),

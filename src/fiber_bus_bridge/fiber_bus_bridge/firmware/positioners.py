@@ -92,9 +92,13 @@ class Positioners:
         return self.memory["state"].copy()
 
     def alerting(self, t: float) -> np.ndarray:
-        """Return who pulls the alert line of its bus at time t [s], shape (n,)."""
+        """Return who pulls the alert line of its bus at time t [s], shape (n,).
+
+        A robot pulls it from when it stops by itself or boots until its whole status is read.
+        """
         self.bring_up(t)
-        return self.powered & ((self.memory["alerts"] & _URGENT) != 0)
+        memory = self.memory
+        return self.powered & ((memory["alerts"] & _URGENT) != 0) & ~memory["told"]
 
     def power(self, rows, on: bool, t: float) -> None:
         """Cut or give power to some robots at time t [s]; with power they boot unconfigured."""

@@ -114,6 +114,7 @@ def answer(r, t, out):
             r.address, r.ten_bit, r.state, r.sequence, stored_crc(r),
             r.boot, r.fault, r.alerts, position, reply,
         )  # fmt: skip
+        r.told |= len(out) >= STATUS_BYTES
     for i in range(min(size, len(out))):
         out[i] &= reply[i]
 

@@ -1,6 +1,7 @@
 """Frames on the bus as one table: to whom each goes, and its bytes end to end."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -47,13 +48,13 @@ class Addresses:
 
     def __getitem__(self, rows) -> "Addresses":
         """Return the rows chosen by an index or mask array, in that order."""
-        return Addresses(self.bus[rows], self.address[rows], self.ten_bit[rows])
+        return _made(Addresses, self.bus[rows], self.address[rows], self.ten_bit[rows])
 
 
 def general_call(buses) -> Addresses:
     """Address everybody on each of some buses, shape (b,)."""
-    buses = np.asarray(buses, dtype=np.int64)
-    return Addresses(buses, np.zeros_like(buses), np.zeros(buses.shape, dtype=bool))
+    buses = np.array(buses, dtype=np.int64, ndmin=1)
+    return _made(Addresses, buses, np.zeros_like(buses), np.zeros(buses.shape, dtype=bool))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,14 @@ class Frames:
         source = np.repeat(self.offsets[rows] - offsets[:-1], lengths) + np.arange(offsets[-1])
         return Frames(self.to[rows], offsets, self.data[source])
 
-    @property
+    def then(self, more: "Frames") -> "Frames":
+        """Return these frames and after them some more."""
+        pairs = zip(vars(self.to).values(), vars(more.to).values())
+        both = _made(Addresses, *(np.concatenate(pair) for pair in pairs))
+        offsets = np.concatenate([self.offsets, self.offsets[-1] + more.offsets[1:]])
+        return _made(Frames, both, offsets, np.concatenate([self.data, more.data]))
+
+    @cached_property
     def lengths(self) -> np.ndarray:
         """Data bytes of each frame, shape (f,)."""
         return np.diff(self.offsets)
@@ -108,6 +116,11 @@ class Frames:
     def payload(self, row: int) -> bytes:
         """Return the data bytes of one frame."""
         return self.data[self.offsets[row] : self.offsets[row + 1]].tobytes()
+
+    @classmethod
+    def empty(cls, to: Addresses) -> "Frames":
+        """Make frames without data, which only read, or ask whether somebody is there."""
+        return _made(cls, to, np.zeros(len(to) + 1, dtype=np.int64), np.zeros(0, dtype=np.uint8))
 
     @classmethod
     def equal_length(cls, to: Addresses, data) -> "Frames":
@@ -121,6 +134,16 @@ class Frames:
         """Make frames from a sequence of bytes objects, one per target."""
         offsets = np.concatenate([[0], np.cumsum([len(p) for p in payloads])])
         return cls(to, offsets, np.frombuffer(b"".join(payloads), dtype=np.uint8))
+
+
+def _made(cls, *columns):
+    """A table of columns that are known to be sound: parts of one that was checked."""
+    made = object.__new__(cls)
+    for column in columns:
+        if isinstance(column, np.ndarray):
+            column.setflags(write=False)
+    vars(made).update(zip(cls.__dataclass_fields__, columns))
+    return made
 
 
 @njit(cache=True)

@@ -5,7 +5,7 @@ error code, say all that VERIFY needs, so a controller that only verifies stops
 reading there; the rest holds fault, alerts and encoders and is closed by a CRC-16.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -87,7 +87,7 @@ class Statuses:
 
     def only(self, rows) -> "Statuses":
         """Return the rows chosen by an index or mask array."""
-        return Statuses(*(getattr(self, f.name)[rows] for f in fields(self)))
+        return Statuses(*(column[rows] for column in vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,13 +149,9 @@ def decode_status(to: Addresses, data) -> Statuses:
         raise WireError(f"status replies of {len(to)} robots have shape {data.shape}")
     ok = np.zeros(len(to), dtype=bool)
     _check_status(to.address, to.ten_bit, data, ok)
-    whole = np.zeros((len(to), STATUS_BYTES), dtype=np.uint8)
-    whole[ok, : data.shape[1]] = data[ok]
-    table = whole.view(STATUS_FIELDS)[:, 0]
-    names = ("order_crc", "boot", "fault", "alerts", "position")
-    crc, boot, fault, alerts, position = (table[name].astype(np.int64) for name in names)
-    head = table["state_sequence"].astype(np.int64)
-    return Statuses(ok, head >> 4, head & 15, crc, boot, fault, alerts, position)
+    numbers = np.zeros((8, len(to)), dtype=np.int64)
+    _read_status(data, ok, numbers)
+    return Statuses(ok, *numbers[:6], numbers[6:].T)
 
 
 def decode_identity(to: Addresses, data) -> Identities:
@@ -251,6 +247,26 @@ def _check_status(address, ten_bit, data, ok):
         if ok[f] and data.shape[1] == STATUS_BYTES:
             crc = (np.int64(data[f, 15]) << 8) | np.int64(data[f, 16])
             ok[f] = _status_crc(address[f], ten_bit[f], data[f]) == crc
+
+
+@njit(cache=True)
+def _read_status(data, ok, out):
+    # rows of out: state, sequence, order_crc, boot, fault, alerts, theta, phi
+    for f in range(len(ok)):
+        if not ok[f]:
+            continue
+        row = data[f]
+        out[0, f], out[1, f] = row[0] >> 4, row[0] & 15
+        out[2, f] = (np.int64(row[1]) << 8) | row[2]
+        out[3, f] = row[3]
+        if len(row) < STATUS_BYTES:
+            continue
+        out[4, f], out[5, f] = row[5], row[6]
+        for joint in range(2):
+            value = np.int64(0)
+            for k in range(4):
+                value = (value << 8) | np.int64(row[7 + 4 * joint + k])
+            out[6 + joint, f] = value - (value >> 31 << 32)
 
 
 @njit(cache=True)

@@ -22,19 +22,26 @@ class Safety:
         clock_ppm: worst error of a positioner's clock, either way [1e-6].
         start_skew_s: worst difference between the instants at which two positioners
             start, from buses and firmware [s].
+        stop_skew_s: worst difference between the instants at which two positioners stop
+            when one of them fails on its way [s]. Then the margin may be used up, and
+            outlines must not touch.
     """
 
     margin_mm: float = 0.05
     clock_ppm: float = 50.0
     start_skew_s: float = 200e-6
+    stop_skew_s: float = 4e-3
 
     def required_mm(self, plane: FocalPlane, motion: SegmentMotion, pairs) -> np.ndarray:
         """Gap each pair must keep on the nominal motion [mm], shape (p,).
 
-        A robot whose clock is off by e and that starts s late is, at time t, where it
-        should have been at t + dt with |dt| <= e T + s, T the makespan. No point of it
-        moves faster than V = |w_theta| reach + |w_phi| reach of the phi link, with the
-        highest speeds of this motion. So a pair (a, b) needs margin + (V_a + V_b) |dt|.
+        Two robots whose clocks are off by up to e and that start up to s apart are where they
+        should have been at t_a and t_b, with |t_a - t_b| <= 2 e T + s, T the makespan. No
+        point of a robot moves faster than V = |w_theta| reach + |w_phi| reach of the phi
+        link, with the highest speeds of this motion. Seen from the instant t_a only b is
+        elsewhere, by at most V_b |t_a - t_b|, and from t_b only a: a pair needs
+        margin + min(V_a, V_b) (2 e T + s). Stopped up to h apart it must not touch, for which it
+        needs min(V_a, V_b) (2 e T + s + h).
 
         A pair that starts closer than that may only be left by one of the two, the other
         at rest, and without coming closer: the gap it starts with is what it must keep.
@@ -61,12 +68,14 @@ class Safety:
             pairs: rows a, b as from neighbour_pairs, shape (p, 2).
             at_start_mm: gaps with which the pairs start [mm], shape (p,).
         """
-        late_s = self.clock_ppm * 1e-6 * makespan_s + self.start_skew_s
         a, b = np.asarray(pairs).reshape(-1, 2).T
         n = len(speeds_mm_s)
         speed = np.append(speeds_mm_s, 0.0)  # obstacles stand still
         first, second = speed[np.minimum(a, n)], speed[np.minimum(b, n)]
-        required = self.margin_mm + late_s * (first + second)
+        skew_s = 2e-6 * self.clock_ppm * makespan_s + self.start_skew_s
+        going = self.margin_mm + skew_s * np.minimum(first, second)
+        stopping = (skew_s + self.stop_skew_s) * np.minimum(first, second)
+        required = np.maximum(going, stopping)
         one_moves = (first > 0.0) != (second > 0.0)
         return np.where(one_moves, np.minimum(required, at_start_mm - _MEASURED_MM), required)
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fiber_core.clearance import gaps
+from fiber_core.clearance import gaps, levers_of, point_speeds
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner.direct.crowd import Crowd
@@ -129,7 +129,5 @@ def _clear_options(problem, crowd, parameters, alone_s):
 
 def _least_mm(problem, crowd, parameters, makespan_s):
     # the gap Safety would ask of each pair at full speed, were nobody too close at the start
-    speeds = np.vstack([problem.plane.speeds, np.zeros((len(problem.plane.obstacles), 2))])
-    levers = np.stack([crowd.lever[:, 0] + crowd.lever[:, 1], crowd.lever[:, 1]], axis=1)
-    late = parameters.clock_ppm * 1e-6 * makespan_s + parameters.start_skew_s
-    return parameters.margin_mm + late * (speeds * levers).sum(axis=1)[crowd.pairs].sum(axis=1)
+    speeds = point_speeds(levers_of(problem.plane), problem.plane.speeds)
+    return parameters.safety.required_at(speeds, makespan_s, crowd.pairs)

@@ -18,6 +18,7 @@ class DirectParameters:
         margin_mm: gap between outlines that must remain at every instant [mm].
         clock_ppm: worst error of a positioner's clock, either way [1e-6].
         start_skew_s: worst difference between the starts of two positioners [s].
+        stop_skew_s: worst difference between their stops when one must stop early [s].
         allowance_mm: gap planned for beyond what safety asks [mm]; it is what
             discretization and rounding may use up.
         intervals: length of the common time grid; every break of a profile is on it.
@@ -37,6 +38,7 @@ class DirectParameters:
     margin_mm: float = 0.05
     clock_ppm: float = 50.0
     start_skew_s: float = 200e-6
+    stop_skew_s: float = Safety.stop_skew_s
     allowance_mm: float = 0.03
     intervals: int = 48
     stretch: float = 2.2
@@ -45,7 +47,9 @@ class DirectParameters:
     seed: int = 0
 
     def __post_init__(self):
-        for name in ("margin_mm", "clock_ppm", "start_skew_s", "allowance_mm", "effort"):
+        for name in (
+            "margin_mm", "clock_ppm", "start_skew_s", "stop_skew_s", "allowance_mm", "effort"
+        ):  # fmt: skip
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise PlannerError(f"{name} is {value}, expected zero or more")
@@ -61,4 +65,4 @@ class DirectParameters:
     @property
     def safety(self) -> Safety:
         """The clearance the certificate will ask for."""
-        return Safety(self.margin_mm, self.clock_ppm, self.start_skew_s)
+        return Safety(self.margin_mm, self.clock_ppm, self.start_skew_s, self.stop_skew_s)
