@@ -4,12 +4,15 @@
 A campaign configures a plane, carries out one planned reconfiguration and one HOME while
 things go wrong, and ends. The judge believes nothing that robots report: it watches their true
 motion in continuous time, and compares what they ran with what was verified. A campaign is its
-kind and its seed; `--replay KIND:SEED` runs it again and tells what happened.
+kind and its seed; `--replay KIND:SEED` runs it again and tells what happened. With `--lines FILE`
+each campaign leaves a line of JSON there and is not run a second time, and the table is of all
+lines.
 """
 
 import argparse
 import json
 import multiprocessing
+import subprocess
 import sys
 import time
 from collections import Counter
@@ -43,11 +46,10 @@ from fiber_planner import DEFAULT_PLANNER, make_planner
 __all__ = ["KINDS", "Campaign", "run_campaign"]
 
 KINDS = ("none", *(kind.name.lower() for kind in FaultKind), "mixed")
-_FIELDS = 12  # random fields that campaigns share
+_FIELDS = 200  # random fields that campaigns share
 _FAULTS_BEGIN_S = 2.5  # before this time
 _LONGEST_S = 60.0  # simulated; a campaign that takes longer does not end
-# what a robot that stops by itself needs to be noticed: a step of the watch, a look, a STOP
-SAFETY = Safety(start_skew_s=4e-3)
+SAFETY = Safety()
 
 
 @dataclass
@@ -61,6 +63,7 @@ class Campaign:
         told: what happened, in words.
         outcomes: how often robots ended as they did.
         gap_mm: smallest true gap between outlines [mm].
+        apart_ms: longest time between the first and the last stop of a motion broken off [ms].
         ended_s: when it was over, simulated [s].
         tap: what went over the buses, if it was asked for.
     """
@@ -71,6 +74,7 @@ class Campaign:
     told: list[str] = field(default_factory=list)
     outcomes: Counter = field(default_factory=Counter)
     gap_mm: float = np.inf
+    apart_ms: float = 0.0
     ended_s: float = 0.0
     tap: Tap | None = None
 
@@ -130,7 +134,7 @@ def run_campaign(kind: str, seed: int, robots: int = 127, capture: Path | None =
 
 def _run(campaign, robots, capture):
     rng = np.random.default_rng([KINDS.index(campaign.kind), campaign.seed])
-    base = _field(robots, int(rng.integers(_FIELDS)))
+    base = _field(robots, campaign.seed % _FIELDS)
     plane, units = base.plane, base.units
     to = addresses_of(plane)
     faults = draw_faults(_kinds(campaign.kind, rng), to.bus, to.address, _FAULTS_BEGIN_S, rng)
@@ -184,8 +188,10 @@ def _run(campaign, robots, capture):
         _judge_outcomes(campaign, name, t, session, result)
     t = max(t, session.link.now_s) + 1.0
     campaign.ended_s = t
-    _judge_runs(campaign, record.runs(t), uploads)
-    truth = certify(plane, record.motion(t), Safety(0.0, 0.0, 0.0), neighbour_pairs(plane))
+    runs = record.runs(t)
+    _judge_runs(campaign, runs, uploads)
+    campaign.apart_ms = 1e3 * _apart_s(runs, uploads, units.tick_s)
+    truth = certify(plane, record.motion(t), Safety(0.0, 0.0, 0.0, 0.0), neighbour_pairs(plane))
     campaign.gap_mm = truth.min_gap_mm
     if truth.unsafe.any():
         at = int(np.argmin(truth.gap_mm))
@@ -237,10 +243,49 @@ def _judge_runs(campaign, runs, uploads):
                 campaign.wrong.append(f"robot {row} ran another order than was verified")
 
 
+def _apart_s(runs, uploads, tick_s):
+    """How far apart in time robots of one motion stopped that did not come to its end [s]."""
+    lasts = (runs.ticks * (np.arange(runs.ticks.shape[2]) < runs.counts[..., None])).sum(axis=2)
+    broken = runs.ended_s > runs.started_s
+    broken &= runs.ended_s < runs.started_s + (1 - 1e-3) * lasts.max(axis=1) * tick_s
+    apart = [0.0]
+    for upload in uploads:
+        of_it = broken & (np.abs(runs.started_s - upload.start_s) <= SAFETY.start_skew_s)
+        apart.append(float(np.ptp(runs.ended_s[of_it])) if of_it.any() else 0.0)
+    return max(apart)
+
+
 def _work(task):
     begin = time.process_time()
     campaign = run_campaign(*task)
-    return campaign, time.process_time() - begin
+    line = {
+        "kind": campaign.kind,
+        "seed": campaign.seed,
+        "robots": task[2],
+        "wrong": campaign.wrong,
+        "outcomes": dict(campaign.outcomes),
+        "gap_mm": round(float(campaign.gap_mm), 5),
+        "apart_ms": round(campaign.apart_ms, 4),
+        "ended_s": round(campaign.ended_s, 3),
+        "cpu_s": round(time.process_time() - begin, 3),
+    }
+    return line
+
+
+def _commit():
+    """The commit that is run, with a mark when files differ from it."""
+    told = subprocess.run(
+        ["git", "describe", "--always", "--dirty"],
+        cwd=Path(__file__).parent, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    return told.stdout.strip() or "unknown"
+
+
+def _read(file):
+    """The lines of earlier runs."""
+    if file is None or not file.exists():
+        return []
+    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
 
 
 def parse(argv):
@@ -249,10 +294,12 @@ def parse(argv):
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument("--campaigns", type=int, default=20, help="of each kind")
+    parser.add_argument("--mixed", type=int, help="of the mixed kind, if not as many")
     parser.add_argument("--kind", choices=KINDS, nargs="+", default=list(KINDS))
     parser.add_argument("--seed", type=int, default=0, help="of the first campaign of each kind")
     parser.add_argument("--robots", type=int, default=127)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--lines", type=Path, help="file to go on with, a line for each campaign")
     parser.add_argument("--out", type=Path, help="file for the table, in markdown")
     parser.add_argument("--replay", metavar="KIND:SEED", help="run one campaign and tell of it")
     parser.add_argument("--capture", type=Path, help="folder for the bytes of a replay")
@@ -263,56 +310,76 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command; returns 1 when a campaign failed."""
     args = parse(argv)
     if args.replay:
-        kind, seed = args.replay.split(":")
-        campaign = run_campaign(kind, int(seed), args.robots, args.capture)
-        print("\n".join([*campaign.told, f"smallest true gap {campaign.gap_mm:.4f} mm"]))
-        print("\n".join(campaign.wrong) or "nothing wrong")
-        return 1 if campaign.wrong else 0
-    seeds = range(args.seed, args.seed + args.campaigns)
-    tasks = [(kind, seed, args.robots) for kind in args.kind for seed in seeds]
-    rows, failed = {kind: _Row() for kind in args.kind}, 0
+        return _replay(args)
+    lines = _read(args.lines)
+    done = {(line["kind"], line["seed"], line["robots"]) for line in lines}
+    tasks = [task for task in _tasks(args) if task not in done]
+    commit, failed = _commit(), sum(bool(line["wrong"]) for line in lines)
     with multiprocessing.Pool(args.jobs) as pool:
-        for number, (campaign, cpu_s) in enumerate(pool.imap(_work, tasks), 1):
-            rows[campaign.kind].add(campaign, cpu_s)
-            for words in campaign.wrong:
-                print(f"{campaign.kind}:{campaign.seed} {words}", flush=True)
-            failed += bool(campaign.wrong)
-            if sys.stderr.isatty():
-                print(f"\r{number}/{len(tasks)}, {failed} failed", end="", file=sys.stderr)
-    text = _table(rows)
+        for number, line in enumerate(pool.imap(_work, tasks), 1):
+            line["commit"] = commit
+            lines.append(line)
+            if args.lines:
+                with open(args.lines, "a", encoding="utf-8") as file:
+                    file.write(json.dumps(line) + "\n")
+            for words in line["wrong"]:
+                print(f"{line['kind']}:{line['seed']} {words}", flush=True)
+            failed += bool(line["wrong"])
+            if sys.stderr.isatty() or number % 100 == 0:
+                end = "\r" if sys.stderr.isatty() else "\n"
+                told = f"{number} of {len(tasks)} campaigns, {failed} failed"
+                print(told, end=end, file=sys.stderr, flush=True)
+    text = table(lines)
     print(text)
-    print(json.dumps({"campaigns": len(tasks), "failed": failed, "robots": args.robots}))
+    print(json.dumps({"campaigns": len(lines), "failed": failed, "robots": args.robots}))
     if args.out:
         args.out.parent.mkdir(parents=True, exist_ok=True)
         args.out.write_text(text, encoding="utf-8")
     return 1 if failed else 0
 
 
-class _Row:
-    def __init__(self):
-        self.campaigns = self.failed = 0
-        self.outcomes, self.gap_mm, self.cpu_s = Counter(), np.inf, 0.0
+def _tasks(args):
+    """Seed by seed through all kinds, so that a run that is cut off has had all of them."""
+    counts = {kind: args.campaigns for kind in args.kind}
+    if args.mixed is not None and "mixed" in counts:
+        counts["mixed"] = args.mixed
+    tasks = []
+    for kind, count in counts.items():
+        # spread evenly, whatever their number
+        places = (np.arange(count) + 0.5) / max(count, 1)
+        tasks += [(p, kind, args.seed + k, args.robots) for k, p in enumerate(places.tolist())]
+    return [task[1:] for task in sorted(tasks, key=lambda task: task[0])]
 
-    def add(self, campaign, cpu_s):
-        self.campaigns += 1
-        self.failed += bool(campaign.wrong)
-        self.outcomes += campaign.outcomes
-        self.gap_mm = min(self.gap_mm, campaign.gap_mm)
-        self.cpu_s += cpu_s
+
+def _replay(args):
+    kind, seed = args.replay.split(":")
+    campaign = run_campaign(kind, int(seed), args.robots, args.capture)
+    print("\n".join(campaign.told))
+    print(f"smallest true gap {campaign.gap_mm:.4f} mm, stops {campaign.apart_ms:.3f} ms apart")
+    print("\n".join(campaign.wrong) or "nothing wrong")
+    return 1 if campaign.wrong else 0
 
 
-def _table(rows):
-    lines = [
-        "| fault | campaigns | failed | reached | held | failed robots | smallest gap mm | cpu s |",
-        "|---|---|---|---|---|---|---|---|",
+def table(lines) -> str:
+    """Return a table of campaigns in markdown, a row for each kind, from their lines."""
+    text = [
+        "| fault | campaigns | failed | reached | held | failed robots | smallest gap mm "
+        "| stops apart ms | cpu s |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
-    for kind, row in rows.items():
-        lines.append(
-            f"| {kind} | {row.campaigns} | {row.failed} | {row.outcomes['reached']} "
-            f"| {row.outcomes['held']} | {row.outcomes['failed']} | {row.gap_mm:.4f} "
-            f"| {row.cpu_s / max(row.campaigns, 1):.2f} |"
+    for kind in (*KINDS, "all"):
+        of_it = [line for line in lines if kind in (line["kind"], "all")]
+        if not of_it:
+            continue
+        ends = sum((Counter(line["outcomes"]) for line in of_it), Counter())
+        text.append(
+            f"| {kind} | {len(of_it)} | {sum(bool(line['wrong']) for line in of_it)} "
+            f"| {ends['reached']} | {ends['held']} | {ends['failed']} "
+            f"| {min(line['gap_mm'] for line in of_it):.4f} "
+            f"| {max(line['apart_ms'] for line in of_it):.2f} "
+            f"| {np.mean([line['cpu_s'] for line in of_it]):.2f} |"
         )
-    return "\n".join(lines) + "\n"
+    return "\n".join(text) + "\n"
 
 
 if __name__ == "__main__":

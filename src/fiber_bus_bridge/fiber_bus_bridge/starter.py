@@ -100,9 +100,7 @@ class Starter:
         go_s = float(replies.start_s.min() + took_s)
         start_s = go_s + units * COUNTDOWN_S
         late, everyone = nobody.copy(), ~nobody
-        late[rows] = (replies.end_s > go_s + self.skew_s)[
-            np.searchsorted(buses, self._bus[rows])
-        ]
+        late[rows] = (replies.end_s > go_s + self.skew_s)[np.searchsorted(buses, self._bus[rows])]
         watch = Watch(
             self.link, rows, boot, sequence, go_s,
             self.silence_s, self.period_s, self.stretch_s, self.listen,

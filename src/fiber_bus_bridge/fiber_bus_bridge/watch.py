@@ -54,7 +54,8 @@ class Watch:
         go_s: when the GO was complete [s].
         silence_s: after how long without a BEAT robots stop themselves [s].
         period_s: time between two steps [s].
-        stretch_s: how much longer than the shortest a BEAT may take on a bus [s].
+        stretch_s: how much longer than the shortest a BEAT may take on a bus [s]. A STOP would
+            be as late there, so after three in a row its robots are left to stop themselves.
         listen: called with rows, their valid statuses, and the time of the look.
     """
 
@@ -104,7 +105,7 @@ class Watch:
         """
         t, running = self.now_s, self.running
         ready = np.bincount(self._bus[running], minlength=len(self.beat_s)) > 0
-        ready &= (self.link.free_s <= t + _OVERRUN * self.period_s) & ~self.link.given_up
+        ready &= self._open()
         ask = not self.counting and t < self.moves_until_s
         looked, asked = self._turns.next(running & ready[self._bus], ask)
         buses = np.repeat(np.flatnonzero(ready), _BEATS)
@@ -117,8 +118,9 @@ class Watch:
         replies = self.link.transfer(frames, read, t, keep=False)
 
         took_s = replies.end_s - replies.start_s
-        for beats in (slice(0, b), slice(b + a + r, None)):
-            self._beaten(buses, replies.ack[beats], replies.end_s[beats], took_s[beats])
+        for first in (*range(_BEATS), *range(b + a + r, b + a + r + _BEATS)):
+            beats = slice(first, first + b - _BEATS + 1, _BEATS)
+            self._beaten(buses[::_BEATS], replies.ack[beats], replies.end_s[beats], took_s[beats])
         arrived = self._hear(looked, replies, looks, width)
         self._tries[asked[replies.ack[b : b + a] == _NO_ADDRESS]] += 1
         self._turns.learn(looked, took_s[looks], asked, took_s[b : b + a])
@@ -128,6 +130,11 @@ class Watch:
         self._look_again(np.concatenate([asked, looked]), t, width)
         self.now_s = t + self.period_s
         self._judge(running)
+
+    def _open(self):
+        """Buses on which the step that begins now can send, shape (b,)."""
+        free = self.link.free_s <= self.now_s + _OVERRUN * self.period_s
+        return free & ~self.link.given_up & (self._slow < _SLOW)
 
     def _frames(self, buses, to):
         """BEATs on some buses, frames without data to robots, and BEATs again."""
@@ -139,7 +146,9 @@ class Watch:
 
     def _beaten(self, buses, ack, end_s, took_s):
         """Take note of which BEATs got through when, and how slowly."""
-        through = ack == _OK
+        # who has not heard one for too long does not begin again
+        in_time = end_s <= self.beat_s[buses] + (self.silence_s or np.inf)
+        through = (ack == _OK) & in_time
         buses, took_s = buses[through], took_s[through]
         self.beat_s[buses] = end_s[through]
         self._shortest_s[buses] = np.minimum(self._shortest_s[buses], took_s)
@@ -194,12 +203,14 @@ class Watch:
             self.freeze_s = float(self.link.free_s[self._bus[wrong]].max())
             return
         low = self.link.backend.alert_lines(self.now_s)
-        if (len(low) and not np.isin(low, self._low).all()) or (self._slow >= _SLOW).any():
+        if len(low) and not np.isin(low, self._low).all():
             self.freeze_s = self.now_s
             return
         running = running & ~self.arrived
-        if self.silence_s > 0 and running.any():
-            last = self.beat_s[self._bus[running]].min() + self.silence_s
-            # the BEATs that begin the next step come in time, or it is known then
-            if self.now_s + _BEAT_KNOWN * self.period_s >= last:
-                self.freeze_s = max(last, self.now_s)
+        buses = np.bincount(self._bus[running], minlength=len(self.beat_s)) > 0
+        if self.silence_s > 0 and buses.any():
+            last = self.beat_s + self.silence_s
+            # when it is known whether the BEATs of the next step have got through, if any do
+            known = np.where(self._open(), _BEAT_KNOWN, 1.0) * self.period_s + self.now_s
+            if (buses & (known >= last)).any():
+                self.freeze_s = max(last[buses].min(), self.now_s)

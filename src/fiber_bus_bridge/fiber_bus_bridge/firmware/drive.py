@@ -101,12 +101,12 @@ def settle(r, t):
             halt(r, stall)
             r.state, r.fault = _FAULT, _STALL
             r.alerts |= _STALLED
-            r.told = False
+            r.alert_s = stall
         elif silent <= t:
             halt(r, silent)
             r.state, r.fault = _FAULT, _SILENCE
             r.alerts |= _SILENT
-            r.told = False
+            r.alert_s = silent
     elif r.state == _LOADED and 0.0 < r.watchdog_s < t - r.loaded_s:
         r.order_length = 0
         r.state = _FAULT
@@ -180,7 +180,7 @@ def reboot(r, t):
     r.state = _UNCONFIGURED
     r.fault = _NONE
     r.alerts = _REBOOTED
-    r.told = False
+    r.alert_s = t
     r.asked_identity = False
     r.tick_us = 0
     r.watchdog_s = r.silence_s = 0.0

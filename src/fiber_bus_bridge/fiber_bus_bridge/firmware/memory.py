@@ -33,7 +33,7 @@ MEMORY = np.dtype(
         ("state", "i8"),
         ("fault", "i8"),
         ("alerts", "i8"),
-        ("told", "?"),  # the alerts have been read: it lets go of the alert line
+        ("alert_s", "f8"),  # from when on it pulls the alert line, until it is read or cleared [s]
         ("asked_identity", "?"),
         ("tick_us", "i8"),
         ("velocity_bits", "i8"),
@@ -72,6 +72,7 @@ def new_memory(
     memory["position"] = position
     memory["jam_s"] = np.inf
     memory["powered"] = True
+    memory["alert_s"] = np.inf
     memory["started_s"] = memory["halted_s"] = -np.inf
     memory["boot"] = 1
     memory["state"] = RobotState.UNCONFIGURED

@@ -8,12 +8,11 @@ from fiber_bus_bridge.firmware.drive import encoder
 from fiber_bus_bridge.firmware.events import EVENT, bring_up, events_in_order, switch
 from fiber_bus_bridge.firmware.memory import new_memory
 from fiber_bus_bridge.firmware.protocol import answer, hear
-from fiber_bus_bridge.wire import Addresses, Alert
+from fiber_bus_bridge.wire import Addresses
 
 __all__ = ["Positioners"]
 
 _ENCODER_RANGE = 2**31
-_URGENT = int(Alert.REBOOTED | Alert.STALLED | Alert.SILENT)
 
 
 class Positioners:
@@ -97,8 +96,7 @@ class Positioners:
         A robot pulls it from when it stops by itself or boots until its whole status is read.
         """
         self.bring_up(t)
-        memory = self.memory
-        return self.powered & ((memory["alerts"] & _URGENT) != 0) & ~memory["told"]
+        return self.powered & (self.memory["alert_s"] <= t)
 
     def power(self, rows, on: bool, t: float) -> None:
         """Cut or give power to some robots at time t [s]; with power they boot unconfigured."""

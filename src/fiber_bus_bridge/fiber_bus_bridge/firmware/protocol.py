@@ -114,7 +114,8 @@ def answer(r, t, out):
             r.address, r.ten_bit, r.state, r.sequence, stored_crc(r),
             r.boot, r.fault, r.alerts, position, reply,
         )  # fmt: skip
-        r.told |= len(out) >= STATUS_BYTES
+        if len(out) >= STATUS_BYTES:
+            r.alert_s = np.inf
     for i in range(min(size, len(out))):
         out[i] &= reply[i]
 
@@ -164,6 +165,7 @@ def _clear(r):
     r.order_length = 0
     r.fault = _NONE
     r.alerts = 0
+    r.alert_s = np.inf
     r.state = _IDLE if r.tick_us else _UNCONFIGURED
     return _NONE
 
@@ -192,6 +194,7 @@ def _configure(r, version, data, at):
     r.order_length = 0
     r.fault = _NONE
     r.alerts = 0
+    r.alert_s = np.inf
     if r.state not in (_STOPPED, _FAULT):
         r.state = _IDLE
     return _NONE
