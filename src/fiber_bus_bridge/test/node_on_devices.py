@@ -30,7 +30,11 @@ PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 </profiles></dds>
 """
 # a message takes longer here than on a bus, and this machine does other things meanwhile
-PATIENT = {"session__silence_ms": 400, "session__watch_s": 0.02}
+PATIENT = {
+    "session__silence_ms": 400,
+    "session__watch_s": 0.02,
+    "session__stretch_s": float("inf"),
+}
 
 
 @pytest.fixture
