@@ -6,7 +6,9 @@ __all__ = ["frozen_array"]
 
 
 def frozen_array(value, dtype, shape, name: str, error: type[Exception]) -> np.ndarray:
-    """Return a read-only C-ordered copy of a value, or refuse it.
+    """Return a value as a read-only C-ordered array, or refuse it.
+
+    What nobody can write to is shared, anything else is copied.
 
     Args:
         value: anything numpy makes an array of.
@@ -23,7 +25,11 @@ def frozen_array(value, dtype, shape, name: str, error: type[Exception]) -> np.n
         raw = np.asarray(value)
         if raw.dtype.kind not in "biuf":
             raise ValueError(f"it holds {raw.dtype} values")
-        result = np.array(raw, dtype=float, order="C") if dtype is float else _exact(raw, dtype)
+        kept = np.dtype(np.int64 if dtype is int else dtype)
+        if _is_frozen(raw) and raw.dtype == kept and raw.flags.c_contiguous:
+            result = raw
+        else:
+            result = np.array(raw, dtype=float, order="C") if dtype is float else _exact(raw, dtype)
     except (TypeError, ValueError) as reason:
         raise error(f"{name} is not an array of {np.dtype(dtype).name}: {reason}") from None
     if result.ndim != len(shape) or any(
@@ -33,6 +39,12 @@ def frozen_array(value, dtype, shape, name: str, error: type[Exception]) -> np.n
         raise error(f"{name} has shape {result.shape}, expected ({wanted})")
     result.setflags(write=False)
     return result
+
+
+def _is_frozen(array):
+    # neither this array nor the one it is a view of can be written to
+    base = array if array.base is None else array.base
+    return type(base) is np.ndarray and not (array.flags.writeable or base.flags.writeable)
 
 
 def _exact(raw, dtype):

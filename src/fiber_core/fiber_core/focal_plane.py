@@ -1,6 +1,7 @@
 """What a focal plane is: the robots, where they stand, how they are built."""
 
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -131,7 +132,7 @@ class FocalPlane:
         """Number of robots."""
         return len(self.ids)
 
-    @property
+    @cached_property
     def reach_mm(self) -> np.ndarray:
         """Radius of the disc about the centre that no part of a robot ever leaves [mm], (n,)."""
         phi = np.hypot(*np.moveaxis(self.phi_vertices, -1, 0)).max(axis=1) + self.phi_radius
@@ -139,6 +140,7 @@ class FocalPlane:
         if self.theta_vertices.shape[1]:
             theta = np.hypot(*np.moveaxis(self.theta_vertices, -1, 0)).max(axis=1)
             reach = np.maximum(reach, theta + self.theta_radius)
+        reach.setflags(write=False)
         return reach
 
     def index_of(self, ids) -> np.ndarray:

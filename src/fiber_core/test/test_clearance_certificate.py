@@ -14,6 +14,7 @@ from fiber_core.clearance import (
     point_speeds,
     profiles_of,
     sampled_gaps,
+    smallest_gaps,
     unproven,
 )
 from fiber_core.fields import random_field
@@ -164,6 +165,9 @@ def test_a_certificate_without_figures_is_of_the_same_mind(phi, theta):
     doubtful = np.abs(_dense_minimum(plane, motion, pairs) - 0.3) < 2e-3
     assert found.unsafe.sum() > 10 and (~found.unsafe).sum() > 10
     np.testing.assert_array_equal(bare[~doubtful], found.unsafe[~doubtful])
+    lower = smallest_gaps(bodies_of(plane), profiles_of(motion), pairs, found.required_mm)
+    np.testing.assert_array_equal(lower < found.required_mm, found.unsafe)
+    np.testing.assert_array_equal(lower[found.unsafe], found.gap_mm[found.unsafe])
 
 
 @pytest.mark.parametrize("name", ["desi", "desi_outlines", "sdss_v"])

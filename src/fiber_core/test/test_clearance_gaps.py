@@ -1,6 +1,8 @@
 """Laws of the gap between outlines, and who is whose neighbour."""
 
+import gc
 from dataclasses import replace
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -222,6 +224,16 @@ def test_only_the_hull_of_the_vertices_counts(seed):
     mixed = np.concatenate([inner, plane.phi_vertices, plane.phi_vertices[:, :1]], axis=1)
     same = replace(plane, phi_vertices=rng.permutation(mixed, axis=1))
     assert gaps(same, [(0, 1)], angles) == pytest.approx(gaps(plane, [(0, 1)], angles), abs=1e-9)
+
+
+def test_outlines_are_made_once_for_a_plane_and_kept_as_long_as_it_lives():
+    plane = preset("desi_outlines", 7)
+    kept = ref(bodies_of(plane).table)
+    assert bodies_of(plane).table is kept()
+    assert bodies_of(preset("desi_outlines", 7)).table is not kept()
+    del plane
+    gc.collect()
+    assert kept() is None
 
 
 def test_sampled_gaps_are_the_gaps_of_each_instant():

@@ -71,6 +71,24 @@ def test_a_plane_cannot_be_changed():
         plane.arms = None
 
 
+def test_what_nobody_can_write_to_is_shared_and_all_else_copied():
+    plane = preset("desi_outlines", 7)
+    again = plane.with_enabled(plane.enabled)
+    assert again.centers is plane.centers and again.enabled is plane.enabled
+    open_columns = columns()
+    for name in ("centers", "arms"):
+        open_columns[name].setflags(write=False)
+    view = columns()["speeds"]
+    owner = view.copy()
+    view = owner[:]
+    view.setflags(write=False)  # but its owner is not
+    copied = FocalPlane(**{**open_columns, "speeds": view})
+    owner[:] = 7.0
+    assert copied.centers is open_columns["centers"]
+    assert (copied.speeds != 7.0).all()
+    assert not np.shares_memory(copied.limits, open_columns["limits"])
+
+
 def test_index_of_inverts_ids_and_marks_strangers():
     plane = FocalPlane(**columns(ids=np.array([3, 5, 8, 13, 21, 34, 55])))
     assert np.array_equal(plane.index_of(plane.ids), np.arange(7))

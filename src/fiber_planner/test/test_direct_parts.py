@@ -10,12 +10,15 @@ from fiber_core.fields import random_problem
 from fiber_core.motion import SampledMotion
 from fiber_core.presets import PRESETS, plane_from, preset
 from fiber_core.problem import Problem
-from fiber_planner.direct import reachable, straight_pieces
+from fiber_planner.direct import DirectParameters, reachable, straight_pieces
 from fiber_planner.direct.crowd import crowd_of, place_keys
-from fiber_planner.direct.draft import Draft, measure
+from fiber_planner.direct.draft import Draft, alter, measure
 from fiber_planner.direct.draws import fold_profile, next_uniform, seeded, via_profile, window
+from fiber_planner.direct.first_draft import choose_ends, straight_draft
 from fiber_planner.direct.grid import TimeGrid, time_grid
 from fiber_planner.direct.penetration import _DEEPEST, penetration
+from fiber_planner.direct.pieces import pieces_of
+from fiber_planner.direct.proof import missing_mm
 from fiber_planner.direct.simplify import simplify
 
 _STEPS = 24
@@ -112,6 +115,15 @@ def test_straight_pieces_are_the_same_motion(seed):
     assert pieces.counts.max() <= 4 and pieces.counts[1, 1] <= 3
 
 
+def test_pieces_of_some_robots_leave_the_others_at_rest():
+    sampled = SampledMotion([0.0, 1.0, 2.0], np.random.default_rng(0).normal(size=(3, 2, 3)))
+    every = straight_pieces(sampled)
+    some = pieces_of(sampled.time_s, sampled.angles, np.array([True, False, True]))
+    for t in (0.0, 0.5, 1.7, 3.0):
+        assert np.array_equal(some(t)[[0, 2]], every(t)[[0, 2]])
+        assert np.array_equal(some(t)[1], sampled.start[1])
+
+
 def _pair_with_a_disabled(theta_deg, pitch_mm=10.4):
     # robot 1 is disabled and stretched at an angle; robot 0 starts at 90 deg, stretched
     plane = plane_from(
@@ -178,7 +190,7 @@ def _draft(crowd, q, required):
     return Draft(
         q, np.zeros(len(q), dtype=np.int64), np.full(pairs, required), np.full(pairs, required),
         np.zeros(pairs, dtype=np.int64), np.ones(pairs), np.zeros(pairs),
-        np.full((len(q), 2), 5),
+        np.full((len(q), 2), 5), np.ones(len(q), dtype=bool), np.ones(len(q), dtype=bool),
     )  # fmt: skip
 
 
@@ -208,3 +220,48 @@ def test_a_detour_nobody_needs_becomes_a_line_and_one_that_is_needed_stays():
     assert measure(crowd, draft) == 0
     assert np.array_equal(draft.q[0], q[0])  # and is waited for
     assert np.array_equal(draft.q[:, :, [0, -1]], q[:, :, [0, -1]])
+
+
+def test_who_had_to_wait_is_tried_again_once_the_other_has_changed():
+    plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
+    ahead = np.array([[0.8, 0.0], [np.pi, 0.0]])
+    crowd = crowd_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
+    time = np.arange(_STEPS + 1)
+    q = np.repeat(ahead[:, :, None], _STEPS + 1, axis=2)
+    q[0, 0] = np.interp(time, [0, 16, _STEPS], [0.8, 0.8, -0.5])  # waits for robot 1
+    q[1, 0] = np.interp(time, [0, 8, 16], [np.pi, np.pi, np.pi + 1.5])
+    draft = _draft(crowd, q, 0.1)
+    crowd.movable[1] = False  # not for simplify to change
+    assert measure(crowd, draft) == 0
+    assert simplify(crowd, draft) == 0
+    draft.q[1, 0] = np.linspace(0.0, -1.0, _STEPS + 1)  # now it looks the other way
+    assert measure(crowd, draft) == 0
+    assert simplify(crowd, draft) == 0  # nobody was told
+    alter(crowd, draft, 1)
+    assert simplify(crowd, draft) == 1
+    assert np.allclose(draft.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
+
+
+@pytest.mark.parametrize("name", ["desi", "desi_outlines", "sdss_v"])
+def test_what_is_missing_is_the_same_whether_all_or_only_the_changed_are_looked_at(name):
+    parameters, rng = DirectParameters(), np.random.default_rng(3)
+    problem = random_problem(preset(name, 200), rng)
+    crowd = crowd_of(problem)
+    ends = choose_ends(problem, crowd, parameters)
+    grid = time_grid(ends.alone_s, 1e-3, parameters.intervals)
+    draft, tangled = straight_draft(problem, crowd, parameters, ends, grid)
+
+    def missing(draft):
+        return missing_mm(problem.plane, crowd, parameters, draft, grid, tangled)
+
+    before = missing(draft)
+    assert 0 < (before > 0.0).sum() < len(before)
+    assert np.array_equal(np.flatnonzero(draft.changed), np.unique(crowd.pairs[before > 0.0]))
+    for _ in range(5):
+        for i in rng.choice(problem.plane.n, 20, replace=False):  # these rest where they start
+            draft.q[i] = problem.start[i][:, None]
+            alter(crowd, draft, i)
+        assert not draft.changed.all()
+        after = missing(draft)
+        draft.changed[:] = True
+        assert np.array_equal(missing(draft), after)

@@ -1,6 +1,7 @@
 """Outlines of every robot and obstacle as plain arrays that compiled loops can read."""
 
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numba as nb
 import numpy as np
@@ -12,6 +13,8 @@ __all__ = ["Bodies", "bodies_of"]
 # Columns of Bodies.table: a body's numbers, then the records of its phi and theta link.
 X, Y, ARM1, THETA, PHI = range(5)  # THETA holds the column of the theta record
 COUNT, RADIUS, DISC, VERTICES = 0, 1, 2, 5  # columns of a record from its first
+
+_known = WeakKeyDictionary()  # the bodies of every plane in use; a plane never changes
 
 
 class Bodies(NamedTuple):
@@ -63,6 +66,12 @@ def bodies_of(plane: FocalPlane) -> Bodies:
     Args:
         plane: the focal plane.
     """
+    if plane not in _known:
+        _known[plane] = _made(plane)
+    return _known[plane]
+
+
+def _made(plane):
     discs = plane.obstacles
     nothing = np.zeros(len(discs))
 

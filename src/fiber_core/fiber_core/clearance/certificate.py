@@ -12,7 +12,7 @@ from fiber_core.clearance.safety import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 
-__all__ = ["Certificate", "certify", "unproven"]
+__all__ = ["Certificate", "certify", "smallest_gaps", "unproven"]
 
 _TOLERANCE_MM = 0.5e-3
 
@@ -120,11 +120,29 @@ def unproven(bodies: Bodies, profiles: Profiles, pairs, required_mm) -> np.ndarr
         pairs: rows a, b of bodies, shape (p, 2).
         required_mm: gap each must keep [mm], shape (p,).
     """
-    pairs = np.asarray(pairs, dtype=np.int32).reshape(-1, 2)
     required = np.asarray(required_mm, dtype=float)
+    return _lower(bodies, profiles, pairs, required, False) < required
+
+
+def smallest_gaps(bodies: Bodies, profiles: Profiles, pairs, level_mm) -> np.ndarray:
+    """Return a lower bound of the smallest gap of each pair in a motion [mm], shape (p,).
+
+    It is within half a micrometre of that gap where the gap is below the level.
+
+    Args:
+        bodies: outlines, from bodies_of.
+        profiles: the motion, from profiles_of.
+        pairs: rows a, b of bodies, shape (p, 2).
+        level_mm: gap of each pair that is enough to know [mm], shape (p,).
+    """
+    return _lower(bodies, profiles, pairs, np.asarray(level_mm, dtype=float), True)
+
+
+def _lower(bodies, profiles, pairs, level, resolve):
+    pairs = np.asarray(pairs, dtype=np.int32).reshape(-1, 2)
     minima, rows = Minima.unknown(len(pairs)), np.arange(len(pairs))
-    minimum_gaps(bodies, profiles, pairs, rows, required, _TOLERANCE_MM, False, minima)
-    return minima.lower < required
+    minimum_gaps(bodies, profiles, pairs, rows, level, _TOLERANCE_MM, resolve, minima)
+    return minima.lower
 
 
 def certified_pairs(plane: FocalPlane, motion: SegmentMotion, safety: Safety) -> np.ndarray:

@@ -55,9 +55,29 @@ class Safety:
         profile = np.repeat(np.arange(2 * plane.n), np.diff(motion.offsets))
         fastest = np.zeros(2 * plane.n)
         np.maximum.at(fastest, profile, np.abs(motion.velocity_rad_s))
-        speeds = point_speeds(levers_of(plane), fastest.reshape(-1, 2))
-        at_start = gaps(plane, pairs, motion.start)
-        return self.required_at(speeds, motion.makespan_s, pairs, at_start)
+        fastest = fastest.reshape(-1, 2)
+        return self.required_from(plane, motion.start, fastest, motion.makespan_s, pairs)
+
+    def required_from(
+        self, plane: FocalPlane, start_rad, fastest_rad_s, makespan_s: float, pairs
+    ) -> np.ndarray:
+        """As required_mm, for any motion from a start with some highest speeds.
+
+        Args:
+            plane: the focal plane.
+            start_rad: joint angles at time zero [rad], shape (n, 2).
+            fastest_rad_s: highest speed of each joint [rad/s], shape (n, 2).
+            makespan_s: how long the motion lasts at most [s].
+            pairs: rows a, b as from neighbour_pairs, shape (p, 2).
+        """
+        pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
+        speeds = point_speeds(levers_of(plane), fastest_rad_s)
+        moves = np.append(speeds > 0.0, np.zeros(len(plane.obstacles), dtype=bool))
+        one_moves = np.flatnonzero(moves[pairs[:, 0]] != moves[pairs[:, 1]])
+        at_start = np.full(len(pairs), np.inf)
+        if len(one_moves):
+            at_start[one_moves] = gaps(plane, pairs[one_moves], start_rad)
+        return self.required_at(speeds, makespan_s, pairs, at_start)
 
     def required_at(self, speeds_mm_s, makespan_s: float, pairs, at_start_mm=np.inf) -> np.ndarray:
         """As required_mm, for robots whose points move no faster than some speeds.

@@ -11,8 +11,10 @@ from fiber_planner.direct.penetration import penetration
 __all__ = [
     "Draft",
     "adopt",
+    "alter",
     "count_conflicts",
     "measure",
+    "measure_some",
     "most_neighbours",
     "weigh",
     "worst_first",
@@ -32,6 +34,9 @@ class Draft(NamedTuple):
         depth: penetration of each pair [mm x intervals], shape (p,).
         legs: grid times between which an arm is folded, 0, 0 where it is not planned so,
             shape (n, 2).
+        changed: whether a robot's profile changed since it was last certified, shape (b,).
+        around: whether its profile or a neighbour's changed since it was last tried to be
+            made simpler, shape (b,).
     """
 
     q: np.ndarray
@@ -42,6 +47,8 @@ class Draft(NamedTuple):
     weight: np.ndarray
     depth: np.ndarray
     legs: np.ndarray
+    changed: np.ndarray
+    around: np.ndarray
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -53,13 +60,26 @@ def _depth(crowd, draft, p, qa, qb, limit):
     )  # fmt: skip
 
 
-@nb.njit(cache=True, error_model="numpy")
 def measure(crowd, draft):
     """Measure the penetration of every pair anew; return how many pairs are in conflict."""
-    for p in range(len(crowd.pairs)):
+    measure_some(crowd, draft, np.arange(len(crowd.pairs)))
+    return count_conflicts(draft)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def measure_some(crowd, draft, pairs):
+    """Measure the penetration of some pairs anew: rows of crowd.pairs, shape (k,)."""
+    for p in pairs:
         a, b = crowd.pairs[p]
         draft.depth[p] = _depth(crowd, draft, p, draft.q[a], draft.q[b], np.inf)
-    return count_conflicts(draft)
+
+
+@nb.njit(cache=True)
+def alter(crowd, draft, i):
+    """Note that the profile of a robot is another one now."""
+    draft.changed[i] = draft.around[i] = True
+    for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
+        draft.around[crowd.neighbours[e]] = True
 
 
 @nb.njit(cache=True)
@@ -131,5 +151,6 @@ def weigh(crowd, draft, i, profile, best, order, depths):
 def adopt(crowd, draft, i, profile, depths):
     """Give a robot a profile whose penetrations weigh has written."""
     copy_profile(profile, draft.q[i])
+    alter(crowd, draft, i)
     for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
         draft.depth[crowd.pair[e]] = depths[e - crowd.offsets[i]]

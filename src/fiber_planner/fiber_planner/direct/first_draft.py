@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import numba as nb
 import numpy as np
 
 from fiber_core.clearance import gaps, levers_of, point_speeds
@@ -75,10 +76,9 @@ def straight_draft(
         The draft, not measured, and the pairs that start closer than they should be, (p,).
     """
     plane, n = problem.plane, problem.plane.n
-    q = np.zeros((len(crowd.movable), 2, grid.intervals + 1))
-    share = np.arange(grid.intervals + 1) / grid.intervals
-    q[:n] = problem.start[:, :, None] + (ends.angles - problem.start)[:, :, None] * share
-    q[:n, :, -1] = ends.angles
+    # numpy asks the system for huge pages, numba does not
+    q = np.empty((len(crowd.movable), 2, grid.intervals + 1))
+    _go_straight(problem.start, ends.angles, q)
 
     least = _least_mm(problem, crowd, parameters, grid.makespan_s)
     at_start = gaps(plane, crowd.pairs, problem.start) - _EPS_MM
@@ -98,8 +98,23 @@ def straight_draft(
         weight=np.ones(len(required)),
         depth=np.zeros(len(required)),
         legs=np.zeros((n, 2), dtype=np.int64),
+        changed=np.ones(len(q), dtype=bool),
+        around=np.zeros(len(q), dtype=bool),  # there is nothing simpler
     )
     return draft, tangled
+
+
+@nb.njit(cache=True)
+def _go_straight(start, end, q):
+    # angles on the way from start to end, (b, 2, k + 1); obstacles have none
+    intervals = q.shape[2] - 1
+    for i in range(len(q)):
+        for joint in range(2):
+            s = start[i, joint] if i < len(start) else 0.0
+            g = end[i, joint] if i < len(start) else 0.0
+            for k in range(intervals):
+                q[i, joint, k] = s + (g - s) * (k / intervals)
+            q[i, joint, intervals] = g
 
 
 def _reasons(problem, crowd, margin_mm):

@@ -5,7 +5,7 @@ import numpy as np
 
 from fiber_core.motion import SampledMotion, SegmentMotion
 
-__all__ = ["straight_pieces"]
+__all__ = ["pieces_of", "straight_pieces"]
 
 _STRAIGHT_RAD = 1e-11  # samples this close to a line are on it
 
@@ -18,13 +18,25 @@ def straight_pieces(motion: SampledMotion) -> SegmentMotion:
     Args:
         motion: joint profiles; its first instant becomes time zero.
     """
-    n, _, samples = motion.angles.shape
-    offsets, duration, velocity = _pieces(motion.time_s, motion.angles.reshape(2 * n, samples))
-    return SegmentMotion(motion.start, offsets, duration, velocity)
+    return pieces_of(motion.time_s, motion.angles, np.ones(motion.n, dtype=bool))
+
+
+def pieces_of(time_s: np.ndarray, angles: np.ndarray, which: np.ndarray) -> SegmentMotion:
+    """Return sampled profiles as constant-velocity segments, as straight_pieces does.
+
+    Args:
+        time_s: increasing times [s], shape (t,); the first becomes time zero.
+        angles: joint angles [rad], shape (n, 2, t).
+        which: robots to tell the motion of, the others rest, shape (n,) or longer.
+    """
+    n, _, samples = angles.shape
+    profiles = np.ascontiguousarray(angles).reshape(2 * n, samples)
+    offsets, duration, velocity = _pieces(time_s, profiles, which)
+    return SegmentMotion(angles[:, :, 0], offsets, duration, velocity)
 
 
 @nb.njit(cache=True)
-def _pieces(time_s, profiles):
+def _pieces(time_s, profiles, which):
     rows, samples = profiles.shape
     offsets = np.zeros(rows + 1, dtype=np.int64)
     duration = np.empty(rows * max(1, samples - 1))
@@ -32,14 +44,16 @@ def _pieces(time_s, profiles):
     used = 0
     for i in range(rows):
         row = profiles[i]
-        last = samples - 1
+        last = samples - 1 if which[i // 2] else 0
         while last > 0 and row[last - 1] == row[last]:
             last -= 1
         begin = 0
         while begin < last:
-            end = begin + 1
-            while end < last and _on_line(time_s, row, begin, end + 1):
-                end += 1
+            end = last
+            if not _on_line(time_s, row, begin, last):
+                end = begin + 1
+                while _on_line(time_s, row, begin, end + 1):
+                    end += 1
             duration[used] = time_s[end] - time_s[begin]
             velocity[used] = (row[end] - row[begin]) / duration[used]
             used += 1

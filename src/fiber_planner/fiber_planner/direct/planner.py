@@ -59,9 +59,11 @@ class DirectPlanner:
         back = np.argsort(order)
         reason = found.reason[back]
         reason[problem.asked & plane.enabled & ~inside] = Reason.START_OUTSIDE_LIMITS
+        angles = found.motion.angles[back]
+        angles.setflags(write=False)
         rows = np.concatenate([order, np.arange(plane.n, plane.n + len(plane.obstacles))])
         return PlannedMotion(
-            SampledMotion(found.motion.time_s, found.motion.angles[back]),
+            SampledMotion(found.motion.time_s, angles),
             found.goal[back],
             reason,
             np.sort(rows[found.tangled], axis=1),

@@ -10,7 +10,7 @@ from fiber_planner.direct.candidates import (
     draw_half,
     nearer_fold,
 )
-from fiber_planner.direct.draft import adopt, most_neighbours, weigh, worst_first
+from fiber_planner.direct.draft import adopt, alter, most_neighbours, weigh, worst_first
 from fiber_planner.direct.draws import (
     copy_profile,
     least_intervals,
@@ -41,6 +41,16 @@ def _heaviest(crowd, draft, i):
     return heaviest
 
 
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _in_conflict(crowd, draft):
+    # the robots of all pairs in conflict
+    busy = np.zeros(len(crowd.movable), dtype=np.bool_)
+    for p in range(len(draft.depth)):
+        if draft.depth[p] > 0.0:
+            busy[crowd.pairs[p, 0]] = busy[crowd.pairs[p, 1]] = True
+    return busy
+
+
 @nb.njit(cache=True, error_model="numpy")
 def sweep(crowd, draft, step_s, folding, number, first, last, draws):
     """Visit the robots in conflict, part of a sweep, and let each try other profiles.
@@ -69,10 +79,11 @@ def sweep(crowd, draft, step_s, folding, number, first, last, draws):
     order = np.empty(len(depths), dtype=np.int64)
     legs = np.zeros(2, dtype=np.int64)
     best_legs = np.zeros(2, dtype=np.int64)
+    busy = _in_conflict(crowd, draft)
     spent = 0
     for visit in range(first, last):
         i = visit if number % 2 == 0 else n - 1 - visit
-        if not crowd.movable[i]:
+        if not (busy[i] and crowd.movable[i]):
             continue
         best = 0.0
         for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
@@ -113,6 +124,9 @@ def sweep(crowd, draft, step_s, folding, number, first, last, draws):
             draft.weight[heaviest] = weight
         if found:
             adopt(crowd, draft, i, best_profile, best_depths)
+            for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
+                if best_depths[e - crowd.offsets[i]] > 0.0:
+                    busy[crowd.neighbours[e]] = True
             draft.choice[i] = best_choice
             draft.legs[i, 0], draft.legs[i, 1] = best_legs[0], best_legs[1]
     return spent
@@ -150,6 +164,7 @@ def fold_first(crowd, draft, which, step_s):
         between = least_intervals(v2 - v1, crowd.speed[i, 1] * step_s)
         if there + back + max(1, between) > last:
             continue
+        alter(crowd, draft, i)
         draft.legs[i, 0], draft.legs[i, 1] = there, last - back
         trapezoid(draft.q[i, 1, : last - back + 1], s, v1, v2, 0, there, there, last - back)
         trapezoid(draft.q[i, 1, last - back :], v2, g, g, 0, back, back, back)

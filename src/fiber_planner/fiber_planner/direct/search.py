@@ -2,21 +2,19 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
-from fiber_core.clearance import certify, gaps, profiles_of, unproven
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
 from fiber_planner.direct.crowd import crowd_of
-from fiber_planner.direct.draft import count_conflicts, measure
+from fiber_planner.direct.draft import count_conflicts, measure, measure_some
 from fiber_planner.direct.first_draft import choose_ends, straight_draft
 from fiber_planner.direct.grid import time_grid
 from fiber_planner.direct.parameters import DirectParameters
-from fiber_planner.direct.pieces import straight_pieces
+from fiber_planner.direct.proof import missing_mm
 from fiber_planner.direct.repair import add_weight, fold_first, restore, sweep
 from fiber_planner.direct.simplify import simplify
 from fiber_planner.protocol import PlannedMotion, Progress
@@ -36,7 +34,8 @@ _LONGER = 1.4  # growth of the stretch beyond those
 _FOLDING = 0.7  # share of candidates that fold, once arms are folded
 _DRAWS = (30, 100)  # candidates of a robot in a sweep: not folding, folding
 _SWEEPS = (60, 24)  # of a repair: not folding, folding
-_VISITS = 100  # robots between two looks at the clock
+_VISITS = 100  # robots between two looks at the clock, at least
+_PARTS = 50  # looks at the clock in a sweep, at most
 _AT_ONE_MAKESPAN = 200  # candidates per robot after which no more are folded anew
 _REFOLDED_AT_MOST = 20  # times at one makespan
 _CERTIFIED_AT_MOST = 8  # rounds of certificate and repair
@@ -44,7 +43,6 @@ _GIVE_UP_ROUNDS = 12
 _LAST_EFFORT = 900  # candidates per robot granted to each of these rounds
 _RESTORE_DRAWS = 300
 _SMALL_PLANE = 100  # the effort granted to a plane of fewer robots
-_MEASURED_MM = 1e-3  # how closely the certificate resolves a gap, and a little more
 _MORE_MM = 0.005  # asked for beyond what the certificate misses
 
 
@@ -147,6 +145,7 @@ class Search:
         if more > 0:
             rest = np.repeat(self._draft.q[:, :, -1:], more, axis=2)
             self._draft = self._draft._replace(q=np.concatenate([self._draft.q, rest], axis=2))
+            self._draft.changed[:] = self._draft.around[:] = True
             self._grid = longer
 
     def _tell(self, part, conflicts):
@@ -197,13 +196,14 @@ class Search:
         # whole sweeps, looked at in parts so that a budget is kept on planes of any size
         n, folding = self._problem.plane.n, self._folding
         draws = _DRAWS[int(folding > 0.0)]
+        visits = max(_VISITS, n // _PARTS) if math.isfinite(self._end_s) else n
         for _ in range(sweeps):
             if count_conflicts(self._draft) == 0 or self._over:
                 break
-            for first in range(0, n, _VISITS):
+            for first in range(0, n, visits):
                 self._spent += sweep(
                     self._crowd, self._draft, self._grid.step_s, folding,
-                    self._sweep, first, min(first + _VISITS, n), draws,
+                    self._sweep, first, min(first + visits, n), draws,
                 )  # fmt: skip
                 if self._late:
                     break
@@ -222,41 +222,19 @@ class Search:
             short = self._short()
             if not short.any():
                 return 0
-            measure(self._crowd, self._draft)
+            measure_some(self._crowd, self._draft, np.flatnonzero(short))
             self._draft.depth[short] = np.maximum(self._draft.depth[short], _MORE_MM)
         return short.sum()
 
     def _short(self):
-        # Pairs the certificate does not confirm. Those that start too close are asked for
-        # all of their gap once they had time to get apart.
-        motion, tangled, crowd = self._motion(), self._tangled, self._crowd
-        missing = self._missing_mm(motion, crowd.movable[crowd.pairs].any(axis=1))
-        if tangled.any():
-            later = self._draft.release[tangled].max()
-            rest = SampledMotion(motion.time_s[later:], motion.angles[:, :, later:])
-            missing = np.maximum(missing, self._missing_mm(rest, tangled))
+        # Pairs the certificate does not confirm, (p,); from now on they are asked for more.
+        missing = missing_mm(
+            self._problem.plane, self._crowd, self._parameters,
+            self._draft, self._grid, self._tangled,
+        )  # fmt: skip
         short = missing > 0.0
         self._draft.required[short] += missing[short] + _MORE_MM
         return short
-
-    def _missing_mm(self, motion, which):
-        # By how much the gaps of some pairs fall short of what the certificate asks, (p,).
-        # Half of the allowance is part of it where the pair starts and ends with as much:
-        # the search may overlook a graze, and rounding needs it.
-        plane, safety = self._problem.plane, self._parameters.safety
-        more = replace(safety, margin_mm=safety.margin_mm + 0.5 * self._parameters.allowance_mm)
-        pieces, pairs = straight_pieces(motion), self._crowd.pairs[which]
-        required = more.required_mm(plane, pieces, pairs)
-        doubtful = unproven(self._crowd.bodies, profiles_of(pieces), pairs, required)
-        pairs = pairs[doubtful]
-        found = certify(plane, pieces, more, pairs)
-        gap = found.gap_mm
-        at_ends = np.minimum(gaps(plane, pairs, pieces.start), gaps(plane, pairs, pieces.end))
-        wanted = np.minimum(found.required_mm, at_ends - _MEASURED_MM)
-        wanted = np.maximum(wanted, safety.required_mm(plane, pieces, pairs))
-        missing = np.zeros(len(which))
-        missing[np.flatnonzero(which)[doubtful]] = np.maximum(wanted - gap, 0.0)
-        return missing
 
     # -- best effort
 
@@ -272,8 +250,10 @@ class Search:
 
     def _restore(self):
         # Who was given up goes after all where that meets nobody and is certified.
-        before = [np.copy(column) for column in self._draft]
         given_up = np.flatnonzero(self._reason == Reason.NOT_CONVERGED)
+        if not len(given_up):
+            return
+        before = [np.copy(column) for column in self._draft]
         restored = 0
         for first in range(0, len(given_up), _VISITS):
             if self._late:
@@ -304,6 +284,7 @@ class Search:
         seeking[: len(draft.choice)] &= draft.choice >= 0
         worse = self._worse(draft.depth > 0.0, seeking)
         draft.choice[worse] = -1
+        draft.around[worse] = True
         self._reason[worse] = Reason.NOT_CONVERGED
         draft.weight[:] = 1.0
         return len(worse)
@@ -320,17 +301,16 @@ class Search:
                 return
             moving[rows] = False
             draft.q[rows] = self._problem.start[rows][:, :, None]
+            draft.changed[rows] = True
             rows = rows[draft.choice[rows] >= 0]
             draft.choice[rows] = -1
             self._reason[rows] = Reason.NOT_CONVERGED
 
     # -- the result
 
-    def _motion(self):
-        return SampledMotion(self._grid.time_s, self._draft.q[: self._problem.plane.n])
-
     def _result(self):
-        motion = self._motion()
+        self._draft.q.setflags(write=False)  # shared from here on
+        motion = SampledMotion(self._grid.time_s, self._draft.q[: self._problem.plane.n])
         arrived = self._draft.choice >= 0
         self._reason[(self._reason == Reason.NOT_CONVERGED) & arrived] = Reason.OK
         goal = np.where(arrived[:, None], motion.end, motion.start)

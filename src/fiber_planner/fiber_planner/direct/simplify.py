@@ -27,18 +27,30 @@ def _breaks(row, out):
     return count + 1 if last > 0 else 0
 
 
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _is_straight(draft, i):
+    # whether a robot goes on one line per motor to where it should end
+    last = draft.q.shape[2] - 1
+    for joint in range(2):
+        s, g = draft.q[i, joint, 0], draft.q[i, joint, last]
+        if draft.choice[i] < 0 and g != s:
+            return False
+        slope = (g - s) / last
+        for k in range(1, last):
+            if abs(s + slope * k - draft.q[i, joint, k]) > _STRAIGHT_RAD:
+                return False
+    return True
+
+
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _whole(crowd, draft, i, profile, order, depths):
-    # straight lines all the way; False where the robot goes so already or meets somebody
+    # straight lines all the way; False where the robot meets somebody
     last = profile.shape[1] - 1
-    straight = True
     for joint in range(2):
         s = draft.q[i, joint, 0]
         g = draft.q[i, joint, last] if draft.choice[i] >= 0 else s
         trapezoid(profile[joint], s, g, g, 0, last, last, last)
-        for k in range(last + 1):
-            straight = straight and abs(draft.q[i, joint, k] - profile[joint, k]) < _STRAIGHT_RAD
-    return not straight and weigh(crowd, draft, i, profile, 0.0, order, depths) == 0.0
+    return weigh(crowd, draft, i, profile, 0.0, order, depths) == 0.0
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -58,7 +70,8 @@ def simplify(crowd, draft):
 
     A robot first tries one line per motor over the whole time. Where that meets somebody
     it tries to drop its breaks one at a time. A line that joins two pieces is never faster
-    than the faster of them, and stays between their ends.
+    than the faster of them, and stays between their ends. Who was tried before is tried
+    again only where something around changed since.
 
     Args:
         crowd: the robots.
@@ -74,7 +87,10 @@ def simplify(crowd, draft):
     breaks = np.empty(steps + 1, dtype=np.int64)
     changed = 0
     for i in range(len(crowd.start)):
-        if not crowd.movable[i]:
+        if not (crowd.movable[i] and draft.around[i]):
+            continue
+        draft.around[i] = False
+        if _is_straight(draft, i):
             continue
         worst_first(crowd, draft, i, order)
         simpler = False
