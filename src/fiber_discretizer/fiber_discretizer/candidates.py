@@ -17,7 +17,7 @@ _INTERVALS = 48  # of the time grid of a tube
 _SHARES = np.linspace(0.0, 1.0, _INTERVALS + 1)
 _FINEST_MM = 0.001  # how closely the plan is followed at most
 _PAD_RAD = 0.01  # kept from the walls of a tube: nothing is known between samples
-_FREE_SLACK_RAD = 0.1  # how far rounding may shift a straight line
+_FREE_SLACK_RAD = 0.25  # how far rounding may shift a straight line
 _SPEED = 0.998  # part of the speed limit that paths may use; rounding takes from the rest
 
 
@@ -52,6 +52,7 @@ class Candidates:
         last = still.shape[2] - np.argmin(still[:, :, ::-1], axis=2)
         last = np.where(still.all(axis=2), 0, np.minimum(last, still.shape[2] - 1))
         self.arrival_s = self.time_s[last]
+        self._latest_s = self.arrival_s.max(initial=0.0)
         travel = np.abs(units.to_angles(self.goal - self.start))
         most = units.max_velocity * units.velocity_rad_s
         self._speeds = np.maximum(_SPEED * np.minimum(plane.speeds, most), 1e-9)
@@ -209,6 +210,7 @@ class Candidates:
             np.broadcast_to(slack, len(rows)),
             self._draft.units,
             self._options.rounding,
+            self._latest_s,
         )
 
 

@@ -11,6 +11,8 @@ from fiber_discretizer.segments import Segments
 
 __all__ = ["Rounding", "quantize"]
 
+_ENDLESS = 2**40  # more ticks than any motion takes
+
 
 @dataclass(frozen=True)
 class Rounding:
@@ -20,7 +22,8 @@ class Rounding:
         good_quanta: end error with which the search is content [quanta].
         worst_quanta: end error with which the last segment is cut in two, which meets the
             end more closely [quanta].
-        later_ticks: how many ticks the last segment may become longer.
+        later_ticks: how many ticks the last segment may become longer, where it does not
+            make the whole motion longer.
         sooner_ticks: how many ticks it may become shorter.
         nudge_units: how many velocity units the segment before it may change.
     """
@@ -41,6 +44,7 @@ def quantize(
     slack_rad,
     units: WireUnits,
     rounding: Rounding = Rounding(),
+    latest_s: float = np.inf,
 ) -> Segments:
     """Return the whole-number motion nearest to piecewise-linear profiles.
 
@@ -61,6 +65,8 @@ def quantize(
         slack_rad: how far each profile may be shifted by the search [rad], shape (p,).
         units: size of tick and quantum, and the widths of the fields.
         rounding: limits of the search.
+        latest_s: when the whole motion is to be over; a profile that ends then ends no
+            later for the search, it takes one segment more [s].
 
     Returns:
         Segments; longer ones than a duration field holds are split, and those that rest
@@ -79,12 +85,15 @@ def quantize(
             np.asarray(slack_rad) / units.quantum_rad,
             units.max_ticks,
             astuple(rounding),
+            min(np.ceil(latest_s / units.tick_s - 1e-6), float(_ENDLESS)),
         )
     )
 
 
 @njit(cache=True)
-def _quantize(offsets, time, position, start, goal, ranges, fastest, slack, max_ticks, search):
+def _quantize(
+    offsets, time, position, start, goal, ranges, fastest, slack, max_ticks, search, latest
+):
     # times in ticks, positions in quanta, velocities in quanta per tick
     p = len(offsets) - 1
     first = np.zeros(p + 1, np.int64)
@@ -114,10 +123,11 @@ def _quantize(offsets, time, position, start, goal, ranges, fastest, slack, max_
                 now += span
         if fastest[i] > 0:
             span = max(np.int64(np.ceil(time[last] - 1e-6)) - now, 1)
-            travel = goal[i] - here
+            left = np.int64(latest) - now
             _finish(
-                ticks, velocity, first[i], here, travel, span, bounds, slack[i], max_ticks, search
-            )
+                ticks, velocity, first[i], here, goal[i] - here, span, left,
+                bounds, slack[i], max_ticks, search,
+            )  # fmt: skip
         while len(ticks) > first[i] and velocity[-1] == 0:
             ticks.pop()
             velocity.pop()
@@ -135,16 +145,18 @@ def _nearest_velocity(here, travel, left, span, bounds):
 
 
 @njit(cache=True)
-def _finish(ticks, velocity, first, here, travel, span, bounds, slack, max_ticks, search):
-    # travel to the goal in about `span` ticks and as few segments as the fields allow
+def _finish(ticks, velocity, first, here, travel, span, left, bounds, slack, max_ticks, search):
+    # Travel to the goal in about `span` ticks and as few segments as the fields allow; `left`
+    # of them are left of the motion.
     fastest, worst = bounds[0], search[1]
     span = max(span, -(-abs(travel) // fastest))
     while True:
         if span <= max_ticks:
             alone = len(ticks) == first
             before = (np.int64(0), np.int64(0)) if alone else (ticks[-1], velocity[-1])
+            later = min(search[2], max(left - span, 0))
             error, last_ticks, last_velocity, nudge = _search(
-                here, travel, span, bounds, before, slack, max_ticks, search
+                here, travel, span, later, bounds, before, slack, max_ticks, search
             )
             if error <= worst or span == 1:
                 break
@@ -156,6 +168,7 @@ def _finish(ticks, velocity, first, here, travel, span, bounds, slack, max_ticks
         velocity.append(v)
         here += v * part
         travel -= v * part
+        left -= part
         span = max(span - part, -(-abs(travel) // fastest))
     if not alone:
         velocity[-1] += nudge
@@ -164,11 +177,11 @@ def _finish(ticks, velocity, first, here, travel, span, bounds, slack, max_ticks
 
 
 @njit(cache=True)
-def _search(here, travel, span, bounds, before, slack, max_ticks, search):
+def _search(here, travel, span, later, bounds, before, slack, max_ticks, search):
     # Error, ticks and velocity of the best last segment, and the change of velocity of
     # the segment before it. Near candidates come first: 0, -1, +1, -2, +2, ...
     fastest, low, high = bounds
-    good, _, later, sooner, nudges = search
+    good, _, _, sooner, nudges = search
     before_ticks, before_velocity = before
     if before_ticks == 0:
         nudges = 0

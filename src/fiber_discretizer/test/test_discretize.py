@@ -72,6 +72,7 @@ def test_robots_far_apart_get_one_segment_a_motor(plane_at):
     check(plane, trajectory, result)
     np.testing.assert_array_equal(result.reason, Reason.OK)
     np.testing.assert_array_equal(result.wire.decoded().counts, 1)
+    assert result.wire.decoded().makespan_s <= 2.0 + 1e-9
     assert result.rounds == 0
 
 

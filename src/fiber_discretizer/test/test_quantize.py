@@ -22,7 +22,15 @@ def random_paths(seed, profiles, pieces, fastest=1.0):
     return Polylines(np.arange(profiles + 1) * (pieces + 1), time_s.ravel(), angles.ravel())
 
 
-def rounded(paths, units=UNITS, slack=0.05, limits=(-ANYWHERE, ANYWHERE), start=0, **rounding):
+def rounded(
+    paths,
+    units=UNITS,
+    slack=0.05,
+    limits=(-ANYWHERE, ANYWHERE),
+    start=0,
+    latest_s=np.inf,
+    **rounding,
+):
     p = len(paths.counts)
     start = np.broadcast_to(start, (p,))
     goal = np.clip(start + units.to_counts(paths.angles[paths.offsets[1:] - 1]), *limits)
@@ -35,6 +43,7 @@ def rounded(paths, units=UNITS, slack=0.05, limits=(-ANYWHERE, ANYWHERE), start=
         np.full(p, slack),
         units,
         Rounding(**rounding),
+        latest_s,
     )
 
 
@@ -59,6 +68,27 @@ def test_end_error_of_thousands_of_profiles(pieces):
     assert np.abs(error_um).max() <= 1.2
     assert np.sqrt(np.mean(error_um**2)) <= 0.1
     assert segments.counts.mean() <= pieces + 0.05
+
+
+@pytest.mark.parametrize("intervals", [300, 500.4])
+def test_nobody_makes_the_motion_longer_to_meet_its_end(intervals):
+    speeds = SPEED * np.linspace(-0.998, 0.998, 4000)
+    latest_s = intervals * UNITS.tick_s
+    ends = np.stack([np.zeros(4000), speeds * latest_s], axis=1)
+    paths = Polylines(2 * np.arange(4001), np.tile([0.0, latest_s], 4000), ends.ravel())
+    goal, free = rounded(paths, slack=0.25)
+    _, segments = rounded(paths, slack=0.25, latest_s=latest_s)
+    check_fields(segments)
+
+    def longest(segments):
+        return np.add.reduceat(segments.ticks, segments.offsets[:-1]).max()
+
+    assert longest(free) > np.ceil(intervals) + 4
+    assert longest(segments) == np.ceil(intervals)
+    error_um = (travel(segments) - goal) * UNITS.quantum_rad * 6e3  # at a 6 mm arm
+    assert np.abs(error_um).max() <= 1.2
+    assert np.sqrt(np.mean(error_um**2)) <= 0.1
+    assert segments.counts.mean() <= 1.03
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
