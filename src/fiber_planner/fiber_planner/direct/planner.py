@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 
+import numba as nb
 import numpy as np
 
 from fiber_core.motion import SampledMotion
@@ -57,14 +58,31 @@ class DirectPlanner:
         )
         found = Search(sorted_problem, self.parameters, progress, self._clock).run()
         back = np.argsort(order)
+        _put_in_order(found.q, order)
+        found.q.setflags(write=False)
         reason = found.reason[back]
         reason[problem.asked & plane.enabled & ~inside] = Reason.START_OUTSIDE_LIMITS
-        angles = found.motion.angles[back]
-        angles.setflags(write=False)
         rows = np.concatenate([order, np.arange(plane.n, plane.n + len(plane.obstacles))])
         return PlannedMotion(
-            SampledMotion(found.motion.time_s, angles),
+            SampledMotion(found.time_s, found.q[: plane.n]),
             found.goal[back],
             reason,
             np.sort(rows[found.tangled], axis=1),
         )
+
+
+@nb.njit(cache=True)
+def _put_in_order(q, order):
+    # Row i goes to row order[i], in place: q is the largest array there is, and a fresh one
+    # of its size costs more than all the moving.
+    rows, steps = q.shape[0], q.shape[2]
+    there = np.zeros(rows, dtype=np.bool_)
+    for first in range(len(order)):
+        i = first
+        carried = q[first].copy()
+        while not there[i]:
+            there[i] = True
+            i = order[i]
+            for joint in range(2):
+                for k in range(steps):
+                    carried[joint, k], q[i, joint, k] = q[i, joint, k], carried[joint, k]

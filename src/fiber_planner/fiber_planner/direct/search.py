@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
@@ -17,9 +17,9 @@ from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.proof import missing_mm
 from fiber_planner.direct.repair import add_weight, fold_first, restore, sweep
 from fiber_planner.direct.simplify import simplify
-from fiber_planner.protocol import PlannedMotion, Progress
+from fiber_planner.protocol import Progress
 
-__all__ = ["Search"]
+__all__ = ["Found", "Search"]
 
 # Where straight moves meet in more pairs than half the number of robots the plane is crowded
 # and arms fold on their way from the beginning. Of each pair: loose plane, crowded plane.
@@ -44,6 +44,24 @@ _LAST_EFFORT = 900  # candidates per robot granted to each of these rounds
 _RESTORE_DRAWS = 300
 _SMALL_PLANE = 100  # the effort granted to a plane of fewer robots
 _MORE_MM = 0.005  # asked for beyond what the certificate misses
+
+
+class Found(NamedTuple):
+    """What a search found.
+
+    Args:
+        time_s: instants of the motion [s], shape (k + 1,).
+        q: joint angles then [rad], shape (b, 2, k + 1), obstacles included.
+        goal: as in PlannedMotion, like all that follow.
+        reason: why each robot does not arrive.
+        tangled: pairs that start too close.
+    """
+
+    time_s: np.ndarray
+    q: np.ndarray
+    goal: np.ndarray
+    reason: np.ndarray
+    tangled: np.ndarray
 
 
 class Search:
@@ -76,7 +94,7 @@ class Search:
         beside = pairs[~movable[pairs].all(axis=1)]
         self._walled = movable & np.isin(np.arange(len(movable)), beside)
 
-    def run(self) -> PlannedMotion:
+    def run(self) -> Found:
         """Search, and return what was found."""
         conflicts = self._begin(1.0)
         crowded = int(conflicts > _CROWDED * self._problem.plane.n)
@@ -309,9 +327,9 @@ class Search:
     # -- the result
 
     def _result(self):
-        self._draft.q.setflags(write=False)  # shared from here on
-        motion = SampledMotion(self._grid.time_s, self._draft.q[: self._problem.plane.n])
-        arrived = self._draft.choice >= 0
+        draft, n = self._draft, self._problem.plane.n
+        arrived = draft.choice >= 0
         self._reason[(self._reason == Reason.NOT_CONVERGED) & arrived] = Reason.OK
-        goal = np.where(arrived[:, None], motion.end, motion.start)
-        return PlannedMotion(motion, goal, self._reason, self._crowd.pairs[self._tangled])
+        goal = np.where(arrived[:, None], draft.q[:n, :, -1], draft.q[:n, :, 0])
+        tangled = self._crowd.pairs[self._tangled]
+        return Found(self._grid.time_s, draft.q, goal, self._reason, tangled)
