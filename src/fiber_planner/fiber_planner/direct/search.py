@@ -110,7 +110,7 @@ class Search:
             for _ in range(_GIVE_UP_ROUNDS):
                 if conflicts == 0 or stretch < _PATIENCE[crowded] or self._over:
                     break
-                if not self._free_the_worst(self._walled):
+                if not self._free_the_worst(self._may_be_given_up()):
                     break
                 conflicts = self._certified_repair()
             if conflicts == 0 or self._over:
@@ -265,6 +265,12 @@ class Search:
             if self._certified_repair() == 0:
                 return
         self._freeze()
+
+    def _may_be_given_up(self):
+        # Robots beside what cannot move, and once some of them were given up, everybody: more
+        # time for all is no price for a few that are stuck behind those.
+        given_up = (self._reason == Reason.NOT_CONVERGED).any()
+        return self._crowd.movable if given_up else self._walled
 
     def _restore(self):
         # Who was given up goes after all where that meets nobody and is certified.
