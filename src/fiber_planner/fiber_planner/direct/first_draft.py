@@ -144,5 +144,6 @@ def _clear_options(problem, crowd, parameters, alone_s):
 
 def _least_mm(problem, crowd, parameters, makespan_s):
     # the gap Safety would ask of each pair at full speed, were nobody too close at the start
-    speeds = point_speeds(levers_of(problem.plane), problem.plane.speeds)
+    plane = problem.plane
+    speeds = point_speeds(levers_of(plane), plane.speeds * crowd.movable[: plane.n, None])
     return parameters.safety.required_at(speeds, makespan_s, crowd.pairs)
