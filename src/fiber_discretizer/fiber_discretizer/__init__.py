@@ -6,6 +6,7 @@ from fiber_discretizer.margin import RULES, joint_margins, lever_arms_mm, tip_di
 from fiber_discretizer.options import DiscretizeOptions
 from fiber_discretizer.quantize import Rounding, quantize
 from fiber_discretizer.segments import Segments
+from fiber_discretizer.sent_margins import sent_margins
 
 __all__ = [
     "LINEARIZERS",
@@ -21,5 +22,6 @@ __all__ = [
     "lever_arms_mm",
     "linearize",
     "quantize",
+    "sent_margins",
     "tip_distances_mm",
 ]

@@ -9,11 +9,13 @@ from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_discretizer.discretize import discretize
 from fiber_discretizer.options import DiscretizeOptions
+from fiber_discretizer.sent_margins import sent_margins
 from fiber_msgs_py import (
     MessageError,
     PlanStamp,
     Stage,
     held,
+    margins,
     segments,
     topics,
     trajectory,
@@ -39,6 +41,7 @@ class DiscretizerNode(Node):
         self._view = PlaneView(self, self._report)
         self._held = topics.HELD_BY_DISCRETIZER.publisher(self)
         self._segments = topics.SEGMENTS.publisher(self)
+        self._margins = topics.MARGINS.publisher(self)
         topics.TRAJECTORY.subscription(self, self._on_trajectory)
 
     def _on_trajectory(self, message):
@@ -106,6 +109,9 @@ class DiscretizerNode(Node):
             f"{moving} robots move, {holds.sum()} held, {counts.sum()} segments, "
             f"least clearance {clearance} mm",
         )
+        if self._margins.get_subscription_count():  # they take longer than the rest
+            room = sent_margins(self._view.plane, done.wire.decoded(), self._safety)
+            self._margins.publish(margins.encode(ids, room, stamp))
 
 
 def main(args=None) -> int:

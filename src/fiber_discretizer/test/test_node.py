@@ -16,6 +16,7 @@ from fiber_msgs_py import (
     held,
     joint_states,
     layout,
+    margins,
     segments,
     topics,
     trajectory,
@@ -92,6 +93,23 @@ def test_a_trajectory_becomes_certified_segments_that_end_where_it_ends(rest):
     np.testing.assert_allclose(decoded.end, turning().end, atol=1e-3)
     assert certify(PLANE, decoded, Safety()).ok
     assert np.all(decoded.counts[:, 0] >= 1) and not decoded.counts[:, 1].any()
+
+
+def test_margins_are_made_for_whoever_listens(rest):
+    rest.show_plane()
+    rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(9)))
+    heard = rest.peer.hear(topics.MARGINS)
+    rest.peer.until(lambda: rest.peer.node.count_publishers("focal_plane/margins"), WAIT_S)
+    rest.segments.clear()
+    rest.held.clear()
+    _, motion = rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(10)))
+    rest.peer.until(lambda: heard, WAIT_S, "margins")
+    # those of the first plan nobody wanted, so nobody made them
+    assert [PlanStamp.of(message) for message in heard] == [PlanStamp(10)]
+    ids, room = margins.decode(heard[0])
+    assert np.array_equal(ids, PLANE.ids)
+    end = motion.decoded().end
+    assert np.all(room.low[:, :, -1] <= end + 1e-6) and np.all(end <= room.high[:, :, -1] + 1e-6)
 
 
 def test_robots_a_trajectory_does_not_mention_rest(rest):

@@ -20,6 +20,7 @@ __all__ = [
     "HOME",
     "JOINT_STATES",
     "LAYOUT",
+    "MARGINS",
     "NAMESPACE",
     "OUTCOME",
     "PROGRESS",
@@ -93,6 +94,7 @@ TRAJECTORY = _topic("trajectory", JointTrajectory, qos.LATEST)
 SEGMENTS = _topic("segments", PointCloud2, qos.LATEST)
 FRAMES = _topic("frames", PointCloud2, qos.STREAM)
 JOINT_STATES = _topic("joint_states", JointState, qos.LATEST)
+MARGINS = _topic("margins", PointCloud2, qos.LATEST)
 OUTCOME = _topic("outcome", PointCloud2, qos.LATEST)
 PROGRESS = _topic("progress", DiagnosticStatus, qos.STREAM)
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, qos.EVENTS)

@@ -1,7 +1,13 @@
 """Outlines, gaps between them, and the certificate that they stay apart at every instant."""
 
 from fiber_core.clearance.bodies import Bodies, bodies_of
-from fiber_core.clearance.certificate import Certificate, certify, smallest_gaps, unproven
+from fiber_core.clearance.certificate import (
+    Certificate,
+    certified_pairs,
+    certify,
+    smallest_gaps,
+    unproven,
+)
 from fiber_core.clearance.hold import hold_until_safe
 from fiber_core.clearance.neighbours import neighbour_pairs
 from fiber_core.clearance.pair_gaps import gaps, pair_gap, pair_gap_below, posed_gap, sampled_gaps
@@ -14,6 +20,7 @@ __all__ = [
     "Profiles",
     "Safety",
     "bodies_of",
+    "certified_pairs",
     "certify",
     "gaps",
     "hold_until_safe",
