@@ -38,7 +38,7 @@ OPTIONS = $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) 
 .PHONY: help
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /|/' | column -t -s '|'
-	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file.csv OUT=folder; demo TARGETS=file"
+	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file.csv OUT=folder; demo TARGETS=file FAULTS=stall:2,reset"
 
 .PHONY: venv
 venv: $(ENV_STAMP) ## make .venv from requirements.lock (PY=python3.12 chooses the Python)
@@ -78,7 +78,7 @@ build/.built: $(ENV_STAMP) build/.sources $(shell test -f build/.sources && cat 
 .PHONY: demo
 demo: build ## take 5000 simulated robots through one reconfiguration, into out/demo
 	@$(INSTALLED) && install/fiber_bringup/lib/fiber_bringup/demo $(OPTIONS) \
-		$(if $(TARGETS),--targets $(TARGETS)) --out $(OUT)
+		$(if $(TARGETS),--targets $(TARGETS)) $(if $(FAULTS),--faults $(FAULTS)) --out $(OUT)
 
 .PHONY: screenshots
 screenshots: build ## take the pictures of docs/images from the last demo (needs chromium)

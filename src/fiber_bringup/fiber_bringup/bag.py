@@ -1,7 +1,7 @@
 """A recording as a rosbag2 in mcap, for ros2 bag, RViz, PlotJuggler and Foxglove.
 
 The topics are those of the graph, with the messages it sent: layout, targets, trajectory,
-segments, joint_states and outcome. Encoders are published ten times a second, each robot
+segments, margins, joint_states and outcome. Encoders are published ten times a second, each robot
 with its latest reading, as the bridge does.
 """
 
@@ -24,6 +24,7 @@ from fiber_msgs_py import (
     PlanStamp,
     joint_states,
     layout,
+    margins,
     outcome,
     segments,
     targets,
@@ -102,6 +103,8 @@ def _messages(recording):
     if recording.planned is not None:
         yield stamp.ns, topics.TRAJECTORY, trajectory.encode(ids, recording.planned, stamp)
     yield stamp.ns, topics.SEGMENTS, segments.encode(ids, recording.motion, stamp)
+    if recording.margins is not None:
+        yield stamp.ns, topics.MARGINS, margins.encode(ids, recording.margins, stamp)
     end_ns = stamp.ns
     for end_ns, message in _joint_states(recording, stamp):
         yield end_ns, topics.JOINT_STATES, message

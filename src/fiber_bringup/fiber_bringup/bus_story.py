@@ -4,14 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fiber_bus_bridge.wire import (
-    CALL_PREFIX,
-    STATUS_BYTES,
-    VERIFY_BYTES,
-    Addresses,
-    Opcode,
-    decode_status,
-)
+from fiber_bringup.statuses import StatusReplies, rows_of_frames
+from fiber_bus_bridge.bus import Ack
+from fiber_bus_bridge.wire import CALL_PREFIX, Opcode
 from fiber_core.focal_plane import FocalPlane
 from fiber_msgs_py import FrameLog
 from fiber_viewer import BusLoad, EventKind, Events, Measured
@@ -20,7 +15,9 @@ __all__ = ["bus_story"]
 
 _BINS = 400  # of the bus load over a plan, at most
 _FINEST_S = 0.005
-_FAILED = {1: EventKind.NO_ADDRESS, 2: EventKind.REFUSED}  # by how a frame ended
+_FAILED = {Ack.NO_ADDRESS: EventKind.NO_ADDRESS, Ack.REFUSED: EventKind.REFUSED}
+_LINES = (Ack.LOST, Ack.STUCK, Ack.TIMED_OUT)
+_BURST_S = 0.05  # failures of the lines of a bus that follow each other faster are one
 _CALLS = {Opcode.GO: EventKind.GO, Opcode.STOP: EventKind.STOP}
 
 
@@ -39,46 +36,19 @@ def bus_story(
     if not np.isfinite(start_s):
         start_s = log.time_s.min(initial=np.inf) if len(log) else 0.0
     time_s = log.time_s - start_s
-    row = _rows(plane, log)
-    status = _Statuses(log, row)
+    row = rows_of_frames(plane, log)
+    status = StatusReplies(log, row)
     return (
-        _measured(status, time_s, row),
+        _measured(status, time_s),
         _load(plane, log, time_s),
         _events(status, log, time_s, row),
     )
 
 
-class _Statuses:
-    # status replies among the frames: which frames, and what they say
-
-    def __init__(self, log, row):
-        length = np.diff(log.offsets)
-        whole = log.read & (log.ack == 0) & (row >= 0)
-        self.frame = np.flatnonzero(whole & np.isin(length, (VERIFY_BYTES, STATUS_BYTES)))
-        data = np.zeros((len(self.frame), STATUS_BYTES), dtype=np.uint8)
-        width = np.arange(STATUS_BYTES)
-        has = width < length[self.frame, None]
-        data[has] = log.data[(log.offsets[self.frame, None] + width)[has]]
-        self.full = length[self.frame] == STATUS_BYTES
-        self.ok = np.zeros(len(self.frame), dtype=bool)
-        self.fault, self.alerts = np.zeros((2, len(self.frame)), dtype=np.int64)
-        self.position = np.zeros((len(self.frame), 2), dtype=np.int64)
-        for full, size in ((True, STATUS_BYTES), (False, VERIFY_BYTES)):
-            chosen = self.full == full
-            at = self.frame[chosen]
-            to = Addresses(log.bus[at], log.address[at], log.ten_bit[at])
-            said = decode_status(to, data[chosen, :size])
-            self.ok[chosen] = said.ok
-            if full:
-                self.fault[chosen], self.alerts[chosen] = said.fault, said.alerts
-                self.position[chosen] = said.position
-
-
-def _measured(status, time_s, row):
-    good = status.ok & status.full
-    frame = status.frame[good]
-    time_us = np.rint(time_s[frame] * 1e6).astype(np.int64)
-    return Measured(row[frame], time_us, status.position[good])
+def _measured(status, time_s):
+    placed = status.placed
+    time_us = np.rint(time_s[status.frame[placed]] * 1e6).astype(np.int64)
+    return Measured(status.row[placed], time_us, status.position[placed])
 
 
 def _load(plane, log, time_s):
@@ -104,6 +74,12 @@ def _events(status, log, time_s, row):
 
     for ack, kind in _FAILED.items():
         add(np.flatnonzero(log.ack == ack), kind)
+    failed = np.flatnonzero(np.isin(log.ack, _LINES))
+    for bus in np.unique(log.bus[failed]):
+        mine = failed[log.bus[failed] == bus]
+        mine = mine[np.argsort(time_s[mine], kind="stable")]
+        begins = mine[np.diff(time_s[mine], prepend=-np.inf) > _BURST_S]
+        add(begins, EventKind.LINE, log.ack[begins])
     calls = np.flatnonzero((log.address == 0) & ~log.ten_bit & (np.diff(log.offsets) > 1))
     calls = calls[log.data[log.offsets[calls]] == CALL_PREFIX]
     opcode = log.data[log.offsets[calls] + 1] >> 4
@@ -111,13 +87,14 @@ def _events(status, log, time_s, row):
         add(calls[opcode == code], kind)
     add(status.frame[~status.ok], EventKind.BAD_REPLY)
     for said, kind in ((status.fault, EventKind.FAULT), (status.alerts, EventKind.ALERT)):
-        new = _first(row[status.frame], said)
+        new = _first(status.row, said)
         add(status.frame[new], kind, said[new])
     frame, kind, detail = (np.concatenate(column) for column in zip(*found))
     order = np.lexsort([frame, time_s[frame]])
     frame = frame[order]
-    rows = np.where(row[frame] >= 0, row[frame], -1)
-    return Events(time_s[frame], kind[order], log.bus[frame], rows, detail[order])
+    kind = kind[order]
+    rows = np.where((row[frame] >= 0) & (kind != EventKind.LINE), row[frame], -1)
+    return Events(time_s[frame], kind, log.bus[frame], rows, detail[order])
 
 
 def _first(row, said):
@@ -125,11 +102,3 @@ def _first(row, said):
     told = np.flatnonzero(said != 0)
     _, first = np.unique(np.stack([row[told], said[told]]), axis=1, return_index=True)
     return told[first]
-
-
-def _rows(plane, log):
-    """The robot of each frame, -1 for all of a bus."""
-    of = {hung: row for row, hung in enumerate(zip(plane.bus.tolist(), plane.address.tolist()))}
-    hung, inverse = np.unique(np.stack([log.bus, log.address]), axis=1, return_inverse=True)
-    rows = np.array([of.get(pair, -1) for pair in map(tuple, hung.T.tolist())], dtype=np.int64)
-    return rows[inverse.ravel()] if len(rows) else np.zeros(0, dtype=np.int64)

@@ -1,8 +1,9 @@
 """A focal plane seen from outside: send targets, follow, start, learn what became of them."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from rclpy.node import Node
@@ -146,13 +147,18 @@ class PlaneClient:
 
     # --- what is asked -------------------------------------------------------
 
-    def wait_for_graph(self, timeout_s: float) -> None:
+    def wait_for_graph(self, timeout_s: float, also: Sequence[str] = ()) -> None:
         """Wait until all three stages know the plane and can be reached.
+
+        Args:
+            timeout_s: for all of it [s].
+            also: other nodes that must be there and listen to targets, as "recorder".
 
         Raises:
             WaitError: names what was missing.
         """
-        self.until(lambda: not self._missing(), timeout_s, lambda: ", ".join(self._missing()))
+        missing = partial(self._missing, also)
+        self.until(lambda: not missing(), timeout_s, lambda: ", ".join(missing()))
 
     def send(self, ids, xy_mm) -> PlanStamp:
         """Ask robots to bring their fibres somewhere; return the name of the plan.
@@ -301,7 +307,7 @@ class PlaneClient:
         known = self.plane is not None and self._states is not None
         return known and np.array_equal(self._states[0], self.plane.ids)
 
-    def _missing(self):
+    def _missing(self, also):
         missing = [s.name for s, c in self._services.items() if not c.service_is_ready()]
         if not self._complete():
             return missing + ["layout" if self.plane is None else "joint_states"]
@@ -311,15 +317,16 @@ class PlaneClient:
                 missing.append(f"diagnostics of {stage}")
             elif stage != "bridge" and status.values.get("robots") != str(self.plane.n):
                 missing.append(f"{stage} to know the plane")
-        return missing + [f"{name} to listen to targets" for name in self._deaf()]
+        missing += [f"diagnostics of {name}" for name in also if name not in self._statuses]
+        return missing + [f"{name} to listen to targets" for name in self._deaf(also)]
 
-    def _deaf(self):
+    def _deaf(self, also):
         # others may listen too, so counting alone would not tell that these two do
         found = self.node.get_subscriptions_info_by_topic(self._targets.topic_name)
         names = {info.node_name for info in found}
         if self._targets.get_subscription_count() < len(found):
             return ["everybody known"]
-        return [name for name in _LISTENERS if name not in names]
+        return [name for name in (*_LISTENERS, *also) if name not in names]
 
     def _on_layout(self, message):
         self.plane, self.units = layout.decode(message)

@@ -4,6 +4,9 @@ Makes a problem, starts bridge, planner and discretizer as processes of their ow
 machine, moves the robots, and writes into the output folder: problem.npz, plan.npz (the
 motion decoded from the bytes that went over the buses), report.json, recording.npz (all of
 it in one file), player.html (open it in a browser), plane.png, and the nodes' logs.
+
+With --faults things go wrong on the way, e.g. `--faults stall:2,reset`: robots stop by
+themselves, all are stopped with them, and who can goes on.
 """
 
 import argparse
@@ -22,22 +25,21 @@ from fiber_bringup.environment import own_domain, stay_on_this_machine
 from fiber_bringup.processes import Processes
 from fiber_bringup.reconfigure import summary, went_well
 from fiber_bringup.recorder import recording_name
-from fiber_bringup.replay import Replay, settled_replay
-from fiber_core.clearance import Safety, certify
+from fiber_bus_bridge import SimulationConfig
+from fiber_bus_bridge.bus import FaultKind
 from fiber_core.errors import FiberError
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem, save_plan, save_problem
-from fiber_core.report import ORDER_BYTES_BOUND, plan_report
+from fiber_core.report import ORDER_BYTES_BOUND
 from fiber_core.sources import problem_from
 from fiber_core.tables import read_targets
 from fiber_core.targets import assign
 from fiber_planner import DEFAULT_PLANNER, planners
-from fiber_viewer import before_and_after, write_player
+from fiber_viewer import Recording, before_and_after, load_recording, write_player
 
 __all__ = ["main"]
 
 _FILES = ("report.json", "problem.npz", "plan.npz", "plane.png", "recording.npz", "player.html")
-_SETTLE_S = 30.0  # for the last frames and encoder readings to come in
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,7 @@ class _Run:
     """What one reconfiguration left behind."""
 
     ended: PlanEnd
-    told: Replay
+    recording: Recording
     wall_s: dict[str, float]
 
 
@@ -56,6 +58,7 @@ def main(argv=None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     with ProgressDisplay() as display:
         try:
+            SimulationConfig(faults=options.faults)  # refuses what it does not know
             problem = _problem(options)
             save_problem(options.out / "problem.npz", problem)
             display.say(
@@ -63,8 +66,9 @@ def main(argv=None) -> int:
                 f"{problem.plane.enabled.sum()} enabled, {problem.asked.sum()} asked to move"
             )
             run = _reconfigure(problem, options, display)
-            display.say("checking the motion decoded from the bytes")
-            report = _report(problem, run)
+            report = _report(run)
+            for note in run.recording.about["notes"]:
+                display.say(note)
         except (FiberError, OSError) as error:
             display.say(f"demo: {error}")
             return 1
@@ -72,7 +76,7 @@ def main(argv=None) -> int:
             display.say("demo: interrupted, all nodes were ended")
             return 1
     report["wall_s"]["all"] = time.monotonic() - begin
-    _write(options.out, problem, run, report)
+    _write(options.out, run, report)
     print(_figures(report))
     print()
     print(summary(run.ended.of(problem.plane.ids[problem.asked])))
@@ -93,6 +97,13 @@ def _parser():
     parser.add_argument("--targets", type=Path, help="table id, x_mm, y_mm; by default random")
     parser.add_argument("--seed", type=int, default=0, help="of random starts and targets")
     parser.add_argument("--planner", choices=planners(), default=DEFAULT_PLANNER)
+    parser.add_argument(
+        "--faults",
+        default="",
+        metavar="KIND[:COUNT],...",
+        help="what goes wrong, at random times while robots move: "
+        + ", ".join(kind.name.lower() for kind in FaultKind),
+    )
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="output folder")
     parser.add_argument(
         "--time-scale",
@@ -122,6 +133,7 @@ def _reconfigure(problem, options, display) -> _Run:
         "problem": str((options.out / "problem.npz").resolve()),
         "seed": options.seed,
         "time_scale": options.time_scale,
+        "faults": options.faults,
     }
     times = [time.monotonic()]
     with Processes(options.out) as processes:
@@ -132,8 +144,7 @@ def _reconfigure(problem, options, display) -> _Run:
         with PlaneClient(
             on_progress=display, on_status=display.status, guard=processes.check
         ) as client:
-            client.wait_for_graph(options.timeout)
-            before = client.units.to_counts(client.angles)
+            client.wait_for_graph(options.timeout, also=("recorder",))
             times.append(time.monotonic())
             asked = problem.asked
             stamp = client.send(problem.plane.ids[asked], problem.targets[asked])
@@ -143,7 +154,6 @@ def _reconfigure(problem, options, display) -> _Run:
             times.append(time.monotonic())
             ended = client.wait_end(stamp, options.timeout)
             times.append(time.monotonic())
-            told = settled_replay(client, ended, before, _SETTLE_S)
             heard = client.times[stamp]
             client.wait_recording(stamp, options.timeout)
     (options.out / recording_name(stamp)).replace(options.out / "recording.npz")
@@ -152,7 +162,7 @@ def _reconfigure(problem, options, display) -> _Run:
     wall_s = {
         "graph": graph, "plan": plan, "discretize": ready - plan, "start": start, "move": move
     }  # fmt: skip
-    return _Run(ended, told, wall_s)
+    return _Run(ended, load_recording(options.out / "recording.npz"), wall_s)
 
 
 def _recorder(problem, options) -> dict:
@@ -164,25 +174,21 @@ def _recorder(problem, options) -> dict:
     }
 
 
-def _report(problem, run) -> dict:
-    motion = run.told.motion.decoded()
-    certificate = certify(problem.plane, motion, Safety())
-    report = plan_report(problem, motion, certificate, run.ended.outcome, run.ended.reason)
-    ordered = run.told.started
-    return report | {
-        "margin_mm": Safety().margin_mm,
-        "ordered": int(ordered.sum()),
-        "bytes_mean": float(run.told.load_bytes[ordered].mean()) if ordered.any() else 0.0,
+def _report(run) -> dict:
+    about = run.recording.about
+    return about["report"] | {
+        "margin_mm": about["certificate"]["margin_mm"],
         "bytes_bound": ORDER_BYTES_BOUND,
-        "bus_time_s": run.told.bus_time_s,
+        "notes": about["notes"],
         "wall_s": run.wall_s,
     }
 
 
-def _write(out, problem, run, report):
-    motion = run.told.motion.decoded()
-    save_plan(out / "plan.npz", motion, run.ended.outcome, run.ended.reason)
-    before_and_after(problem, motion, run.ended.outcome).savefig(out / "plane.png", dpi=110)
+def _write(out, run, report):
+    recording, ended = run.recording, run.ended
+    motion = recording.decoded
+    save_plan(out / "plan.npz", motion, ended.outcome, ended.reason)
+    before_and_after(recording.problem, motion, ended.outcome).savefig(out / "plane.png", dpi=110)
     write_player(out / "player.html", out / "recording.npz")
     (out / "report.json").write_text(json.dumps(_plain(report), indent=2) + "\n")
 

@@ -23,6 +23,7 @@ from fiber_msgs_py import (
     frames,
     joint_states,
     layout,
+    margins,
     outcome,
     targets,
     topics,
@@ -51,6 +52,7 @@ class _Attempt:
     plane: FocalPlane | None = None  # as it was before the first frame
     counts: np.ndarray | None = None  # encoders then
     trajectory: object = None
+    margins: object = None
     logs: list[FrameLog] = field(default_factory=list)
 
 
@@ -69,11 +71,19 @@ class _Heard:
         return self.attempts.setdefault(PlanStamp.of(message).attempt, _Attempt())
 
     @property
-    def last(self) -> tuple[int, _Attempt]:
-        """Number and attempt of the last that put frames on the buses, else of the first."""
-        ran = [number for number, attempt in self.attempts.items() if attempt.logs]
-        number = max(ran, default=1)
-        return number, self.attempts.get(number, _Attempt())
+    def ran(self) -> list[_Attempt]:
+        """Those that put frames on the buses, in their order."""
+        return [attempt for _, attempt in sorted(self.attempts.items()) if attempt.logs]
+
+    @property
+    def first(self) -> _Attempt:
+        """The first of them, else what is known of the first of all."""
+        return self.ran[0] if self.ran else self.attempts.get(1, _Attempt())
+
+    @property
+    def logs(self) -> list[FrameLog]:
+        """Frames of all attempts: robots go on where the one before left them."""
+        return [log for attempt in self.ran for log in attempt.logs]
 
 
 class RecorderNode(Node):
@@ -100,6 +110,7 @@ class RecorderNode(Node):
             (topics.JOINT_STATES, self._on_joint_states),
             (topics.TARGETS, self._on_targets),
             (topics.TRAJECTORY, self._on_trajectory),
+            (topics.MARGINS, self._on_margins),
             (topics.FRAMES, self._on_frames),
             (topics.OUTCOME, self._on_outcome),
         ):
@@ -131,6 +142,9 @@ class RecorderNode(Node):
 
     def _on_trajectory(self, message):
         self._of(message).attempt(message).trajectory = message
+
+    def _on_margins(self, message):
+        self._of(message).attempt(message).margins = message
 
     def _on_frames(self, message):
         heard = self._of(message).attempt(message)
@@ -167,38 +181,51 @@ class RecorderNode(Node):
                 del self._heard[stamp]
 
     def _complete(self, heard) -> bool:
-        logs = sum(len(attempt.logs) for attempt in heard.attempts.values())
-        more, heard.looked_at = logs > heard.looked_at, logs
+        more, heard.looked_at = len(heard.logs) > heard.looked_at, len(heard.logs)
         if more:  # the outcome can overtake the last frames
             return False
-        _, last = heard.last
-        if last.counts is None:
+        if not heard.logs:
             return time.monotonic() > heard.ended_s + _QUIET_S
-        told = replay(self._plane, self._units, last.counts, last.logs)
+        first = heard.first
+        if first.trajectory is not None and first.margins is None and self._margins_are_made():
+            return False
+        return self._explained(heard)
+
+    def _explained(self, heard) -> bool:
+        if heard.first.counts is None:
+            return False
+        told = replay(self._plane, self._units, heard.first.counts, heard.logs)
         now = self._counts(self._state)
         return not unexplained(self._plane, told, heard.ended, now).any()
+
+    def _margins_are_made(self):
+        return self.count_publishers(topics.MARGINS.name) > 0
 
     def _write(self, stamp, heard, late):
         self._report.progress(stamp, 0.0, "writing the recording")
         asked = np.zeros(0, np.int64), np.zeros((0, 2))
         if heard.targets is not None:
             asked = targets.decode(heard.targets)
-        number, last = heard.last
+        first, attempts = heard.first, max(len(heard.ran), 1)
         planned = None
-        if last.trajectory is not None:
-            planned = trajectory.decode(last.trajectory)[:2]
+        if first.trajectory is not None:
+            planned = trajectory.decode(first.trajectory)[:2]
+        room = None
+        if first.margins is not None:
+            room = margins.decode(first.margins)
         notes = []
-        if number > 1:
-            notes = [f"the last of {number} attempts: it begins where the one before had ended"]
-        if not last.logs:
+        if attempts > 1:
+            notes = [f"{attempts} attempts: planned again around robots that cannot be commanded"]
+        if not heard.logs:
             notes = ["no frames were heard: nobody was started"]
-        elif late:
+        elif late and not self._explained(heard):
             notes += ["the frames heard do not explain where all robots are"]
-        plane = last.plane if last.plane is not None else self._plane
-        counts = last.counts if last.counts is not None else self._counts(self._state)
+        plane = first.plane if first.plane is not None else self._plane
+        now = self._counts(self._state)
         recording = record(
-            plane, self._units, counts, asked, planned, last.logs, heard.ended,
-            self._safety, self._about | {"attempts": number, "notes": notes},
+            plane, self._units, now if first.counts is None else first.counts, asked, planned,
+            room, heard.logs, now, heard.ended, self._safety,
+            self._about | {"attempts": attempts, "notes": notes},
         )  # fmt: skip
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._folder / recording_name(stamp)

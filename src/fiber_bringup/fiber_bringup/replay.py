@@ -1,27 +1,26 @@
-"""What robots were told to do, read back from the very bytes that went over the buses."""
+"""What robots were told to do and how far they got, read back from the bytes on the buses."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from fiber_bringup.client import PlaneClient, PlanEnd
-from fiber_bus_bridge.wire import (
-    CALL_PREFIX,
-    COUNTDOWN_S,
-    Addresses,
-    Frames,
-    Opcode,
-    decode_load,
-)
+from fiber_bringup.runs import follow
+from fiber_bringup.standstill import standstill_s
+from fiber_bringup.statuses import StatusReplies, rows_of_frames
+from fiber_bus_bridge.wire import Addresses, Frames, RobotState, decode_load
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import FrameLog
+from fiber_viewer import Leg, executed
 
 __all__ = ["Replay", "replay", "settled_replay", "unexplained"]
 
-_TOLD = (Opcode.LOAD, Opcode.CLEAR, Opcode.GO, Opcode.STOP)
+_TOGETHER_S = 0.01  # starts this near to each other are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,78 +28,159 @@ class Replay:
     """A plan as its bytes tell it.
 
     Args:
-        motion: the orders that were started, from where the encoders were.
+        legs: the orders that were started, and how far robots got with them; one more for
+            each time they went on after a stop.
         started: robots that a GO reached with an order for it, shape (n,).
-        load_bytes: bytes of the order each of them was started with, shape (n,), else 0.
+        unheard: robots that stopped and were not heard of again, shape (n,). One that fell
+            silent alone is where it was last heard. Where a whole bus did, its robots, which
+            hear nothing either, stop by themselves just when the others are stopped.
+        load_bytes: bytes of the order each of them was started with first, shape (n,), else 0.
         load_s: when the first LOAD began, simulated time [s], nan without one.
-        go_s: when the last GO began [s], nan without one.
+        go_s: when the last GO of the first leg began [s], nan without one.
         start_s: when its countdown was over [s], but for the 0.1 ms the frame itself takes.
     """
 
-    motion: WireMotion
+    legs: tuple[Leg, ...]
     started: np.ndarray
+    unheard: np.ndarray
     load_bytes: np.ndarray
     load_s: float
     go_s: float
     start_s: float
 
     @property
+    def motion(self) -> WireMotion:
+        """The orders that were started first, to their end."""
+        return self.legs[0].motion
+
+    @property
+    def end(self) -> np.ndarray:
+        """Where encoders are after it all [quanta], shape (n, 2)."""
+        return self.legs[-1].end
+
+    @cached_property
+    def executed(self) -> SegmentMotion:
+        """The motion as it was carried out."""
+        return executed(self.legs)
+
+    @property
     def bus_time_s(self) -> float:
-        """Time from the first LOAD to the last GO on the buses [s], 0 without a GO."""
+        """Time from the first LOAD to the GO on the buses [s], 0 without a GO."""
         return float(self.go_s - self.load_s) if np.isfinite(self.go_s) else 0.0
 
 
-def replay(plane: FocalPlane, units: WireUnits, counts, logs: Iterable[FrameLog]) -> Replay:
-    """Follow the frames of a plan as the robots do: store, forget, count down, start.
+def replay(
+    plane: FocalPlane, units: WireUnits, counts, logs: Iterable[FrameLog], heard=None
+) -> Replay:
+    """Follow the frames of a plan as the robots do, through stops and new starts.
 
-    An acknowledged LOAD replaces what a robot had stored, a CLEAR forgets it, and a GO lets
-    every robot it reaches that stores an order of its sequence number start after a
-    countdown. A STOP before that calls the start off.
+    Where a robot came to rest on its way is what its encoders say afterwards.
 
     Args:
         plane: the focal plane.
         units: tick, quantum and widths of the wire format.
         counts: encoders before the plan [quanta], shape (n, 2).
         logs: its frames, in the order they were published.
+        heard: where encoders were last heard to be [quanta], shape (n, 2); by default what is
+            in the frames, which are not all published while robots move.
     """
     log = FrameLog.joined(logs)
-    rows_of = {
-        (bus, address): np.array([row])
-        for row, (bus, address) in enumerate(zip(plane.bus.tolist(), plane.address.tolist()))
-    }
-    rows_on = {bus: np.flatnonzero(plane.bus == bus) for bus in np.unique(plane.bus).tolist()}
-    stored = np.full(plane.n, -1)  # number of the frame a robot holds
-    running = np.full(plane.n, -1)
-    sequence = np.full(plane.n, -1)
-    starts_s = np.full(plane.n, np.nan)
-    load_s = go_s = start_s = np.nan
-    for frame, opcode, number, countdown_s, called in _orders(log):
-        bus, time_s = int(log.bus[frame]), log.time_s[frame]
-        rows = rows_on[bus] if called else rows_of[bus, int(log.address[frame])]
-        if opcode == Opcode.LOAD:
-            stored[rows], sequence[rows] = frame, number
-            load_s = np.fmin(load_s, time_s)
-        elif opcode == Opcode.CLEAR:
-            stored[rows] = -1
-        elif opcode == Opcode.GO:
-            rows = rows[(stored[rows] >= 0) & (sequence[rows] == number)]
-            running[rows], stored[rows] = stored[rows], -1
-            starts_s[rows] = time_s + countdown_s
-            go_s, start_s = np.fmax(go_s, time_s), np.fmax(start_s, time_s + countdown_s)
-        else:
-            stored[rows] = -1
-            running[rows[starts_s[rows] > time_s]] = -1
-    started = running >= 0
+    runs = follow(plane, log)
+    order = np.argsort(runs.begin_s, kind="stable")
+    runs = runs.only(order)
+    of_leg = np.cumsum(np.diff(runs.begin_s, prepend=-np.inf) > _TOGETHER_S) - 1
+    count = int(of_leg.max(initial=-1)) + 1
+    begins_s = np.array([runs.begin_s[of_leg == leg][0] for leg in range(count)])
     frames = Frames(Addresses(log.bus, log.address, log.ten_bit), log.offsets, log.data)
-    frames = frames[running[started]]
+    said = _Said(log, plane, heard)
+    unheard = np.zeros(plane.n, dtype=bool)
+    legs, here = [], np.asarray(counts)
+    next_s = _next_of_robot(runs)
+    for leg, begin_s in enumerate(begins_s):
+        chosen = np.flatnonzero(of_leg == leg)
+        chosen = chosen[np.argsort(runs.row[chosen], kind="stable")]
+        mine = runs.only(chosen)
+        motion = _motion(units, here, mine.row, frames[mine.frame])
+        legs.append(_leg(plane, motion, mine, begin_s, next_s[chosen], begins_s[0], said, unheard))
+        here = legs[-1].end
+    first = runs.only(of_leg == 0)
+    started, load_bytes = np.zeros(plane.n, dtype=bool), np.zeros(plane.n, dtype=np.int64)
+    started[runs.row] = True
+    load_bytes[runs.row[::-1]] = frames[runs.frame[::-1]].lengths
+    nothing = Leg.whole(WireMotion(units, here, np.zeros(2 * plane.n + 1), [], []))
+    return Replay(
+        tuple(legs) or (nothing,), started, unheard, load_bytes, runs.load_s,
+        float(first.go_s.max()) if count else np.nan, float(begins_s[0]) if count else np.nan,
+    )  # fmt: skip
+
+
+def _next_of_robot(runs):
+    # when the robot of each run begins its next one [s]
+    next_s = np.full(len(runs.row), np.inf)
+    order = np.lexsort([runs.begin_s, runs.row])
+    again = runs.row[order[1:]] == runs.row[order[:-1]]
+    next_s[order[:-1][again]] = runs.begin_s[order[1:][again]]
+    return next_s
+
+
+class _Said:
+    """Where robots said they were, by robot and in time."""
+
+    def __init__(self, log, plane, heard):
+        self.heard = heard
+        replies = StatusReplies(log, rows_of_frames(plane, log))
+        kept = np.flatnonzero(replies.placed)
+        kept = kept[np.lexsort([log.time_s[replies.frame[kept]], replies.row[kept]])]
+        self.time_s = log.time_s[replies.frame[kept]]
+        self.position, self.state = replies.position[kept], replies.state[kept]
+        self._first = np.searchsorted(replies.row[kept], np.arange(plane.n + 1))
+
+    def last(self, row, since_s, until_s):
+        """The last reading of a robot between two times, or None."""
+        part = slice(self._first[row], self._first[row + 1])
+        at = self._first[row] + np.searchsorted(self.time_s[part], until_s) - 1
+        return at if at >= self._first[row] and self.time_s[at] > since_s else None
+
+
+def _motion(units, counts, rows, frames) -> WireMotion:
+    # the orders of some robots, in the order of their rows; the others rest
     orders = decode_load(units, frames)
-    segments = np.zeros((plane.n, 2), dtype=np.int64)
-    segments[started] = np.diff(orders.offsets).reshape(-1, 2)
+    segments = np.zeros((len(counts), 2), dtype=np.int64)
+    segments[rows] = np.diff(orders.offsets).reshape(-1, 2)
     offsets = np.concatenate([[0], np.cumsum(segments)])
-    load_bytes = np.zeros(plane.n, dtype=np.int64)
-    load_bytes[started] = frames.lengths
-    motion = WireMotion(units, counts, offsets, orders.ticks, orders.velocity)
-    return Replay(motion, started, load_bytes, float(load_s), float(go_s), float(start_s))
+    return WireMotion(units, counts, offsets, orders.ticks, orders.velocity)
+
+
+def _leg(plane, motion, runs, begin_s, next_s, zero_s, said, unheard) -> Leg:
+    n, ends_s = len(motion.start), motion.decoded().durations.max(axis=1)
+    stop_us, stop = np.full(n, -1), np.zeros((n, 2), dtype=np.int64)
+    begin_us = round(1e6 * (begin_s - zero_s))
+
+    def stands(row, about_s, place):
+        stood_s = standstill_s(motion, row, place, min(about_s, ends_s[row]))
+        stop_us[row], stop[row] = begin_us + round(1e6 * stood_s), place
+
+    silent = []
+    for row, told_s, until_s in zip(runs.row.tolist(), runs.stop_s.tolist(), next_s.tolist()):
+        at, told_s = said.last(row, begin_s, until_s), told_s - begin_s
+        if at is None and told_s >= ends_s[row]:
+            continue  # nothing says that it did not get to its end
+        moved_on = at is not None and said.state[at] == RobotState.MOVING
+        if at is None or (moved_on and said.time_s[at] < begin_s + ends_s[row]):
+            silent.append((row, said.position[at] if at is not None else motion.start[row]))
+        elif (said.position[at] != motion.end[row]).any():
+            stands(row, told_s, said.position[at])
+    talks = np.unique(plane.bus[np.setdiff1d(runs.row, [row for row, _ in silent])])
+    together_s = runs.stop_s.min(initial=np.inf) - begin_s
+    whole = Leg.whole(motion)
+    for row, place in silent:
+        unheard[row] = True
+        if plane.bus[row] in talks or not np.isfinite(together_s):
+            stands(row, together_s, place if said.heard is None else said.heard[row])
+        elif together_s < ends_s[row]:
+            stop_us[row] = begin_us + round(1e6 * together_s)
+            stop[row] = whole.counts_at([row], [round(1e6 * together_s)])[0]
+    return Leg(motion, begin_us, stop_us, stop)
 
 
 def settled_replay(client: PlaneClient, ended: PlanEnd, counts, timeout_s: float) -> Replay:
@@ -110,7 +190,7 @@ def settled_replay(client: PlaneClient, ended: PlanEnd, counts, timeout_s: float
 
     Args:
         client: has followed the plan.
-        ended: what became of it, to its end without a stop; failed robots may be anywhere.
+        ended: what became of it; failed robots may be anywhere.
         counts: encoders before the plan [quanta], shape (n, 2).
         timeout_s: for the last frames and readings to come in [s].
 
@@ -146,20 +226,4 @@ def unexplained(plane: FocalPlane, told: Replay, ended: PlanEnd, counts) -> np.n
     """
     ended = ended.of(plane.ids)
     obeyed = (ended.outcome != Outcome.FAILED) & (ended.reason != Reason.STOPPED)
-    return (told.motion.end != counts).any(axis=1) & obeyed
-
-
-def _orders(log):
-    # What makes robots store, forget or start: frame, opcode, sequence number, countdown of a
-    # GO [s], and whether it is a general call, which has a prefix.
-    written = np.flatnonzero(~log.read & (log.ack == 0) & (np.diff(log.offsets) > 0))
-    called = (log.address[written] == 0) & ~log.ten_bit[written]
-    first = log.offsets[written] + called * (log.data[log.offsets[written]] == CALL_PREFIX)
-    opcode, number = log.data[first] >> 4, log.data[first] & 15
-    for at in np.flatnonzero(np.isin(opcode, _TOLD)):
-        countdown_s = 0.0
-        if opcode[at] == Opcode.GO:
-            countdown_s = (
-                int.from_bytes(log.data[first[at] + 1 : first[at] + 3].tobytes()) * COUNTDOWN_S
-            )
-        yield written[at], opcode[at], number[at], countdown_s, called[at]
+    return (told.end != counts).any(axis=1) & obeyed

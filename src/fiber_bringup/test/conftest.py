@@ -35,7 +35,7 @@ class Run:
             Graph(bridge=bridge, recorder=recorder, domain=domain) as graph,
             PlaneClient(domain) as client,
         ):
-            client.wait_for_graph(COMPILE_S)
+            client.wait_for_graph(COMPILE_S, also=("recorder",))
             self.plane, self.before = client.plane, client.units.to_counts(client.angles)
             self.targets = new_targets(client, 1)
             self.ended = client.reconfigure(*self.targets, COMPILE_S)
@@ -53,7 +53,7 @@ class Run:
             Graph(bridge=bridge | {"time_scale": 0.2}, recorder=recorder, domain=domain),
             PlaneClient(domain) as client,
         ):
-            client.wait_for_graph(COMPILE_S)
+            client.wait_for_graph(COMPILE_S, also=("recorder",))
             stamp = client.send(*new_targets(client, 2))
             client.wait_ready(stamp, WAIT_S)
             client.start(WAIT_S)

@@ -35,7 +35,7 @@ def heard(folder):
 def test_a_bag_says_the_same(run, tmp_path):
     write_bag(tmp_path / "bag", run.done)
     found = heard(tmp_path / "bag")
-    names = ("layout", "targets", "trajectory", "segments", "joint_states", "outcome")
+    names = ("layout", "targets", "trajectory", "segments", "margins", "joint_states", "outcome")
     assert set(found) == {f"/focal_plane/{name}" for name in names}
     stamp_ns = run.ended.stamp.ns
     for topic, messages in found.items():

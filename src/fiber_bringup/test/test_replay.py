@@ -42,7 +42,7 @@ def go(sequence):
 
 def ends(*logs):
     told = replay(PLANE, UNITS, START, logs)
-    return told, told.motion.end
+    return told, told.end
 
 
 def test_orders_are_followed_from_where_the_encoders_were():

@@ -1,10 +1,17 @@
-"""A simulated focal plane to put a session on: robots, their clocks, their buses."""
+"""A simulated focal plane to put a session on: robots, their clocks, their buses, their faults."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from fiber_bus_bridge.bus import SimulatedBuses, addresses_of, bus_timing
+from fiber_bus_bridge.bus import (
+    FaultKind,
+    Faults,
+    SimulatedBuses,
+    addresses_of,
+    bus_timing,
+    draw_faults,
+)
 from fiber_bus_bridge.errors import BridgeError
 from fiber_bus_bridge.firmware import Positioners
 from fiber_core.focal_plane import FocalPlane
@@ -27,6 +34,9 @@ class SimulationConfig:
         clock: bus clock, as 100k, 400k, 1M, 1.7M or 3.4M.
         clock_ppm: robots' clocks are off by up to this much, either way [1e-6].
         start_skew_s: robots start up to this late after a GO [s].
+        faults: what shall go wrong, as "stall:2,scl_stuck": names of FaultKind, how many of each.
+        faults_from_s: they begin at random times from here on, simulated time [s],
+        faults_until_s: until here [s]. The first plan of 5000 robots moves from 0.6 s on.
     """
 
     problem: str = ""
@@ -37,11 +47,32 @@ class SimulationConfig:
     clock: str = "1M"
     clock_ppm: float = 20.0
     start_skew_s: float = 20e-6
+    faults: str = ""
+    faults_from_s: float = 0.8
+    faults_until_s: float = 2.0
 
     def __post_init__(self):
+        self.fault_kinds()
         for name in ("robots", "seed", "clock_ppm", "start_skew_s"):
             if getattr(self, name) < 0:
                 raise BridgeError(f"{name} is {getattr(self, name)}, expected zero or more")
+
+    def fault_kinds(self) -> list[FaultKind]:
+        """Return the faults asked for, repeated for more of one.
+
+        Raises:
+            BridgeError: one of them does not exist; names those that do.
+        """
+        kinds = []
+        for part in filter(None, self.faults.split(",")):
+            name, _, count = part.strip().partition(":")
+            if name.upper() not in FaultKind.__members__ or not (count or "1").isdigit():
+                names = ", ".join(kind.name.lower() for kind in FaultKind)
+                raise BridgeError(
+                    f"fault {part.strip()!r}: expected {names}, with :2 for two of it"
+                )
+            kinds += [FaultKind[name.upper()]] * int(count or 1)
+        return kinds
 
 
 def simulated_plane(config: SimulationConfig) -> tuple[FocalPlane, np.ndarray]:
@@ -63,15 +94,21 @@ def simulated_buses(
         plane: the focal plane.
         units: what one count of their encoders is.
         start: where they stand [rad], shape (n, 2).
-        config: bus clock and errors of the robots' clocks.
+        config: bus clock, errors of the robots' clocks, faults.
     """
     rng = np.random.default_rng(config.seed)
+    to = addresses_of(plane)
     positioners = Positioners(
-        addresses_of(plane),
+        to,
         plane.ids,
         units.quantum_prad,
         units.encoder_counts(plane, start),
         clock_ppm=rng.uniform(-config.clock_ppm, config.clock_ppm, plane.n),
         start_skew_s=rng.uniform(0.0, config.start_skew_s, plane.n),
     )
-    return SimulatedBuses(positioners, bus_timing(config.clock))
+    faults = Faults()
+    if kinds := config.fault_kinds():
+        faults = draw_faults(
+            kinds, to.bus, to.address, config.faults_until_s, rng, config.faults_from_s
+        )
+    return SimulatedBuses(positioners, bus_timing(config.clock), faults, rng)

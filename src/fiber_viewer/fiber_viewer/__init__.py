@@ -1,7 +1,9 @@
 """Recordings of a focal plane's reconfigurations, and pictures of them."""
 
 from fiber_viewer.closest import closest_approaches
+from fiber_viewer.errors import RecordingError
 from fiber_viewer.figures import before_and_after
+from fiber_viewer.legs import Leg, counts_at, executed
 from fiber_viewer.page import write_player
 from fiber_viewer.recording import (
     Approaches,
@@ -10,7 +12,6 @@ from fiber_viewer.recording import (
     Events,
     Measured,
     Recording,
-    RecordingError,
 )
 from fiber_viewer.recording_file import load_recording, save_recording
 
@@ -20,11 +21,14 @@ __all__ = [
     "BusLoad",
     "EventKind",
     "Events",
+    "Leg",
     "Measured",
     "Recording",
     "RecordingError",
     "before_and_after",
     "closest_approaches",
+    "counts_at",
+    "executed",
     "load_recording",
     "save_recording",
     "write_player",

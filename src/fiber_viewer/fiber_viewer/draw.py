@@ -12,7 +12,7 @@ import numpy as np
 
 from fiber_core.errors import FiberError
 from fiber_viewer import figures
-from fiber_viewer.recording import RecordingError
+from fiber_viewer.errors import RecordingError
 from fiber_viewer.recording_file import load_recording
 
 __all__ = ["FIGURES", "main"]

@@ -15,7 +15,7 @@ __all__ = ["SCRIPTS", "main", "write_player"]
 _SOURCES = Path(__file__).parent / "player"
 # in the order in which they may refer to each other
 SCRIPTS = (
-    "npz", "kinematics", "clearance", "recording", "theme", "camera", "drawing", "plane",
+    "npz", "kinematics", "legs", "clearance", "recording", "theme", "camera", "drawing", "plane",
     "neighbourhood", "axes", "profiles", "buses", "timeline", "headline", "lists", "address",
     "keys", "app",
 )  # fmt: skip

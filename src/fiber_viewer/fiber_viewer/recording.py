@@ -2,14 +2,17 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 
 from fiber_core.arrays import frozen_array
-from fiber_core.errors import FiberError
+from fiber_core.margins import JointMargins
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_viewer.errors import RecordingError
+from fiber_viewer.legs import Leg, executed
 
 __all__ = [
     "Approaches",
@@ -18,12 +21,7 @@ __all__ = [
     "Events",
     "Measured",
     "Recording",
-    "RecordingError",
 ]
-
-
-class RecordingError(FiberError):
-    """A recording is malformed, or of a version this software does not know."""
 
 
 class EventKind(IntEnum):
@@ -36,6 +34,7 @@ class EventKind(IntEnum):
     BAD_REPLY = 4  # the checksum of a reply was wrong
     FAULT = 5  # a robot reports a fault; the detail is its number
     ALERT = 6  # a robot raises alerts; the detail is their flags
+    LINE = 7  # the lines of a bus failed; the detail is how
 
 
 def _freeze(record, columns):
@@ -150,14 +149,17 @@ class Approaches:
 class Recording:
     """One reconfiguration, from what was asked to what became of every robot.
 
-    Times count from the GO: before it robots rest and orders are loaded.
+    Times count from the moment at which robots begin to move: before it orders are loaded.
 
     Args:
         problem: plane, encoders before the motion, targets.
         units: tick and quantum of the orders.
-        motion: the segments as sent, decoded from the bytes; robots not started rest.
+        legs: the orders as sent, decoded from the bytes, and how far robots got with them;
+            more than one where robots were stopped and went on.
         started: robots a GO reached with an order for it, shape (n,).
         planned: the planner's curves, None where it published none.
+        margins: how far joints could turn beside the orders of the first leg, of all n
+            robots; None where nobody told.
         measured: encoder readings on the way.
         load: how busy the buses were.
         events: what happened on them.
@@ -175,9 +177,10 @@ class Recording:
 
     problem: Problem
     units: WireUnits
-    motion: WireMotion
+    legs: tuple[Leg, ...]
     started: np.ndarray
     planned: SampledMotion | None
+    margins: JointMargins | None
     measured: Measured
     load: BusLoad
     events: Events
@@ -191,7 +194,13 @@ class Recording:
         n = self.problem.plane.n
         whole = dict.fromkeys(("outcome", "reason"), ((n,), np.int64))
         _freeze(self, {"started": ((n,), bool), "error_mm": ((n,), float)} | whole)
-        for name, rows in (("motion", len(self.motion.start)), ("planned", self._planned_rows)):
+        object.__setattr__(self, "legs", tuple(self.legs))
+        told = [(f"leg {k}", len(leg.motion.start)) for k, leg in enumerate(self.legs)]
+        if self.planned is not None:
+            told.append(("planned", self.planned.n))
+        if self.margins is not None:
+            told.append(("margins", len(self.margins)))
+        for name, rows in told or [("legs", 0)]:
             if rows != n:
                 raise RecordingError(f"{name} is of {rows} robots, the plane has {n}")
         last = n + len(self.problem.plane.obstacles) - 1
@@ -204,13 +213,38 @@ class Recording:
                 raise RecordingError(f"{name} {value.max()} is not of this plane, last is {high}")
 
     @property
-    def _planned_rows(self):
-        return self.problem.plane.n if self.planned is None else self.planned.n
+    def motion(self) -> WireMotion:
+        """The orders that were started first, to their end."""
+        return self.legs[0].motion
+
+    @cached_property
+    def decoded(self) -> SegmentMotion:
+        """The motion as it was carried out, in rad and s; one rest is one segment of it."""
+        return executed(self.legs)
 
     @property
-    def decoded(self) -> SegmentMotion:
-        """The motion as sent, in rad and s."""
-        return self.motion.decoded()
+    def order_segments(self) -> np.ndarray:
+        """Number of segments in each order of each motor, shape (legs, n, 2)."""
+        return np.stack([np.diff(leg.motion.offsets).reshape(-1, 2) for leg in self.legs])
+
+    @cached_property
+    def active_s(self) -> np.ndarray:
+        """When each robot of each leg moved, from and until [s], shape (legs, n, 2), nan: not."""
+        spans = np.full((len(self.legs), self.problem.plane.n, 2), np.nan)
+        for span, leg in zip(spans, self.legs):
+            moves = np.diff(leg.motion.offsets).reshape(-1, 2).any(axis=1)
+            ends = 1e-6 * leg.begin_us + leg.motion.decoded().durations.max(axis=1, initial=0.0)
+            span[moves, 0] = 1e-6 * leg.begin_us
+            span[moves, 1] = np.where(leg.stopped, 1e-6 * leg.stop_us, ends)[moves]
+        return spans
+
+    @property
+    def pauses_s(self) -> list[tuple[float, float]]:
+        """From when on all were stopped until some went on [s]."""
+        return [
+            (1e-6 * max(int(leg.stop_us.max()), 0), 1e-6 * after.begin_us)
+            for leg, after in zip(self.legs, self.legs[1:])
+        ]
 
     def rows_of(self, ids) -> np.ndarray:
         """Return the rows of robots by id, shape as ids.

@@ -13,10 +13,13 @@ from dataclasses import asdict
 import numpy as np
 
 from fiber_core.errors import FiberError
+from fiber_core.margins import JointMargins
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.problem import problem_columns, problem_of
 from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_viewer.errors import RecordingError
+from fiber_viewer.legs import Leg, counts_at
 from fiber_viewer.recording import (
     Approaches,
     BusLoad,
@@ -24,14 +27,14 @@ from fiber_viewer.recording import (
     Events,
     Measured,
     Recording,
-    RecordingError,
 )
 
-__all__ = ["FORMAT", "VERSION", "load_recording", "ordered_counts", "save_recording"]
+__all__ = ["FORMAT", "VERSION", "load_recording", "save_recording"]
 
 FORMAT = "fiber recording"
-VERSION = 1
+VERSION = 2
 _PLANNED_RAD = 1e-6  # planned angles are rounded to this
+_MARGIN_RAD = 1e-3  # walls are rounded inwards to this
 _NAMES = {"outcome": Outcome, "reason": Reason, "event": EventKind}
 _EVENTS = {"time_s": "<f8", "kind": "u1", "bus": "<i4", "row": "<i4", "detail": "<i4"}
 
@@ -60,14 +63,18 @@ def _columns(recording):
         "bus_begin_s": recording.load.begin_s,
         "bus_bin_s": recording.load.bin_s,
     }
-    motion, measured = recording.motion, recording.measured
-    off = measured.counts - ordered_counts(motion, measured.row, measured.time_us)
+    legs, measured = recording.legs, recording.measured
+    off = measured.counts - counts_at(legs, measured.row, measured.time_us)
+    sizes = np.cumsum([0] + [len(leg.motion.ticks) for leg in legs])
     columns = problem_columns(recording.problem) | {
         "about": np.frombuffer(json.dumps(about).encode(), np.uint8),
-        "start_counts": motion.start.astype("<i4"),
-        "offsets": motion.offsets.astype("<i4"),
-        "ticks": motion.ticks.astype("<i4"),
-        "velocity": motion.velocity.astype("<i4"),
+        "start_counts": recording.motion.start.astype("<i4"),
+        "offsets": np.stack([leg.motion.offsets + s for leg, s in zip(legs, sizes)]).astype("<i4"),
+        "ticks": np.concatenate([leg.motion.ticks for leg in legs]).astype("<i4"),
+        "velocity": np.concatenate([leg.motion.velocity for leg in legs]).astype("<i4"),
+        "leg_begin_us": np.array([leg.begin_us for leg in legs], "<i4"),
+        "leg_stop_us": np.stack([leg.stop_us for leg in legs]).astype("<i4"),
+        "leg_stop_counts": np.stack([leg.stop for leg in legs]).astype("<i4"),
         "started": recording.started,
         "outcome": recording.outcome.astype("u1"),
         "reason": recording.reason.astype("u1"),
@@ -87,34 +94,18 @@ def _columns(recording):
     if recording.planned is not None:
         columns["planned_time_s"] = recording.planned.time_s
         columns["planned_step_urad"] = _steps(np.rint(recording.planned.angles / _PLANNED_RAD))
+    if recording.margins is not None:
+        margins = recording.margins
+        walls = [np.ceil(margins.low / _MARGIN_RAD), np.floor(margins.high / _MARGIN_RAD)]
+        columns["margin_lasts_s"] = margins.lasts_s.astype("<f4")
+        columns["margin_step_mrad"] = _steps(np.stack(walls, axis=2), "<i2")
     return columns
 
 
-def _steps(values):
+def _steps(values, kind="<i4"):
     # from each value to the next, the first as it is
     steps = np.diff(values.astype(np.int64), axis=-1, prepend=0)
-    return np.ascontiguousarray(steps.astype("<i4"))
-
-
-def ordered_counts(motion: WireMotion, row, time_us) -> np.ndarray:
-    """Return where orders put robots at some times, in whole numbers only [quanta], (m, 2).
-
-    Args:
-        motion: the orders.
-        row: robots, shape (m,).
-        time_us: times from the GO on [us], shape (m,).
-    """
-    profile = 2 * np.asarray(row, dtype=np.int64)[:, None] + [0, 1]
-    left = np.repeat(np.maximum(np.asarray(time_us, dtype=np.int64), 0)[:, None], 2, axis=1)
-    counts = motion.start.ravel()[profile]
-    segment, stop = motion.offsets[profile], motion.offsets[profile + 1]
-    tick_us = motion.units.tick_us
-    while (inside := segment < stop).any():
-        at = np.where(inside, segment, 0)
-        spent = np.where(inside, np.minimum(left, motion.ticks[at] * tick_us), 0)
-        counts = counts + np.where(inside, motion.velocity[at] * spent // tick_us, 0)
-        left, segment = left - spent, segment + 1
-    return counts
+    return np.ascontiguousarray(steps.astype(kind))
 
 
 def load_recording(path) -> Recording:
@@ -153,11 +144,9 @@ def _read(path):
 
 def _recording(data, about, name) -> Recording:
     units = WireUnits(**about.pop("units"))
-    motion = WireMotion(
-        units, data["start_counts"], data["offsets"], data["ticks"], data["velocity"]
-    )
+    legs = _legs(data, units)
     row, time_us = data["measured_row"], np.cumsum(data["measured_step_us"], dtype=np.int64)
-    counts = ordered_counts(motion, row, time_us) + data["measured_off_counts"]
+    counts = counts_at(legs, row, time_us) + data["measured_off_counts"]
     planned = None
     if "planned_time_s" in data:
         angles = np.cumsum(data["planned_step_urad"], axis=-1, dtype=np.int64) * _PLANNED_RAD
@@ -169,9 +158,10 @@ def _recording(data, about, name) -> Recording:
     return Recording(
         problem=problem_of(data, name),
         units=units,
-        motion=motion,
+        legs=legs,
         started=data["started"],
         planned=planned,
+        margins=_margins(data),
         measured=Measured(row, time_us, counts),
         load=load,
         events=Events(**{name: data[f"event_{name}"] for name in _EVENTS}),
@@ -181,3 +171,28 @@ def _recording(data, about, name) -> Recording:
         approaches=Approaches(data["pair_row"], data["pair_gap_mm"], data["pair_time_s"]),
         about=about,
     )
+
+
+def _legs(data, units):
+    # version 1 has one, which was cut where it was stopped
+    offsets, start = np.atleast_2d(data["offsets"]), data["start_counts"]
+    legs = []
+    for k, own in enumerate(offsets):
+        part = slice(own[0], own[-1])
+        motion = WireMotion(units, start, own - own[0], data["ticks"][part], data["velocity"][part])
+        leg = Leg.whole(motion)
+        if "leg_begin_us" in data:
+            begin_us = int(data["leg_begin_us"][k])
+            leg = Leg(motion, begin_us, data["leg_stop_us"][k], data["leg_stop_counts"][k])
+        legs.append(leg)
+        start = leg.end
+    return tuple(legs)
+
+
+def _margins(data):
+    if "margin_lasts_s" not in data:
+        return None
+    walls = _MARGIN_RAD * np.cumsum(data["margin_step_mrad"], axis=-1, dtype=np.int64)
+    low, high = walls[:, :, 0], walls[:, :, 1]
+    # walls nearer to each other than they are rounded are one
+    return JointMargins(data["margin_lasts_s"], np.minimum(low, high), high)

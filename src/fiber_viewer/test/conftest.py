@@ -5,6 +5,7 @@ import pytest
 
 from fiber_core import kinematics
 from fiber_core.clearance import Safety, certify
+from fiber_core.margins import JointMargins
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
@@ -16,18 +17,59 @@ from fiber_viewer import (
     BusLoad,
     EventKind,
     Events,
+    Leg,
     Measured,
     Recording,
     closest_approaches,
+    counts_at,
+    executed,
     save_recording,
 )
-from fiber_viewer.recording_file import ordered_counts
 
 ROBOTS = 37
 HELD, FAILED, DISABLED = 5, 11, 20  # rows
 
 
-def random_recording(seed: int, name: str = "desi") -> Recording:
+STOP_US, ON_US = 300_300, 455_001  # when all are stopped, and when some go on
+
+
+def stopped(motion, rng):
+    """Return orders as far as STOP_US, and the rest of them from ON_US on, without one robot."""
+    n, tick_us = len(motion.start), motion.units.tick_us
+    rows = np.flatnonzero(1e6 * motion.decoded().durations.max(axis=1) > STOP_US)
+    stop_us, stop = np.full(n, -1), np.zeros((n, 2), dtype=int)
+    stop_us[rows] = STOP_US
+    stop_us[FAILED] = 211_000  # by itself
+    stop[rows] = counts_at([Leg.whole(motion)], rows, stop_us[rows]) + rng.integers(-3, 4)
+    first = Leg(motion, 0, stop_us, stop)
+    passed, lengths = STOP_US // tick_us, np.zeros((n, 2), dtype=int)
+    ticks, velocity = [], []
+    for row in rows[rows != FAILED]:
+        for joint in (0, 1):
+            part = slice(*motion.offsets[2 * row + joint : 2 * row + joint + 2])
+            left = np.clip(np.cumsum(motion.ticks[part]) - passed, 0, motion.ticks[part])
+            ticks += left[left > 0].tolist()
+            velocity += motion.velocity[part][left > 0].tolist()
+            lengths[row, joint] = (left > 0).sum()
+    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    again = WireMotion(motion.units, first.end, offsets, ticks, velocity)
+    return first, Leg.whole(again, ON_US)
+
+
+def margins_of(motion, rng):
+    """Return walls at random distances from what is done."""
+    decoded = motion.decoded()
+    lasts = decoded.durations.max(axis=1)
+    sent = np.stack(
+        [np.stack([decoded(t)[row] for t in np.linspace(0, lasts[row], 7)], axis=-1)
+         for row in range(decoded.n)]
+    )  # fmt: skip
+    return JointMargins(
+        lasts, sent - rng.uniform(0.01, 1, sent.shape), sent + rng.uniform(0.01, 1, sent.shape)
+    )
+
+
+def random_recording(seed: int, name: str = "desi", goes_wrong: bool = False) -> Recording:
     """Draw orders that know nothing of neighbours: robots may meet, which a player must show."""
     rng = np.random.default_rng(seed)
     plane = preset(name, ROBOTS).with_enabled(np.arange(ROBOTS) != DISABLED)
@@ -40,7 +82,8 @@ def random_recording(seed: int, name: str = "desi") -> Recording:
     ticks = rng.integers(1, 200, offsets[-1])
     velocity = rng.integers(-500, 500, offsets[-1])
     motion = WireMotion(units, start, offsets, ticks, velocity)
-    decoded = motion.decoded()
+    legs = stopped(motion, rng) if goes_wrong else (Leg.whole(motion),)
+    decoded = executed(legs)
     targets = kinematics.forward(plane, decoded.end)[1]
     targets[3] = np.nan
     problem = Problem(plane, decoded.start, targets)
@@ -53,16 +96,17 @@ def random_recording(seed: int, name: str = "desi") -> Recording:
     row = np.repeat(np.flatnonzero(started), 6)
     time_us = np.tile(rng.integers(0, 3_000_000, 6), int(started.sum())) + np.arange(len(row))
     off = rng.integers(-90, 90, (len(row), 2))
-    counts = ordered_counts(motion, row, time_us) + off
+    counts = counts_at(legs, row, time_us) + off
     safety = Safety()
     certificate = certify(plane, decoded, safety)
     report = plan_report(problem, decoded, certificate, outcome, reason)
     return Recording(
         problem=problem,
         units=units,
-        motion=motion,
+        legs=legs,
         started=started,
         planned=planned,
+        margins=margins_of(motion, rng),
         measured=Measured(row, time_us, counts),
         load=BusLoad(
             [0], -0.02, 0.005, rng.integers(0, 9, (1, 300)), rng.integers(0, 99, (1, 300))
@@ -97,7 +141,20 @@ def recording() -> Recording:
 
 
 @pytest.fixture(scope="session")
+def resumed() -> Recording:
+    """All were stopped on the way and went on, but for one."""
+    return random_recording(2, goes_wrong=True)
+
+
+@pytest.fixture(scope="session")
 def recording_file(recording, tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "recording.npz"
     save_recording(path, recording)
+    return path
+
+
+@pytest.fixture(scope="session")
+def resumed_file(resumed, tmp_path_factory):
+    path = tmp_path_factory.mktemp("recording") / "resumed.npz"
+    save_recording(path, resumed)
     return path

@@ -1,8 +1,10 @@
 """The figures show the numbers they are given: assertions on data and artists."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from matplotlib.collections import PolyCollection, QuadMesh
+from matplotlib.collections import QuadMesh
 from matplotlib.patches import Polygon
 
 from fiber_core import kinematics
@@ -142,29 +144,46 @@ def test_velocities_are_steps_of_the_segments_and_slopes_of_the_plan(recording):
             np.testing.assert_allclose(levels, [-limit, limit])
 
 
-def test_positions_are_curve_band_segments_and_readings(recording):
-    row, planned = 6, recording.planned
-    margin = np.full((1, 2, len(planned.time_s)), 0.1)
-    for band in (None, margin):
-        for joint, axes in enumerate(figures.positions(recording, [row], band).axes):
-            np.testing.assert_allclose(
-                _line(axes, "planned").get_ydata(), np.rad2deg(planned.angles[row, joint])
-            )
-            sent = _line(axes, "sent")
-            for t, angle in zip(*sent.get_data()):
-                assert angle == pytest.approx(np.rad2deg(recording.decoded(t)[row, joint]))
-            chosen = recording.measured.row == row
-            counts = recording.measured.counts[chosen, joint]
-            read = _line(axes, "encoder")
-            np.testing.assert_allclose(
-                read.get_ydata(), np.rad2deg(recording.units.to_angles(counts))
-            )
-            bands = [c for c in axes.collections if isinstance(c, PolyCollection)]
-            assert len(bands) == (band is not None)
-            if bands:
-                edge = bands[0].get_paths()[0].vertices
-                curve = np.rad2deg(planned.angles[row, joint])
-                assert edge[:, 1].max() == pytest.approx(curve.max() + np.rad2deg(0.1))
+@pytest.mark.parametrize("name", ["recording", "resumed"])
+def test_positions_are_curve_band_segments_and_readings(request, name):
+    recording = request.getfixturevalue(name)
+    row = int(recording.order_segments[0].sum(axis=1).argmax())
+    planned, margins, leg = recording.planned, recording.margins, recording.legs[0]
+    for joint, axes in enumerate(figures.positions(recording, [row]).axes):
+        np.testing.assert_allclose(
+            _line(axes, "planned").get_ydata(), np.rad2deg(planned.angles[row, joint])
+        )
+        sent = _line(axes, "sent")
+        for t, angle in zip(*sent.get_data()):
+            assert angle == pytest.approx(np.rad2deg(recording.decoded(t)[row, joint]))
+        chosen = recording.measured.row == row
+        counts = recording.measured.counts[chosen, joint]
+        read = _line(axes, "encoder")
+        np.testing.assert_allclose(read.get_ydata(), np.rad2deg(recording.units.to_angles(counts)))
+        (band,) = (c for c in axes.collections if c.get_label() == "margin")
+        edge = band.get_paths()[0].vertices
+        ends = 1e-6 * leg.stop_us[row] if leg.stopped[row] else margins.lasts_s[row]
+        assert edge[:, 0].max() == pytest.approx(ends)
+        for k, t in enumerate(margins.times_s(row)):
+            if t < ends:
+                drawn = edge[np.isclose(edge[:, 0], t), 1]
+                walls = np.rad2deg([margins.low[row, joint, k], margins.high[row, joint, k]])
+                np.testing.assert_allclose([drawn.min(), drawn.max()], walls)
+
+
+def test_without_a_margin_there_is_no_band(recording):
+    axes = figures.positions(replace(recording, margins=None), [6]).axes[0]
+    assert not axes.collections
+
+
+def test_the_time_in_which_all_were_stopped_is_shaded(resumed):
+    (pause,) = resumed.pauses_s
+    assert pause == pytest.approx((0.3003, 0.455001))
+    for figure in (figures.velocities(resumed, [6]), figures.positions(resumed, [6])):
+        for axes in figure.axes:
+            (span,) = (p for p in axes.patches if p.get_label() == "all stopped")
+            box = span.get_extents().transformed(axes.transData.inverted())
+            assert (box.x0, box.x1) == pytest.approx(pause)
 
 
 def test_every_pair_is_in_the_histogram_of_clearances(recording):
@@ -185,6 +204,15 @@ def test_robots_moving_go_down_to_none_at_the_makespan(recording):
         assert values[np.searchsorted(edges, t, side="right") - 1] == moving
     assert edges[-1] == motion.makespan_s
     assert _line(axes, "lower bound").get_xdata()[0] == recording.about["report"]["lower_bound_s"]
+
+
+def test_nobody_moves_while_all_are_stopped(resumed):
+    (axes,) = figures.makespan(resumed).axes
+    values, edges, _ = next(p for p in axes.patches if hasattr(p, "get_data")).get_data()
+    again = resumed.legs[1].motion.decoded().counts.any(axis=1).sum()
+    lasts = np.delete(resumed.legs[0].motion.decoded().durations.max(axis=1), 11)  # it had failed
+    for t, moving in ((0.25, (lasts > 0.25).sum()), (0.4, 0), (0.456, again)):
+        assert values[np.searchsorted(edges, t, side="right") - 1] == moving
 
 
 def test_every_moving_motor_is_in_the_figure_of_segments(recording):

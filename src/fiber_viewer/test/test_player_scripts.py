@@ -33,7 +33,7 @@ def node(tmp_path):
         imports = "".join(
             f"import * as {name} from {json.dumps((PLAYER / f'{name}.js').as_uri())};\n"
             for name in ("recording", "kinematics", "clearance", "neighbourhood", "profiles")
-            + ("address", "headline", "axes")
+            + ("address", "headline", "axes", "legs")
         )
         (tmp_path / "run.mjs").write_text(
             imports.replace("* as recording", "* as opened")
@@ -60,10 +60,14 @@ def drawn_times(recording, rng):
     """Times before, in and after the motion, and every instant at which a segment ends."""
     motion = recording.decoded
     ends = [motion.duration_s[a:b].sum() for a, b in zip(motion.offsets[:-1], motion.offsets[1:])]
+    # sums of stops and of rests have a last digit of their own
+    ends = np.array(ends) + (1e-9 if len(recording.legs) > 1 else 0.0)
     return np.concatenate([rng.uniform(-0.2, 1.1 * motion.makespan_s, DRAWS), ends, [0.0]])
 
 
-def test_angles_speeds_and_segments_are_those_of_the_motion(node, recording, recording_file):
+@pytest.mark.parametrize("name", ["recording", "resumed"])
+def test_angles_speeds_and_segments_are_those_of_the_motion(node, request, name):
+    recording, recording_file = (request.getfixturevalue(n) for n in (name, f"{name}_file"))
     rng = np.random.default_rng(3)
     times = drawn_times(recording, rng)
     profiles = rng.integers(0, 2 * recording.decoded.n, len(times))
@@ -199,7 +203,7 @@ def test_the_page_reads_what_python_wrote(node, recording, recording_file):
             exact = recording.units.to_angles(counts)
             # whole numbers are floored once in each of up to five segments
             assert np.abs(np.deg2rad(angle) - exact).max(initial=0) < 6 * quantum
-    moving, reached, held, failed, idle, disabled = range(6)
+    moving, reached, held, failed, idle, disabled, stopped = range(7)
     states = dict(enumerate(told["late"]))
     assert (states[5], states[11], states[3], states[20]) == (held, failed, idle, disabled)
     assert Counter(states.values())[reached] == plane.n - 4
@@ -211,6 +215,58 @@ def test_the_page_reads_what_python_wrote(node, recording, recording_file):
     assert told["faults"] == [[11, 0.3], [11, 0.4]]
     assert told["frames"] == recording.load.frames.ravel().tolist()
     assert told["verdict"] == "33 of 36 robots reached their targets; 2 held, 1 failed."
+
+
+def test_states_follow_stop_and_second_start(node, resumed, resumed_file):
+    first, again = resumed.legs
+    stop_s, on_s = 300_300e-6, 455_001e-6
+    times = [0.1, 0.2, 0.212, stop_s - 1e-3, stop_s + 1e-3, on_s - 1e-3, on_s + 1e-3, 9.0]
+    told = node(
+        resumed_file,
+        """
+        const { plane, motion } = recording;
+        const all = (t) => Array.from(plane.ids, (_, row) => opened.stateAt(recording, row, t));
+        answer = {
+          states: asked.times.map(all),
+          pauses: legs.pausesOf(motion),
+        };
+        """,
+        times=times,
+    )
+    states = dict(zip(times, np.array(told["states"])))
+    moving, reached, _, failed, _, _, stopped = range(7)
+    np.testing.assert_allclose(told["pauses"], [[stop_s, on_s]])
+    goes_on = first.stopped & again.motion.decoded().counts.any(axis=1)
+    assert goes_on.sum() > 20
+    for t, state in zip(times[3:7], (moving, stopped, stopped, moving)):
+        assert (states[t][goes_on] == state).all(), t
+    assert (states[9.0][np.flatnonzero(goes_on)[-5:]] == reached).all()
+    # one stopped by itself, and is seen to have failed from then on
+    assert [states[t][11] for t in times[:5]] == [moving, moving] + 3 * [failed]
+
+
+@pytest.mark.parametrize("name", ["recording", "resumed"])
+def test_the_margin_is_drawn_as_it_was_told_and_ends_at_a_stop(node, request, name):
+    recording, file = (request.getfixturevalue(n) for n in (name, f"{name}_file"))
+    margins, rows = recording.margins, [0, 7, 11, 30]
+    told = node(
+        file,
+        """
+        const { marginBand } = profiles;
+        answer = asked.rows.map((row) => [0, 1].map((j) => marginBand(recording, row, j)));
+        """,
+        rows=rows,
+    )
+    first = recording.legs[0]
+    for row, joints in zip(rows, told):
+        for joint, band in enumerate(joints):
+            time_s, low, high = np.reshape(band, (-1, 3)).T
+            until = 1e-6 * first.stop_us[row] if first.stopped[row] else np.inf
+            ends = min(until, margins.lasts_s[row])
+            assert time_s[-1] == pytest.approx(ends) and (np.diff(time_s) > 0).all()
+            for drawn, wall in ((low, margins.low), (high, margins.high)):
+                exact = np.interp(time_s, margins.times_s(row), wall[row, joint])
+                np.testing.assert_allclose(np.deg2rad(drawn), exact, atol=1.1e-3)
 
 
 def test_six_moments_hold_the_nearest_and_stay_inside(node, recording_file):
@@ -240,7 +296,7 @@ def test_an_address_says_what_was_seen(node, recording_file):
 
 
 @pytest.mark.parametrize(
-    ("version", "said"), [(99, "newer than this page"), (1, None)], ids=["newer", "this"]
+    ("version", "said"), [(99, "newer than this page"), (2, None)], ids=["newer", "this"]
 )
 def test_a_newer_recording_is_refused_by_the_page(node, recording_file, tmp_path, version, said):
     data = dict(np.load(recording_file))

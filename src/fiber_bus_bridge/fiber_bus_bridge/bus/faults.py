@@ -66,7 +66,9 @@ class Faults:
     events: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=EVENT))
 
 
-def draw_faults(kinds, bus, address, until_s: float, rng: np.random.Generator) -> Faults:
+def draw_faults(
+    kinds, bus, address, until_s: float, rng: np.random.Generator, from_s: float = 0.0
+) -> Faults:
     """Draw one fault of each kind given, at a random time, bus and robot.
 
     Args:
@@ -75,11 +77,12 @@ def draw_faults(kinds, bus, address, until_s: float, rng: np.random.Generator) -
         address: its address, shape (n,).
         until_s: they begin before this time [s].
         rng: where chance comes from.
+        from_s: and from this time on [s].
     """
     lines, noise, stretches, events = [], [], [], []
     for kind in kinds:
         # early ones are more frequent: they meet configuration, LOAD, VERIFY and GO
-        at, lasts = until_s * rng.random() ** 3, 10 ** rng.uniform(-4, 1)
+        at, lasts = from_s + (until_s - from_s) * rng.random() ** 3, 10 ** rng.uniform(-4, 1)
         row = int(rng.integers(len(bus)))
         until = at + lasts if rng.random() < 0.7 else FOREVER
         if kind in _LINES:

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from fiber_viewer.figures.style import JOINTS
-from fiber_viewer.recording import Recording
+from fiber_viewer.figures.style import JOINTS, STOPPED
+from fiber_viewer.recording import EventKind, Recording
 
 __all__ = ["bus_load", "clearances", "makespan", "segments"]
 
@@ -40,26 +40,31 @@ def clearances(recording: Recording) -> Figure:
 def makespan(recording: Recording) -> Figure:
     """Draw how many robots still move over time, the makespan, and the bound below it."""
     report, motion = recording.about["report"], recording.decoded
-    ends = np.sort(motion.durations.max(axis=1))
-    ends = ends[ends > 0]
+    begins, ends = recording.active_s[np.isfinite(recording.active_s[..., 0])].T
+    times, at = np.unique(np.concatenate([begins, ends, [0.0]]), return_inverse=True)
+    change = np.concatenate([np.ones(len(begins)), -np.ones(len(ends)), [0.0]])
+    moving = np.cumsum(np.bincount(at, change))[:-1]
     figure, axes = _axes(
         f"makespan {motion.makespan_s:.3f} s, lower bound {report['lower_bound_s']:.3f} s",
         "time [s]",
         "robots moving",
     )
-    axes.stairs(
-        np.arange(len(ends), 0, -1), np.concatenate([[0.0], ends]), fill=True, color="#56B4E9"
-    )
+    if len(moving):
+        axes.stairs(moving, times, fill=True, color="#56B4E9")
+    for begin_s, end_s in recording.pauses_s:
+        axes.axvspan(begin_s, end_s, color=STOPPED, alpha=0.25, lw=0, label="all stopped")
     axes.axvline(report["lower_bound_s"], color="black", ls="--", lw=1, label="lower bound")
     axes.axvline(motion.makespan_s, color="#D55E00", lw=1.5, label="makespan")
     axes.set_xlim(0, 1.05 * max(motion.makespan_s, report["lower_bound_s"], 1e-3))
-    axes.legend()
+    axes.set_ylim(bottom=0)
+    named = dict(zip(*reversed(axes.get_legend_handles_labels())))
+    axes.legend(named.values(), named)
     return figure
 
 
 def segments(recording: Recording) -> Figure:
-    """Draw how many motors were sent how many segments, of those that move."""
-    counts = recording.decoded.counts
+    """Draw how many orders of motors have how many segments, of those that move."""
+    counts = recording.order_segments.reshape(-1, 2)
     moving = counts[counts > 0]
     mean = moving.mean() if len(moving) else 0.0
     figure, axes = _axes(f"{mean:.2f} segments a moving motor", "segments", "motors")
@@ -79,7 +84,7 @@ def bus_load(recording: Recording) -> Figure:
     load, events = recording.load, recording.events
     figure, axes = _axes(
         f"{load.frames.sum()} frames, {load.bytes.sum()} bytes on {len(load.buses)} buses",
-        "time from the GO on [s]",
+        "time from the begin of the motion on [s]",
         "bus",
     )
     axes.grid(False)
@@ -93,7 +98,9 @@ def bus_load(recording: Recording) -> Figure:
     if bad.any():
         axes.plot(events.time_s[bad], rows[bad], "X", color="#D55E00", ms=7, label="fault")
         axes.legend()
-    axes.axvline(0.0, color="white", lw=1)
+    for kind, color in ((EventKind.GO, "white"), (EventKind.STOP, "#D55E00")):
+        for time_s in np.unique(events.time_s[events.kind == kind]):
+            axes.axvline(time_s, color=color, lw=1)
     step = -(-len(load.buses) // 20)
     axes.set_yticks(np.arange(0, len(load.buses), step), load.buses[::step])
     return figure

@@ -3,10 +3,12 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from fiber_viewer.figures.style import JOINTS, PLANNED
+from fiber_viewer.figures.style import JOINTS, PLANNED, STOPPED
 from fiber_viewer.recording import Recording
 
 __all__ = ["positions", "velocities"]
+
+_LEAST_VIEW_DEG = 15.0  # of a margin that is wider than the way
 
 
 def _panels(recording, rows, name):
@@ -17,6 +19,8 @@ def _panels(recording, rows, name):
         for (joint, _), axes in zip(JOINTS, pair):
             axes.set_title(f"robot {recording.problem.plane.ids[row]}, {joint}", fontsize=10)
             axes.grid(color="#e5e5e5")
+            for begin_s, end_s in recording.pauses_s:
+                axes.axvspan(begin_s, end_s, color=STOPPED, alpha=0.15, lw=0, label="all stopped")
         pair[0].set_ylabel(name)
     ends_s = recording.decoded.durations[rows].max(initial=0.0)
     for axes in panels[-1]:
@@ -56,33 +60,27 @@ def velocities(recording: Recording, rows) -> Figure:
             for sign in (-1, 1):
                 axes.axhline(sign * limit, ls="--", lw=0.9, color="black")
             axes.set_ylim(-1.15 * limit, 1.15 * limit)
-    panels[0, 0].legend(loc="best", fontsize=8)
+    _legend(panels[0, 0])
     return figure
 
 
-def positions(recording: Recording, rows, margin_rad=None) -> Figure:
+def positions(recording: Recording, rows) -> Figure:
     """Draw the positions of both motors: planned curve, margin, segments, encoder readings.
+
+    The margin is how far the joint could turn beside what was sent, until the robot was stopped.
 
     Args:
         recording: the reconfiguration.
         rows: robots, shape (k,); one row of panels each.
-        margin_rad: how far each joint of these robots may leave its planned curve at the
-            planned times [rad], shape (k, 2, t), as fiber_discretizer.margin gives it; by
-            default no band, for the graph does not publish it.
     """
     figure, rows, panels = _panels(recording, rows, "position [deg]")
     motion, planned, measured = recording.decoded, recording.planned, recording.measured
-    for k, (row, pair) in enumerate(zip(rows, panels)):
+    for row, pair in zip(rows, panels):
         heard = measured.row == row
         for joint, axes in enumerate(pair):
             if planned is not None:
                 curve = planned.angles[row, joint]
                 axes.plot(planned.time_s, np.rad2deg(curve), color=PLANNED, label="planned")
-                if margin_rad is not None:
-                    band = np.rad2deg([curve - margin_rad[k, joint], curve + margin_rad[k, joint]])
-                    axes.fill_between(
-                        planned.time_s, *band, color=PLANNED, alpha=0.25, lw=0, label="margin"
-                    )
             lasts, speed = _segments(motion, row, joint)
             times = np.concatenate([[0.0], np.cumsum(lasts)])
             angles = motion.start[row, joint] + np.concatenate([[0.0], np.cumsum(lasts * speed)])
@@ -97,5 +95,33 @@ def positions(recording: Recording, rows, margin_rad=None) -> Figure:
                 np.rad2deg(recording.units.to_angles(measured.counts[heard, joint])),
                 "o", ms=5, mfc="none", mec="black", mew=0.8, label="encoder",
             )  # fmt: skip
-    panels[0, 0].legend(loc="best", fontsize=8)
+            _margin(recording, row, joint, axes)
+    _legend(panels[0, 0])
     return figure
+
+
+def _margin(recording, row, joint, axes):
+    # walls of the margin, in view as far as they leave the curves legible
+    curves = np.concatenate([line.get_ydata() for line in axes.lines])
+    low, high = curves.min(), curves.max()
+    below = above = 0.0
+    margins = recording.margins
+    if margins is not None and margins.lasts_s[row] > 0:
+        time_s, until_s = margins.times_s(row), recording.active_s[0, row, 1]
+        shown = np.append(time_s[time_s < until_s], min(until_s, time_s[-1]))
+        walls = np.rad2deg(
+            [np.interp(shown, time_s, w[row, joint]) for w in (margins.low, margins.high)]
+        )
+        axes.fill_between(shown, *walls, color=PLANNED, alpha=0.22, lw=0, label="margin")
+        for wall in walls:
+            axes.plot(shown, wall, color=PLANNED, lw=0.7)
+        most = max(high - low, _LEAST_VIEW_DEG)
+        below = min(low - min(low, walls[0].min()), most)
+        above = min(max(high, walls[1].max()) - high, most)
+    pad = max(0.06 * (high - low + below + above), 1.0)
+    axes.set_ylim(low - below - pad, high + above + pad)
+
+
+def _legend(axes):
+    named = dict(zip(*reversed(axes.get_legend_handles_labels())))
+    axes.legend(named.values(), named, loc="best", fontsize=8)

@@ -5,7 +5,7 @@ import numpy as np
 from fiber_core.outcomes import Outcome
 from fiber_core.problem import Problem
 
-__all__ = ["COLORS", "JOINTS", "PLANNED", "states_of"]
+__all__ = ["COLORS", "JOINTS", "PLANNED", "STOPPED", "states_of"]
 
 # Okabe-Ito colours, apart for every kind of colour blindness
 COLORS = {
@@ -17,6 +17,7 @@ COLORS = {
 }
 JOINTS = (("theta", "#0072B2"), ("phi", "#D55E00"))
 PLANNED = "#7f7f7f"
+STOPPED = "#6a4c93"  # between a stop of all and going on
 
 
 def states_of(problem: Problem, outcome) -> np.ndarray:

@@ -50,7 +50,7 @@ class App {
       this.redraw();
     });
     for (const { canvas } of this.panels) this.observer.observe(canvas);
-    showHeadline(this, { title: byId("title"), subtitle: byId("subtitle"), figures: byId("figures") });
+    showHeadline(this, { title: byId("title"), subtitle: byId("subtitle"), figures: byId("figures"), notes: byId("notes") });
     const wished = Math.max(motion.makespan, 0.01) / PLAY_S;
     const off = (speed) => Math.abs(Math.log(speed / wished));
     this.speed = SPEEDS.reduce((best, speed) => (off(speed) < off(best) ? speed : best));
@@ -125,6 +125,11 @@ class App {
     this.seek(fault.time);
   }
 
+  goToStop(time) {
+    this.play(false);
+    this.seek(time);
+  }
+
   goToRobot(row) {
     this.watch(row);
     const pair = nearestPair(this.recording, [row]);
@@ -176,7 +181,7 @@ class App {
     this.legendText = text;
     byId("legend").replaceChildren(...STATE_NAMES.map((name, state) => {
       const entry = document.createElement("span"), dot = document.createElement("i");
-      dot.style.background = `var(--${["moving", "reached", "held", "failed", "idle", "disabled"][state]})`;
+      dot.style.background = `var(--${["moving", "reached", "held", "failed", "idle", "disabled", "stopped"][state]})`;
       entry.append(dot, `${counts[state]} ${name}`);
       entry.hidden = counts[state] === 0;
       return entry;

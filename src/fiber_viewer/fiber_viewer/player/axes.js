@@ -60,9 +60,24 @@ export class Axes {
     ctx.restore();
   }
 
-  /** Draws points as small rings, or filled. */
+  /** Fills between two lines, given as x, low, high, x, low, high, ... */
+  band(ctx, values, color, alpha) {
+    ctx.save();
+    this.clip(ctx);
+    ctx.beginPath();
+    for (let i = 0; i < values.length; i += 3) ctx.lineTo(this.x(values[i]), this.y(values[i + 1]));
+    for (let i = values.length - 3; i >= 0; i -= 3) ctx.lineTo(this.x(values[i]), this.y(values[i + 2]));
+    ctx.closePath();
+    ctx.fillStyle = color;
+    ctx.globalAlpha = alpha;
+    ctx.fill();
+    ctx.restore();
+  }
+
+  /** Draws points as small rings, or filled; none beside the plot. */
   dots(ctx, values, color, radius, filled) {
     for (let i = 0; i < values.length; i += 2) {
+      if (values[i] < this.xLow || values[i] > this.xHigh) continue;
       ctx.beginPath();
       ctx.arc(this.x(values[i]), this.y(values[i + 1]), radius, 0, 2 * Math.PI);
       if (filled) {

@@ -12,7 +12,7 @@ export class BusesPanel {
     });
     const { load, events } = app.recording, sum = (values) => values.reduce((a, b) => a + b, 0);
     const bad = events.filter((event) => event.bad);
-    const tries = bad.filter((event) => ["no_address", "refused", "bad_reply"].includes(event.kind)).length;
+    const tries = bad.filter((event) => ["no_address", "refused", "bad_reply", "line"].includes(event.kind)).length;
     note.textContent =
       `${sum(load.frames).toLocaleString("en")} frames, ${sum(load.bytes).toLocaleString("en")} bytes on ` +
       `${load.buses} ${load.buses === 1 ? "bus" : "buses"}; ${tries} failed, ${bad.length - tries} faults and alerts`;

@@ -21,14 +21,20 @@ export function verdict({ asked, reached, held, failed }) {
 }
 
 /** Fills title, subtitle and figures of the page. */
-export function showHeadline(app, { title, subtitle, figures }) {
+export function showHeadline(app, { title, subtitle, figures, notes }) {
   const { recording } = app, { about, plane } = recording, told = figuresOf(recording);
   title.textContent = `${about.report.plane || "Focal plane"}: ${verdict(told)}`;
   const when = new Date(about.plan_ns / 1e6).toISOString().slice(0, 19).replace("T", " ");
   subtitle.textContent = [
     `${plane.n} robots`, `${when} UTC`, about.planner && `planner ${about.planner}`,
-    about.seed >= 0 && `seed ${about.seed}`, about.software, ...(about.notes ?? []),
+    about.seed >= 0 && `seed ${about.seed}`, about.software,
   ].filter(Boolean).join("  ·  ");
+  notes.replaceChildren(...(about.notes ?? []).map((note) => {
+    const item = document.createElement("li");
+    item.textContent = note;
+    return item;
+  }));
+  notes.hidden = !about.notes?.length;
   const nearest = recording.pairs[0];
   const rows = [
     ["reached", `${told.reached}`, ` of ${told.asked}`],

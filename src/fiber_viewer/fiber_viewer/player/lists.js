@@ -1,5 +1,5 @@
 // Where to look: closest approaches, faults, robots that did not reach their targets.
-import { HELD, FAILED, bodyName, eventText, faultsOf, reasonOf, stateAt } from "./recording.js";
+import { HELD, FAILED, bodyName, eventText, faultsOf, reasonOf, stateAt, stopsOf } from "./recording.js";
 
 const SHOWN = 200; // entries of a list; more are found by id
 
@@ -15,14 +15,14 @@ export class Lists {
     this.faults = faultsOf(recording);
     this.contents = {
       closest: { name: "Closest", entries: pairs.map((pair) => this.approach(pair)) },
-      faults: { name: "Faults", entries: this.faults.map((fault) => this.fault(fault)) },
+      faults: { name: "Faults", count: this.faults.length, entries: this.story() },
       missed: { name: "Not reached", entries: missed.map((row) => this.robot(row)) },
     };
-    tabs.replaceChildren(...Object.entries(this.contents).map(([key, { name, entries }]) => {
+    tabs.replaceChildren(...Object.entries(this.contents).map(([key, { name, entries, count }]) => {
       const tab = document.createElement("button");
       tab.setAttribute("role", "tab");
       tab.dataset.tab = key;
-      tab.textContent = key === "closest" ? name : `${name} (${entries.length})`;
+      tab.textContent = key === "closest" ? name : `${name} (${count ?? entries.length})`;
       tab.addEventListener("click", () => this.show(key));
       return tab;
     }));
@@ -36,6 +36,15 @@ export class Lists {
       cells: [`${pair.gap.toFixed(3)} mm`, `${bodyName(recording, pair.a)} – ${bodyName(recording, pair.b)}`, `at ${pair.time.toFixed(3)} s`],
       act: () => this.app.goToApproach(pair),
     };
+  }
+
+  /** Faults, and the stops and new starts that came of them, in order of time. */
+  story() {
+    const faults = this.faults.map((fault) => ({ time: fault.time, ...this.fault(fault) }));
+    const stops = stopsOf(this.app.recording).map(({ time, what }) => ({
+      time, cells: [`${time.toFixed(3)} s`, "", what], act: () => this.app.goToStop(time),
+    }));
+    return [...faults, ...stops].sort((a, b) => a.time - b.time);
   }
 
   fault(fault) {

@@ -1,5 +1,6 @@
 // Panels 4 and 5: velocities and positions of both motors of the watched robot.
 import { angleAt, velocityAt } from "./kinematics.js";
+import { pausesOf } from "./legs.js";
 import { Axes } from "./axes.js";
 import { cleared, colors, write } from "./theme.js";
 
@@ -53,6 +54,36 @@ export function readings(recording, row, joint) {
   return points;
 }
 
+/** How far a joint could turn beside what was sent: time, low, high [deg], ... until a stop. */
+export function marginBand(recording, row, joint) {
+  const { margins, motion } = recording, band = [];
+  if (!margins || !(margins.lasts[row] > 0)) return band;
+  const { count, low, high } = margins, first = (2 * row + joint) * count;
+  const until = motion.legs[0].stop === null ? Infinity : motion.active.ends[row];
+  for (let k = 0; k < count; k++) {
+    const time = (k / (count - 1)) * margins.lasts[row];
+    const [l, h] = [low[first + k] / DEGREE, high[first + k] / DEGREE];
+    if (time > until) {
+      // what was not carried out has no margin: the band ends at the stop
+      const [t0, l0, h0] = band.slice(-3), share = (until - t0) / (time - t0);
+      band.push(until, l0 + share * (l - l0), h0 + share * (h - h0));
+      break;
+    }
+    band.push(time, l, h);
+  }
+  return band;
+}
+
+// From below to above the curves, with their margins as far as these leave them legible.
+function rangeOf(values, margin) {
+  const low = Math.min(...values), high = Math.max(...values), most = Math.max(high - low, 15);
+  const walls = (wall) => margin.filter((_, i) => i % 3 === wall);
+  const below = Math.min(low - Math.min(low, ...walls(1)), most);
+  const above = Math.min(Math.max(high, ...walls(2)) - high, most);
+  const pad = Math.max(0.06 * (high - low + below + above), 1);
+  return [low - below - pad, high + above + pad];
+}
+
 class ProfilesPanel {
   constructor(canvas, note, app) {
     Object.assign(this, { canvas, note, app });
@@ -86,10 +117,17 @@ class ProfilesPanel {
     });
     this.note.textContent = `robot ${recording.plane.ids[row]} — ${this.legend}`;
   }
+
+  /** Shades the times between a stop of all and going on. */
+  shadePauses(ctx, axes) {
+    for (const [from, to] of pausesOf(this.app.recording.motion)) {
+      axes.band(ctx, [from, axes.yLow, axes.yHigh, to, axes.yLow, axes.yHigh], colors.stopped, 0.16);
+    }
+  }
 }
 
 export class VelocityPanel extends ProfilesPanel {
-  legend = "planned thin, segments as sent bold, limits dashed";
+  legend = "sent bold, planned thin, limits dashed";
 
   plot(ctx, box, row, joint, end, t) {
     const { motion, planned, plane } = this.app.recording, profile = 2 * row + joint;
@@ -97,6 +135,7 @@ export class VelocityPanel extends ProfilesPanel {
     const axes = new Axes(box, [0, end], [-1.12 * limit, 1.12 * limit]);
     const now = Math.round((velocityAt(motion, profile, t) / DEGREE) * 10) / 10;
     axes.frame(ctx, "s", `${JOINTS[joint]}: ${(now || 0).toFixed(1)} deg/s`);
+    this.shadePauses(ctx, axes);
     for (const sign of [-1, 1]) axes.curve(ctx, [0, sign * limit, end, sign * limit], colors.soft, 1, [5, 4]);
     if (planned) axes.curve(ctx, plannedCurve(planned, profile, true), colors.plan, 1.2);
     axes.curve(ctx, velocitySteps(motion, profile, end), colors[JOINTS[joint]], 2.4);
@@ -106,18 +145,23 @@ export class VelocityPanel extends ProfilesPanel {
 }
 
 export class PositionPanel extends ProfilesPanel {
-  legend = "planned thin, segments bold with their ends, encoder readings as rings";
+  legend = "sent bold, planned thin, rings: encoders, band: margin";
 
   plot(ctx, box, row, joint, end, t) {
     const { recording } = this.app, { motion, planned } = recording, profile = 2 * row + joint;
     const sent = breakPoints(motion, profile), read = readings(recording, row, joint);
     const plan = planned ? plannedCurve(planned, profile, false) : [];
     const values = [...sent, ...read, ...plan].filter((_, i) => i % 2);
-    const low = Math.min(...values), high = Math.max(...values), room = Math.max(0.08 * (high - low), 1);
-    const axes = new Axes(box, [0, end], [low - room, high + room]);
+    const margin = marginBand(recording, row, joint);
+    const axes = new Axes(box, [0, end], rangeOf(values, margin));
     const now = angleAt(motion, profile, t) / DEGREE;
     axes.frame(ctx, "s", `${JOINTS[joint]}: ${now.toFixed(2)} deg`);
     const color = colors[JOINTS[joint]];
+    this.shadePauses(ctx, axes);
+    if (margin.length) {
+      axes.band(ctx, margin, colors.plan, 0.2);
+      for (const wall of [1, 2]) axes.curve(ctx, margin.filter((_, i) => i % 3 === 0 || i % 3 === wall), colors.plan, 0.8);
+    }
     axes.curve(ctx, [...sent, end, sent.at(-1)], color, 2.4);
     axes.curve(ctx, plan, colors.plan, 1.2);
     axes.dots(ctx, sent, color, 3.4, true);

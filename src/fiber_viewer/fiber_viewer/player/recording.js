@@ -1,13 +1,13 @@
 // A recording opened: plain typed arrays by name. docs/recording.md describes the file.
 import { readNpz } from "./npz.js";
-import { unroll } from "./kinematics.js";
+import { motionOf } from "./legs.js";
 
-const NEWEST_VERSION = 1;
-const MICRORADIAN = 1e-6;
+const NEWEST_VERSION = 2;
+const MICRORADIAN = 1e-6, MILLIRADIAN = 1e-3;
 
 // What a robot looks like at a time.
-export const MOVING = 0, REACHED = 1, HELD = 2, FAILED = 3, IDLE = 4, DISABLED = 5;
-export const STATE_NAMES = ["moving", "reached", "held", "failed", "nothing asked", "disabled"];
+export const MOVING = 0, REACHED = 1, HELD = 2, FAILED = 3, IDLE = 4, DISABLED = 5, STOPPED = 6;
+export const STATE_NAMES = ["moving", "reached", "held", "failed", "nothing asked", "disabled", "stopped"];
 
 /** Opens the bytes of a recording. Throws an Error that says what is wrong with them. */
 export async function openRecording(bytes) {
@@ -25,6 +25,7 @@ export async function openRecording(bytes) {
     plane,
     motion,
     planned: plannedOf(arrays),
+    margins: marginsOf(arrays),
     measured: measuredOf(arrays, about.units, plane.n),
     load: loadOf(arrays, about),
     events: eventsOf(arrays, about),
@@ -64,18 +65,6 @@ function planeOf(arrays) {
   };
 }
 
-function motionOf(arrays, units) {
-  const quantum = units.quantum_prad * 1e-12, tick = units.tick_us * 1e-6;
-  return unroll({
-    start: Float64Array.from(arrays.start_counts.data, (c) => c * quantum),
-    offsets: arrays.offsets.data,
-    duration: Float64Array.from(arrays.ticks.data, (k) => k * tick),
-    velocity: Float64Array.from(arrays.velocity.data, (v) => v * (quantum / tick)),
-    quantum,
-    tick,
-  });
-}
-
 // The planner's curves: angle k of profile p is angles[p * times.length + k].
 function plannedOf(arrays) {
   if (!arrays.planned_time_s) return null;
@@ -86,6 +75,19 @@ function plannedOf(arrays) {
     angles[at] = sum * MICRORADIAN;
   }
   return { times, angles };
+}
+
+// How far joints could turn: walls of joint j of a row at instant k of `count` equally spaced
+// ones are low[(2 row + j) count + k] and high[...]; the last instant is at lasts[row].
+function marginsOf(arrays) {
+  if (!arrays.margin_lasts_s) return null;
+  const steps = arrays.margin_step_mrad.data, count = arrays.margin_step_mrad.shape[3];
+  const low = new Float64Array(steps.length / 2), high = new Float64Array(steps.length / 2);
+  for (let wall = 0; wall < steps.length / count; wall++) {
+    const to = wall % 2 ? high : low, at = (wall >> 1) * count;
+    for (let k = 0, sum = 0; k < count; k++) to[at + k] = (sum += steps[wall * count + k]) * MILLIRADIAN;
+  }
+  return { count, low, high, lasts: arrays.margin_lasts_s.data };
 }
 
 // Encoder readings by robot: those of a row are order[offsets[row] .. offsets[row + 1]].
@@ -135,8 +137,16 @@ function pairsOf(arrays) {
 export function stateAt(recording, row, t) {
   const { plane, motion, started, outcome, reason } = recording;
   if (!plane.enabled[row]) return DISABLED;
-  const ends = Math.max(motion.end[2 * row], motion.end[2 * row + 1]);
-  if (started[row] && t < ends) return MOVING;
+  if (started[row]) {
+    const { active, legs } = motion, n = plane.n;
+    for (let leg = 0, before = false; leg < legs.length; leg++) {
+      const ends = active.ends[leg * n + row];
+      if (Number.isNaN(ends)) continue; // not in this leg
+      if (before && t < legs[leg].begin) return STOPPED;
+      if (t < ends) return MOVING;
+      before = true;
+    }
+  }
   if (outcome[row] === 0) return REACHED;
   if (outcome[row] === 2) return FAILED;
   return recording.about.names.reason[reason[row]] === "no_target" ? IDLE : HELD;
@@ -168,9 +178,23 @@ export function eventText(recording, { kind, detail }) {
   return `${word(kind)} ${word(codes[kind]?.[detail] ?? String(detail))}`;
 }
 
+/** Returns when all were stopped and when some went on: [{time, what}, ...]. */
+export function stopsOf(recording) {
+  const { motion, plane } = recording, { legs, active } = motion;
+  return legs.flatMap(({ begin, stop }, leg) => {
+    const ends = active.ends.subarray(leg * plane.n, (leg + 1) * plane.n);
+    const moving = ends.reduce((count, end) => count + !Number.isNaN(end), 0);
+    const told = leg ? [{ time: begin, what: `${moving} robots go on` }] : [];
+    return stop === null ? told : [...told, { time: stop, what: "all are stopped" }];
+  });
+}
+
 /** Returns everything that went wrong: bad events, then robots that failed without one. */
 export function faultsOf(recording) {
-  const faults = recording.events.filter((event) => event.bad);
+  const bad = recording.events.filter((event) => event.bad);
+  const explained = new Set(bad.filter(({ kind }) => kind === "fault").map(({ row, time }) => `${row} ${time}`));
+  // a robot that reports a fault raises alerts with it
+  const faults = bad.filter(({ kind, row, time }) => kind !== "alert" || !explained.has(`${row} ${time}`));
   const told = new Set(faults.map((fault) => fault.row));
   recording.outcome.forEach((outcome, row) => {
     if (outcome === 2 && !told.has(row)) {

@@ -2,7 +2,7 @@
 
 const NAMES = [
   "ground", "card", "ink", "soft", "line", "faint", "accent", "watch", "moving", "reached",
-  "held", "failed", "idle", "disabled", "theta", "phi", "plan", "gap",
+  "held", "failed", "idle", "disabled", "stopped", "theta", "phi", "plan", "gap",
 ];
 
 /** Colours by name, and those of states in the order of STATE_NAMES; see readColors. */
@@ -12,7 +12,7 @@ export const colors = {};
 export function readColors() {
   const style = getComputedStyle(document.documentElement);
   for (const name of NAMES) colors[name] = style.getPropertyValue(`--${name}`).trim();
-  colors.states = ["moving", "reached", "held", "failed", "idle", "disabled"].map((n) => colors[n]);
+  colors.states = ["moving", "reached", "held", "failed", "idle", "disabled", "stopped"].map((n) => colors[n]);
 }
 
 /** Sets light or dark; null for what the system prefers. */

@@ -1,5 +1,6 @@
 // The line at the bottom: how many robots move, closest approaches, faults, and the time.
-import { faultsOf } from "./recording.js";
+import { MOVING, faultsOf, stateAt } from "./recording.js";
+import { pausesOf } from "./legs.js";
 import { cleared, colors, write } from "./theme.js";
 import { disc, line } from "./drawing.js";
 
@@ -12,11 +13,11 @@ export class Timeline {
     Object.assign(this, { canvas, app });
     const { motion, plane, pairs } = app.recording;
     this.moving = new Float64Array(SAMPLES + 1);
-    for (let row = 0; row < plane.n; row++) {
-      const ends = Math.max(motion.end[2 * row], motion.end[2 * row + 1]);
-      const last = Math.ceil((ends / Math.max(motion.makespan, 1e-9)) * SAMPLES);
-      for (let k = 0; k < last; k++) this.moving[k]++;
+    for (let k = 0; k < SAMPLES; k++) {
+      const t = (k / SAMPLES) * motion.makespan;
+      for (let row = 0; row < plane.n; row++) this.moving[k] += stateAt(app.recording, row, t) === MOVING;
     }
+    this.pauses = pausesOf(motion);
     this.approaches = pairs.slice(0, APPROACHES);
     this.faults = faultsOf(app.recording);
     canvas.addEventListener("pointerdown", (event) => {
@@ -61,6 +62,13 @@ export class Timeline {
     line(ctx, [this.x(begin), base], [this.x(end), base], colors.line, 3);
     line(ctx, [this.x(begin), base], [this.x(t), base], colors.accent, 3);
     line(ctx, [this.x(0), base - 5], [this.x(0), base + 5], colors.soft, 1.5);
+    for (const [from, to] of this.pauses) {
+      ctx.fillStyle = colors.stopped;
+      ctx.globalAlpha = 0.25;
+      ctx.fillRect(this.x(from), top - 2, this.x(to) - this.x(from), base - top);
+      ctx.globalAlpha = 1;
+      if (this.x(to) - this.x(from) > 50) write(ctx, "stopped", (this.x(from) + this.x(to)) / 2, top + 8, colors.soft, "center");
+    }
     for (const { time } of this.approaches) diamond(ctx, this.x(time), 7, 4, colors.gap);
     for (const { time } of this.faults) cross(ctx, this.x(time), 7, 4, colors.failed);
     line(ctx, [this.x(t), 2], [this.x(t), base], colors.accent, 1.6);

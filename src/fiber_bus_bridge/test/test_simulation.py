@@ -1,0 +1,38 @@
+"""A simulated plane whose faults are asked for by name."""
+
+import numpy as np
+import pytest
+
+from fiber_bus_bridge import BridgeError, SimulationConfig, simulated_buses
+from fiber_bus_bridge.bus import FaultKind
+from fiber_bus_bridge.firmware import Event
+from fiber_core.presets import preset
+from fiber_core.wire_units import WireUnits
+
+PLANE = preset("desi", 37)
+UNITS = WireUnits.for_plane(PLANE)
+START = np.tile([0.0, 3.0], (37, 1))
+
+
+def test_faults_are_named_and_counted():
+    kinds = SimulationConfig(faults="stall:2, Reset").fault_kinds()
+    assert kinds == [FaultKind.STALL, FaultKind.STALL, FaultKind.RESET]
+    assert SimulationConfig().fault_kinds() == []
+
+
+@pytest.mark.parametrize("faults", ["stal", "stall:x", "stall:-1", ":2"])
+def test_a_fault_that_is_not_there_is_refused_with_those_that_are(faults):
+    with pytest.raises(BridgeError, match="stuck_joint"):
+        SimulationConfig(faults=faults)
+
+
+def test_they_come_when_they_are_asked_for_and_alike_for_a_seed():
+    config = SimulationConfig(faults="stall:20", faults_from_s=3.0, faults_until_s=3.5, seed=4)
+    events = [simulated_buses(PLANE, UNITS, START, config)._faults.events for _ in range(2)]
+    assert np.array_equal(*events) and len(events[0]) == 20
+    assert set(events[0]["event"]) <= {Event.JAM_THETA, Event.JAM_PHI}
+    assert 3.0 <= events[0]["t"].min() < events[0]["t"].max() < 3.5
+    other = simulated_buses(
+        PLANE, UNITS, START, SimulationConfig(faults="stall:20", faults_from_s=3.0, seed=5)
+    )
+    assert not np.array_equal(other._faults.events, events[0])
