@@ -133,7 +133,12 @@ class _Said:
         kept = kept[np.lexsort([log.time_s[replies.frame[kept]], replies.row[kept]])]
         self.time_s = log.time_s[replies.frame[kept]]
         self.position, self.state = replies.position[kept], replies.state[kept]
-        self._first = np.searchsorted(replies.row[kept], np.arange(plane.n + 1))
+        self._row = replies.row[kept]
+        self._first = np.searchsorted(self._row, np.arange(plane.n + 1))
+
+    def since(self, time_s):
+        """Robots that said something from a time on."""
+        return np.unique(self._row[self.time_s >= time_s])
 
     def last(self, row, since_s, until_s):
         """The last reading of a robot between two times, or None."""
@@ -170,7 +175,7 @@ def _leg(plane, motion, runs, begin_s, next_s, zero_s, said, unheard) -> Leg:
             silent.append((row, said.position[at] if at is not None else motion.start[row]))
         elif (said.position[at] != motion.end[row]).any():
             stands(row, told_s, said.position[at])
-    talks = np.unique(plane.bus[np.setdiff1d(runs.row, [row for row, _ in silent])])
+    talks = plane.bus[said.since(runs.stop_s.min(initial=np.inf))]
     together_s = runs.stop_s.min(initial=np.inf) - begin_s
     whole = Leg.whole(motion)
     for row, place in silent:

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ import pytest
 import fiber_viewer
 from fiber_core import kinematics
 from fiber_core.clearance import gaps, neighbour_pairs
+from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
-from fiber_viewer import load_recording
+from fiber_viewer import load_recording, save_recording
 from fiber_viewer.page import SCRIPTS, script
 
 PLAYER = Path(fiber_viewer.__file__).parent / "player"
@@ -333,3 +335,27 @@ def test_a_file_of_the_page_stays_readable(path):
 def test_presets_with_and_without_theta_outlines_are_both_tested():
     assert load_recording(OUTLINES).problem.plane.theta_vertices.shape[1]
     assert not preset("desi", 3).theta_vertices.shape[1]
+
+
+def test_robots_that_fail_together_are_one_fault_at_the_instant_they_stood(node, resumed, tmp_path):
+    rows = np.arange(len(resumed.outcome))
+    together = (rows < 9) & resumed.legs[0].stopped
+    bad = together | (rows == 11)  # that one stopped by itself
+    names = vars(resumed.events)
+    failed = replace(
+        resumed,
+        outcome=np.where(bad, Outcome.FAILED, Outcome.REACHED),
+        reason=np.where(bad, Reason.NOT_ACKNOWLEDGED, Reason.OK),
+        legs=(resumed.legs[0],),  # nobody goes on
+        events=replace(resumed.events, **{n: getattr(resumed.events, n)[:1] for n in names}),
+    )
+    save_recording(tmp_path / "failed.npz", failed)
+    told = node(
+        tmp_path / "failed.npz",
+        "answer = opened.faultsOf(recording).map(({ time, row, kind }) => [time, row, kind]);",
+    )
+    assert together.sum() > 3
+    assert told == [
+        [pytest.approx(0.211), 11, "failed: not acknowledged"],
+        [pytest.approx(0.3003), -1, f"{together.sum()} robots failed: not acknowledged"],
+    ]

@@ -4,6 +4,7 @@ import { motionOf } from "./legs.js";
 
 const NEWEST_VERSION = 2;
 const MICRORADIAN = 1e-6, MILLIRADIAN = 1e-3;
+const FEW = 3; // robots that fail together on a bus and are named one by one
 
 // What a robot looks like at a time.
 export const MOVING = 0, REACHED = 1, HELD = 2, FAILED = 3, IDLE = 4, DISABLED = 5, STOPPED = 6;
@@ -196,10 +197,24 @@ export function faultsOf(recording) {
   // a robot that reports a fault raises alerts with it
   const faults = bad.filter(({ kind, row, time }) => kind !== "alert" || !explained.has(`${row} ${time}`));
   const told = new Set(faults.map((fault) => fault.row));
+  const together = new Map(); // robots that failed without a word, by bus, instant and reason
   recording.outcome.forEach((outcome, row) => {
-    if (outcome === 2 && !told.has(row)) {
-      faults.push({ time: recording.end, kind: reasonOf(recording, row), row, bus: recording.plane.bus[row] });
-    }
+    if (outcome !== 2 || told.has(row)) return;
+    const time = stoodSince(recording, row), kind = reasonOf(recording, row), bus = recording.plane.bus[row];
+    const key = [bus, time.toFixed(3), kind].join();
+    if (!together.has(key)) together.set(key, []);
+    together.get(key).push({ time, kind, row, bus });
   });
+  for (const group of together.values()) {
+    const [{ time, kind, bus }] = group;
+    if (group.length > FEW) faults.push({ time, kind: `${group.length} robots ${kind}`, row: -1, bus });
+    else faults.push(...group);
+  }
   return faults.sort((a, b) => a.time - b.time);
+}
+
+// When a robot last moved; without any motion, the end.
+function stoodSince({ motion, plane, end }, row) {
+  const ends = motion.legs.map((_, leg) => motion.active.ends[leg * plane.n + row]);
+  return ends.filter((time) => !Number.isNaN(time)).at(-1) ?? end;
 }
