@@ -81,8 +81,9 @@ demo: build ## take 5000 simulated robots through one reconfiguration, into out/
 		$(if $(TARGETS),--targets $(TARGETS)) $(if $(FAULTS),--faults $(FAULTS)) --out $(OUT)
 
 .PHONY: screenshots
-screenshots: build ## take the pictures of docs/images from the last demo (needs chromium)
-	@$(INSTALLED) && $(PYTHON) tools/screenshots.py $(OUT)/recording.npz
+screenshots: build ## take the pictures of docs/images from the last demo, and out/faults (needs chromium)
+	@$(INSTALLED) && $(PYTHON) tools/screenshots.py $(OUT)/recording.npz \
+		$(addprefix --faults ,$(wildcard out/faults/recording.npz))
 
 .PHONY: bench
 bench: build ## plan one field with no ROS and print one JSON line, into OUT

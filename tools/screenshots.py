@@ -1,7 +1,9 @@
 #!/usr/bin/env python3
 """Take the pictures of docs/images from the output of `make demo`, with a headless Chromium.
 
-The plane's figures come from the same recording. Run by `make screenshots`.
+The figures come from the same recording. One picture is of a night that went wrong, if there is a
+recording of it: `make demo FAULTS=scl_stuck,stall:2 SEED=4 OUT=out/faults`. `make screenshots`
+runs this.
 """
 
 import argparse
@@ -14,6 +16,7 @@ from pathlib import Path
 
 from PIL import Image
 
+from fiber_core.outcomes import Outcome
 from fiber_viewer import figures, load_recording
 from fiber_viewer.page import write_player
 
@@ -23,6 +26,7 @@ _SHOTS = {
     "player-dark.png": ((1440, 1990), 0.55, "theme=dark"),
     "player-phone.png": ((500, 980), 0.40, "theme=light"),
 }
+_FAULTS = ("player-faults.png", (1440, 1010), "theme=light")
 _FLAGS = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --hide-scrollbars "
     "--disable-background-networking --disable-component-update --disable-sync "
@@ -34,6 +38,7 @@ def main(argv: list[str] | None = None) -> int:
     """Take all pictures; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("recording", type=Path, nargs="?", default=Path("out/demo/recording.npz"))
+    parser.add_argument("--faults", type=Path, help="recording of a night that went wrong")
     parser.add_argument("-o", "--out", type=Path, default=Path("docs/images"))
     args = parser.parse_args(argv)
     browser = shutil.which("chromium")
@@ -45,17 +50,30 @@ def main(argv: list[str] | None = None) -> int:
     figures.conflict(recording).savefig(args.out / "conflict.png", dpi=80)
     rows = figures.conflict_rows(recording)[:2]
     figures.velocities(recording, rows).savefig(args.out / "velocities.png", dpi=80)
+    bent = recording.order_segments[0].max(axis=1).argsort(kind="stable")[-2:]
+    figures.positions(recording, bent).savefig(args.out / "positions.png", dpi=80)
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "player.html"
         write_player(page, args.recording)
         for name, (size, part, more) in _SHOTS.items():
             moment = f"#t={part * recording.decoded.makespan_s:.3f}&{more}"
-            _shoot(browser, page.as_uri() + moment, args.out / name, size, Path(folder) / "profile")
-            Image.open(args.out / name).convert("RGB").quantize(
-                256, Image.Quantize.MAXCOVERAGE
-            ).save(args.out / name)
-            print(args.out / name)
+            _picture(browser, page, moment, args.out / name, size, folder)
+        if args.faults:
+            write_player(page, args.faults)
+            name, size, more = _FAULTS
+            wrong = load_recording(args.faults)
+            t = wrong.pauses_s[-1][0] if wrong.pauses_s else wrong.decoded.makespan_s
+            robot = wrong.problem.plane.ids[(wrong.outcome == Outcome.FAILED).argmax()]
+            moment = f"#t={t:.3f}&robots={robot}&{more}"
+            _picture(browser, page, moment, args.out / name, size, folder)
     return 0
+
+
+def _picture(browser, page, moment, path, size, folder):
+    _shoot(browser, page.as_uri() + moment, path, size, Path(folder) / "profile")
+    picture = Image.open(path).convert("RGB")
+    picture.quantize(256, Image.Quantize.MAXCOVERAGE).save(path)
+    print(path)
 
 
 def _shoot(browser, address, picture, size, profile):

@@ -16,6 +16,7 @@ __all__ = ["bus_story"]
 _BINS = 400  # of the bus load over a plan, at most
 _FINEST_S = 0.005
 _FAILED = {Ack.NO_ADDRESS: EventKind.NO_ADDRESS, Ack.REFUSED: EventKind.REFUSED}
+_SENT = (Ack.OK, Ack.NO_ADDRESS, Ack.REFUSED)  # others never got onto the wire as a whole
 _LINES = (Ack.LOST, Ack.STUCK, Ack.TIMED_OUT)
 _BURST_S = 0.05  # failures of the lines of a bus that follow each other faster are one
 _CALLS = {Opcode.GO: EventKind.GO, Opcode.STOP: EventKind.STOP}
@@ -59,10 +60,12 @@ def _load(plane, log, time_s):
     bin_s = max(_FINEST_S, (end - begin) / (_BINS - 1))
     begin = np.floor(begin / bin_s) * bin_s  # so that the GO is at the edge of a bin
     count = int((end - begin) / bin_s) + 1
-    at = np.searchsorted(buses, log.bus) * count + ((time_s - begin) / bin_s).astype(int)
+    sent = np.isin(log.ack, _SENT)
+    bus, passed_s, size = log.bus[sent], (time_s - begin)[sent], np.diff(log.offsets)[sent]
+    at = np.searchsorted(buses, bus) * count + (passed_s / bin_s).astype(int)
     shape = (len(buses), count)
     frames = np.bincount(at, minlength=shape[0] * count).reshape(shape)
-    size = np.bincount(at, np.diff(log.offsets), minlength=shape[0] * count).reshape(shape)
+    size = np.bincount(at, size, minlength=shape[0] * count).reshape(shape)
     return BusLoad(buses, float(begin), float(bin_s), frames, size)
 
 

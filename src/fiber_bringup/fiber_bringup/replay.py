@@ -165,18 +165,18 @@ def _leg(plane, motion, runs, begin_s, next_s, zero_s, said, unheard) -> Leg:
         stood_s = standstill_s(motion, row, place, min(about_s, ends_s[row]))
         stop_us[row], stop[row] = begin_us + round(1e6 * stood_s), place
 
+    first_s = runs.stop_s.min(initial=np.inf)
+    together_s, talks = first_s - begin_s, plane.bus[said.since(first_s)]
     silent = []
     for row, told_s, until_s in zip(runs.row.tolist(), runs.stop_s.tolist(), next_s.tolist()):
         at, told_s = said.last(row, begin_s, until_s), told_s - begin_s
-        if at is None and told_s >= ends_s[row]:
+        if at is None and min(told_s, together_s) >= ends_s[row]:
             continue  # nothing says that it did not get to its end
         moved_on = at is not None and said.state[at] == RobotState.MOVING
         if at is None or (moved_on and said.time_s[at] < begin_s + ends_s[row]):
             silent.append((row, said.position[at] if at is not None else motion.start[row]))
         elif (said.position[at] != motion.end[row]).any():
             stands(row, told_s, said.position[at])
-    talks = plane.bus[said.since(runs.stop_s.min(initial=np.inf))]
-    together_s = runs.stop_s.min(initial=np.inf) - begin_s
     whole = Leg.whole(motion)
     for row, place in silent:
         unheard[row] = True

@@ -112,10 +112,16 @@ def test_robots_that_stop_by_themselves_and_the_others_that_go_on(events):
     assert on.sum() > 20 and not on[bad[0]]
 
 
-def test_robots_on_a_bus_that_dies_stop_when_the_others_are_stopped():
-    night = Night(lines=[(Line.SCL_LOW, 1, 1.0, np.inf, Cure.NOTHING)])
+@pytest.mark.parametrize(
+    ("jam", "dies_s"),
+    [((), 1.0), (((5, 0.9, Event.JAM_THETA, 1),), 0.9385)],
+    ids=["first", "second"],
+)
+def test_robots_on_a_bus_that_dies_stop_when_the_others_are_stopped(jam, dies_s):
+    # the second time before any of them was looked at since they went on
+    night = Night(jam, lines=[(Line.SCL_LOW, 1, dies_s, np.inf, Cure.NOTHING)])
     told, dead = night.told, night.plane.bus == 1
-    assert len(told.legs) == 2 and (night.result.outcome[dead] == Outcome.FAILED).any()
+    assert len(told.legs) == 2 + len(jam) and (night.result.outcome[dead] == Outcome.FAILED).any()
     alive = np.flatnonzero(~dead)
     assert not told.unheard[alive].any() and told.unheard[dead].any()
     assert night.off_rad(alive) < MOST_RAD_S * FRAME_S

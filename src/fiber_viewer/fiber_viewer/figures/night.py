@@ -67,7 +67,7 @@ def segments(recording: Recording) -> Figure:
     counts = recording.order_segments.reshape(-1, 2)
     moving = counts[counts > 0]
     mean = moving.mean() if len(moving) else 0.0
-    figure, axes = _axes(f"{mean:.2f} segments a moving motor", "segments", "motors")
+    figure, axes = _axes(f"{mean:.2f} segments a moving motor", "segments", "orders of motors")
     most = max(int(counts.max(initial=1)), 1)
     for joint, (name, color) in enumerate(JOINTS):
         tall = np.bincount(counts[:, joint], minlength=most + 1)[1:]

@@ -2,7 +2,7 @@
 import { anglesOfAll } from "./kinematics.js";
 import { bodyName } from "./recording.js";
 import { Camera } from "./camera.js";
-import { cleared, colors, write } from "./theme.js";
+import { cleared, colors, label, write } from "./theme.js";
 import { gapBetween } from "./clearance.js";
 import { drawDiscs, drawGap, drawMark, drawRing, drawRobot, drawTarget, hullsOf, reachOf } from "./drawing.js";
 
@@ -51,7 +51,7 @@ export class NeighbourhoodPanel {
       : `nobody is near robot ${plane.ids[robots[0]]}`;
     for (const row of robots) {
       const [x, y] = this.camera.toPixel(plane.center[2 * row], plane.center[2 * row + 1]);
-      write(ctx, String(plane.ids[row]), x, y + 14, colors.ink, "center");
+      label(ctx, String(plane.ids[row]), x, y + 14, colors.ink, "center");
     }
     drawScale(ctx, this.camera, width, height);
   }

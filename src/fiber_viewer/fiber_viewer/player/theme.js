@@ -39,6 +39,15 @@ export function cleared(canvas) {
   return { ctx, width, height };
 }
 
+/** Writes text that stays legible on whatever is below it. */
+export function label(ctx, text, x, y, color, align = "left") {
+  ctx.textAlign = align;
+  ctx.strokeStyle = colors.card;
+  ctx.lineWidth = 3.5;
+  ctx.strokeText(text, x, y);
+  write(ctx, text, x, y, color, align);
+}
+
 /** Writes text; align is left, center or right. */
 export function write(ctx, text, x, y, color, align = "left") {
   ctx.fillStyle = color;
