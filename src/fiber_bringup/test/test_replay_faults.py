@@ -24,7 +24,7 @@ FRAME_S = 1.5e-4  # a frame is dated from its START; the GO is complete a little
 class Night:
     """Folded robots that turn there and back with many segments, and what befalls them."""
 
-    def __init__(self, events=(), lines=(), stop_s=np.inf, config=None):
+    def __init__(self, events=(), lines=(), stop_s=np.inf, attempts=1):
         rows = np.arange(N)
         self.plane = replace(preset("desi", N), bus=rows // 13, address=8 + rows % 13)
         self.units = units = WireUnits.for_plane(self.plane)
@@ -48,16 +48,17 @@ class Night:
         buses.transfer = seen
         session = Session(
             self.plane, units, Safety(), buses, units.to_angles(self.start),
-            config or SessionConfig(),
+            SessionConfig(),
         )  # fmt: skip
         t = session.configure(0.0)
-        session.submit(self._orders(rng))
         session.link.take_traffic()
-        t = session.start(t)
-        while session.state is SessionState.MOVING:
-            t += 0.1
-            t = max(t, session.stop(t) if t > stop_s else session.advance(t))
-        self.result = session.take_result()
+        for _ in range(attempts):
+            session.submit(self._orders(rng, session.counts))
+            t = session.start(t)
+            while session.state is SessionState.MOVING:
+                t += 0.1
+                t = max(t, session.stop(t) if t > stop_s else session.advance(t))
+            self.result = session.take_result()
         self.logs = [frame_log(session.link.take_traffic())]
         self.told = replay(self.plane, units, self.start, self.logs)
         self.encoders = robots.positions(t + 1.0)
@@ -65,14 +66,14 @@ class Night:
         self.heard = session.counts
         self.uploads = len(session.uploads)
 
-    def _orders(self, rng):
+    def _orders(self, rng, counts):
         # theta there and back at several speeds, phi a little in and out, nobody leaves home
-        counts = np.tile([6, 4], N)
+        lengths = np.tile([6, 4], N)
         speed = np.tile([3000, -6000, 5000, -2000, 0, 1500, -500, 400, 0, 100], N)
         ticks = np.tile([60, 70, 90, 50, 20, 120, 90, 70, 40, 80], N)
         ticks = np.maximum(ticks + rng.integers(-20, 20, len(ticks)), 5)
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        return WireMotion(self.units, self.start, offsets, ticks, speed)
+        offsets = np.concatenate([[0], np.cumsum(lengths)])
+        return WireMotion(self.units, counts, offsets, ticks, speed)
 
     def off_rad(self, rows=slice(None)):
         """How far from the truth the replay ever is [rad]."""
@@ -143,6 +144,15 @@ def test_a_robot_that_falls_silent_is_drawn_where_it_was_last_heard():
     np.testing.assert_array_equal(told.end, night.heard)
     off = night.units.to_angles(np.abs(told.end - night.encoders))
     assert off.max() < MOST_RAD_S * 4 * SessionConfig().watch_s
+
+
+def test_another_attempt_goes_on_where_the_first_one_ended():
+    night = Night([(5, 0.9, Event.JAM_THETA, 1)], attempts=2)
+    legs = night.told.legs
+    assert len(legs) == 3 and not legs[1].stopped.any()
+    assert legs[2].motion.decoded().counts.any(axis=1).sum() > 20
+    assert night.off_rad() < MOST_RAD_S * FRAME_S
+    np.testing.assert_array_equal(night.told.end, night.encoders)
 
 
 def test_a_stop_by_hand_leaves_robots_where_they_are():
