@@ -220,6 +220,24 @@ def test_a_fault_is_two_clicks_away(opened, recording):
     assert opened.find_element(By.ID, "watched").text == str(robot)
 
 
+def test_a_stop_of_all_and_going_on_are_two_clicks_away(browser, resumed, resumed_file, tmp_path):
+    write_player(tmp_path / "player.html", resumed_file)
+    open_at(browser, tmp_path / "player.html", "#theme=light")
+    browser.find_element(By.CSS_SELECTOR, "[data-tab=faults]").click()
+    (pause,) = resumed.pauses_s
+    for words, time_s, shown in (("all are stopped", pause[0], True), ("go on", pause[1], False)):
+        entries = browser.find_elements(By.CSS_SELECTOR, "#list button")
+        (entry,) = (e for e in entries if words in e.text)
+        entry.click()
+        drawn(browser)
+        assert time_of(browser) == pytest.approx(time_s)
+        stopped = [e.text for e in browser.find_elements(By.CSS_SELECTOR, "#legend span")]
+        assert any("stopped" in text for text in stopped) == shown
+        arms = picture(browser, "plane")[..., :3]
+        violet = np.abs(arms - color(browser, "stopped")).max(axis=-1) < 0.02
+        assert (violet.sum() > 100) == shown
+
+
 def test_the_closest_approach_is_one_click_away(opened, recording):
     opened.find_element(By.CSS_SELECTOR, "[data-name='least clearance'] button").click()
     near = recording.approaches
