@@ -5,9 +5,10 @@ import pytest
 
 import fiber_bus_bridge.node.hardware
 from fiber_bringup.client import PlaneClient
+from fiber_bringup.disable import OperatorsList
 from fiber_bringup.graph import Graph
 from fiber_bringup.recorder import recording_name
-from fiber_bringup.replay import replay
+from fiber_bringup.replay import replay, settled_replay
 from fiber_bus_bridge import SimulatedBuses
 from fiber_bus_bridge.bus import Faults
 from fiber_bus_bridge.firmware import EVENT, Event
@@ -171,3 +172,36 @@ def test_who_configuration_does_not_find_is_not_planned_for(graph, problem):
     robots.power(LOST, True, 0.0)
     client.call(topics.CONFIGURE, WAIT_S)
     client.until(lambda: client.plane.enabled[LOST].all(), WAIT_S, "all in the layout again")
+
+
+def test_who_was_stopped_for_one_that_fell_silent_goes_on_in_the_next_attempt(graph, problem):
+    # with no resumes the bridge stops the plan and clears by itself, as no operator has stopped it
+    silent = 30
+    client, _ = graph([(silent, 1.0, Event.POWER, 0)], **{"session.resumes": 0})
+    before = client.units.to_counts(client.angles)
+    stamp = ask(client, problem)
+    client.start(WAIT_S)
+    ended = client.wait_end(stamp, WAIT_S)
+    assert client.last_attempt(stamp) == stamp.next_attempt
+    assert (ended.outcome[silent], ended.reason[silent]) == (
+        Outcome.FAILED,
+        Reason.NOT_ACKNOWLEDGED,
+    )
+    # where it stopped is not known: whoever could touch it stays
+    others = problem.asked & (problem.plane.ids != silent)
+    assert set(ended.reason[others]) == {Reason.OK, Reason.UNSAFE_AS_LOADED}
+    assert (ended.outcome == Outcome.REACHED).sum() > 40
+    told = settled_replay(client, ended, before, WAIT_S)
+    assert (told.motion.end != told.motion.start).any(axis=1).sum() > 40
+    near_mm = np.hypot(*(problem.plane.centers - problem.plane.centers[silent]).T)
+    assert near_mm[ended.reason == Reason.UNSAFE_AS_LOADED].max() < 13
+
+
+def test_robots_disabled_after_they_were_planned_for_are_planned_around(graph, problem):
+    client, _ = graph()
+    before = client.units.to_counts(client.angles)
+    stamp = ask(client, problem)
+    OperatorsList(client, WAIT_S).write(LOST, "not tonight")
+    client.start(WAIT_S)
+    ended = check_both_attempts(client, problem, stamp, before)
+    assert np.all(ended.of(LOST).reason == Reason.DISABLED)

@@ -176,8 +176,7 @@ class BridgeNode(Node):
 
     def _ask_again(self, robots):
         """Have a plan planned again for some robots, with all others as obstacles."""
-        if self._session.state is SessionState.STOPPED:  # by itself, and not by an operator
-            self._session.clear(self._now_s())
+        self._session.clear(self._now_s())  # reads where all stand, the failed too if they answer
         self._again = self._stamp.next_attempt
         self._again_until_s = time.monotonic() + self._patience_s
         now_ns = self._tell.now_ns()
