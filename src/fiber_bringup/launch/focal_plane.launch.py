@@ -25,6 +25,9 @@ def generate_launch_description():
             DeclareLaunchArgument("layout", default_value="", description="table of robots"),
             DeclareLaunchArgument("problem", default_value="", description="problem.npz"),
             DeclareLaunchArgument(
+                "disabled_file", default_value="", description="list of robots taken out of use"
+            ),
+            DeclareLaunchArgument(
                 "planner", default_value="direct", description="or dnf_priority, dnf, ..."
             ),
             DeclareLaunchArgument("time_scale", default_value="1.0", description="simulated s / s"),
@@ -55,6 +58,9 @@ def generate_launch_description():
                         "problem": ParameterValue(LaunchConfiguration("problem"), value_type=str),
                         "time_scale": ParameterValue(
                             LaunchConfiguration("time_scale"), value_type=float
+                        ),
+                        "disabled_file": ParameterValue(
+                            LaunchConfiguration("disabled_file"), value_type=str
                         ),
                     },
                 ],

@@ -1,5 +1,6 @@
 """The bus bridge: orders become bytes, bytes go over I2C, robots move, outcomes come back."""
 
+from fiber_bus_bridge.attempts import Attempts
 from fiber_bus_bridge.bus import (
     TOPOLOGIES,
     Ack,
@@ -13,6 +14,7 @@ from fiber_bus_bridge.bus import (
 from fiber_bus_bridge.errors import BridgeError, SessionError, TopologyError, WireError
 from fiber_bus_bridge.firmware import Positioners
 from fiber_bus_bridge.results import PlanResult
+from fiber_bus_bridge.roster import Roster
 from fiber_bus_bridge.session import Session, SessionConfig, SessionState
 from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
 from fiber_bus_bridge.upload import Upload
@@ -20,12 +22,14 @@ from fiber_bus_bridge.upload import Upload
 __all__ = [
     "TOPOLOGIES",
     "Ack",
+    "Attempts",
     "BridgeError",
     "BusBackend",
     "BusTiming",
     "Exchange",
     "PlanResult",
     "Positioners",
+    "Roster",
     "Session",
     "SessionConfig",
     "SessionError",

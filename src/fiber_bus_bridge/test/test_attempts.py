@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from fiber_bus_bridge import BridgeError, PlanResult
-from fiber_bus_bridge.attempts import Attempts
+from fiber_bus_bridge import Attempts, BridgeError, PlanResult, Roster
 from fiber_bus_bridge.disabled import read_disabled, write_disabled
-from fiber_bus_bridge.roster import Roster
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 
