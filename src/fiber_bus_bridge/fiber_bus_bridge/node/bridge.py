@@ -46,7 +46,7 @@ class BridgeNode(Node):
         simulation = declare_settings(self, SimulationConfig)
         safety = declare_settings(self, Safety, "safety")
         scale = self._positive("time_scale", 1.0)
-        self._most = self.declare_parameter("attempts", 2).value
+        self._most = self._positive("attempts", 2, "is less than one", least=1)
         self._patience_s = self._positive("attempt_timeout_s", 60.0)
         self.declare_parameter("devices", Parameter.Type.STRING_ARRAY)
         none = Parameter("devices", Parameter.Type.STRING_ARRAY, [])
@@ -103,10 +103,10 @@ class BridgeNode(Node):
         self._configure()
         self.get_logger().info(f"{plane.n} robots on {len(self._session.link.buses)} buses")
 
-    def _positive(self, name, default):
+    def _positive(self, name, default, problem="is negative", least=0):
         value = self.declare_parameter(name, default).value
-        if not value >= 0:
-            raise MessageError("parameters", "is negative", field=name, value=value)
+        if not value >= least:
+            raise MessageError("parameters", problem, field=name, value=value)
         return value
 
     # --- plans ---------------------------------------------------------------
