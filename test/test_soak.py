@@ -41,7 +41,7 @@ def test_the_judge_sees_robots_that_were_not_stopped(soak, monkeypatch):
     def goes_on(watch):
         judge(watch)
         watch.freeze_s = None
-        watch.arrived |= watch.wrong | (watch._tries >= 3)
+        watch.arrived |= watch.wrong | (watch._doubt >= 6)
 
     monkeypatch.setattr(Watch, "_judge", goes_on)
     wrong = soak.run_campaign("brown_out", 10).wrong

@@ -15,8 +15,8 @@ from fiber_bus_bridge.resume import remaining_motion
 from fiber_bus_bridge.starter import Starter
 from fiber_bus_bridge.upload import Upload, Uploader
 from fiber_bus_bridge.wire import (
+    Alert,
     Configuration,
-    Fault,
     Opcode,
     RobotState,
     encode_config,
@@ -362,13 +362,15 @@ class Session:
         rows = np.flatnonzero(self.known)
         status = self._starter.stop(rows, t)
         self.robot_state[rows] = status.state
-        fit = np.isin(self.robot_state, (RobotState.STOPPED, RobotState.FAULT))
-        fit &= np.isin(self.robot_fault, (Fault.NONE, Fault.SILENCE)) & ~self._lost
+        # faults may be of garbled frames meanwhile; alerts stay
+        silent = (self.robot_state == RobotState.FAULT) & (self.alerts & Alert.SILENT != 0)
+        fit = (self.robot_state == RobotState.STOPPED) | silent
+        fit &= (self.alerts & (Alert.STALLED | Alert.REBOOTED) == 0) & ~self._lost
         fit[rows] &= status.ok & (status.boot == self._boot[rows])
         # who heard no BEAT though its bus did will not hear the next either
         bus = self.link.at(self.plane.bus)
         heard = np.unique(bus[running & (self.robot_state == RobotState.STOPPED)])
-        fit &= ~((self.robot_fault == Fault.SILENCE) & np.isin(bus, heard))
+        fit &= ~(silent & np.isin(bus, heard))
         self._failed |= running & ~fit
         if len(self.uploads) > self.config.resumes or not self._may_go():
             return self.stop(self.link.now_s)

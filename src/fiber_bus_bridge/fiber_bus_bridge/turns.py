@@ -5,7 +5,7 @@ from numba import njit
 
 __all__ = ["Turns"]
 
-_FIRST = 8  # robots of a bus read in the first step, before it is known how long that takes
+_FIRST = 1  # robots of a bus read in the first step, before it is known how long that takes
 _ALL, _SOME = 0.6, 0.3  # of that time for asking: where it is enough for all, and where not
 _ASK = 0.15  # of the time of a reading that asking takes, before it is known
 _EARLY = 0.5  # of its time that a bus on which all are asked uses, so that it is soon free

@@ -9,6 +9,7 @@ from fiber_bus_bridge.link import Link
 from fiber_bus_bridge.turns import Turns
 from fiber_bus_bridge.wire import (
     STATUS_BYTES,
+    VERIFY_BYTES,
     Frames,
     Opcode,
     RobotState,
@@ -20,7 +21,9 @@ from fiber_bus_bridge.wire import (
 
 __all__ = ["Watch"]
 
-_TRIES = 3  # looks at a robot that fail in a row before it counts as silent
+_LOOKS = 3  # at a robot in one step
+_SILENT = 6  # doubts in a row that make a robot a silent one
+_ABSENT, _GARBLED = 2, 1  # doubts when it does not acknowledge, and when what it says is wrong
 _KEPT_S = 0.1  # of each robot no more than one look in this time becomes part of the traffic
 _AGAIN = 2  # robots of a bus looked at once more in one step
 _BEATS = 2  # calls in a row, twice in each step: one lost costs nothing
@@ -82,9 +85,10 @@ class Watch:
         self._running = np.zeros(n, dtype=bool)
         self._running[rows] = True
         self._bus = link.at(link.addresses.bus)
-        self._turns = Turns(self._bus, buses, (1.0 - _OVERRUN) * period_s)
+        room_s = (1.0 - _OVERRUN) * period_s
+        self._turns = {w: Turns(self._bus, buses, room_s) for w in (VERIFY_BYTES, STATUS_BYTES)}
         self._boot, self._sequence = boot, sequence[self._bus]
-        self._tries = np.zeros(n, dtype=np.int64)
+        self._doubt = np.zeros(n, dtype=np.int64)
         self._kept_s = np.full(n, -np.inf)
         self.beat_s = np.full(buses, go_s)
         self._shortest_s, self._slow = np.full(buses, np.inf), np.zeros(buses, dtype=np.int64)
@@ -107,7 +111,9 @@ class Watch:
         ready = np.bincount(self._bus[running], minlength=len(self.beat_s)) > 0
         ready &= self._open()
         ask = not self.counting and t < self.moves_until_s
-        looked, asked = self._turns.next(running & ready[self._bus], ask)
+        turns = self._turns[width]
+        wanted = running & ~self.seen if self.counting else running
+        looked, asked = turns.next(wanted & ready[self._bus], ask)
         buses = np.repeat(np.flatnonzero(ready), _BEATS)
         b, a, r = len(buses), len(asked), len(looked)
         to = self.link.addresses[np.concatenate([asked, looked])]
@@ -122,8 +128,8 @@ class Watch:
             beats = slice(first, first + b - _BEATS + 1, _BEATS)
             self._beaten(buses[::_BEATS], replies.ack[beats], replies.end_s[beats], took_s[beats])
         arrived = self._hear(looked, replies, looks, width)
-        self._tries[asked[replies.ack[b : b + a] == _NO_ADDRESS]] += 1
-        self._turns.learn(looked, took_s[looks], asked, took_s[b : b + a])
+        self._doubt[asked[replies.ack[b : b + a] == _NO_ADDRESS]] += _ABSENT
+        turns.learn(looked, took_s[looks], asked, took_s[b : b + a])
         if arrived or (t - self._kept_s[looked] >= _KEPT_S).any():
             self.link.keep(frames, replies)
             self._kept_s[looked] = t
@@ -157,14 +163,14 @@ class Watch:
 
     def _look_again(self, rows, t, width):
         """Look once more at some that gave no answer; a robot may not be silent for long."""
-        rows = np.unique(rows[self._tries[rows] > 0])
+        rows = np.unique(rows[self._doubt[rows] > 0])
         if len(rows) == 0:
             return
         rows = rows[np.argsort(self._bus[rows], kind="stable")]
         bus = self._bus[rows]
         rows = rows[np.arange(len(rows)) - np.searchsorted(bus, bus) < _AGAIN]
-        for _ in range(_TRIES - 1):
-            rows = rows[(self._tries[rows] > 0) & ~self.link.given_up[self._bus[rows]]]
+        for _ in range(_LOOKS - 1):
+            rows = rows[(self._doubt[rows] > 0) & ~self.link.given_up[self._bus[rows]]]
             if len(rows) == 0:
                 return
             frames = Frames.empty(self.link.addresses[rows])
@@ -180,9 +186,11 @@ class Watch:
         good = rows
         if not status.ok.all():
             # when the lines fail it is not the robot that is silent
-            self._tries[rows[~status.ok & (replies.ack[looks] < _LOST)]] += 1
+            ack, missed = replies.ack[looks], rows[~status.ok]
+            doubts = np.where(ack == _NO_ADDRESS, _ABSENT, np.where(ack < _LOST, _GARBLED, 0))
+            self._doubt[missed] += doubts[~status.ok]
             good, status = rows[status.ok], status.only(status.ok)
-        self._tries[good] = 0
+        self._doubt[good] = 0
         same = (status.boot == self._boot[good]) & (status.sequence == self._sequence[good])
         done = same & (status.state == _DONE)
         runs = done | (same & (status.state == _MOVING))
@@ -197,7 +205,7 @@ class Watch:
 
     def _judge(self, running):
         """Decide whether all must stop, and when."""
-        wrong = running & (self.wrong | (self._tries >= _TRIES))
+        wrong = running & (self.wrong | (self._doubt >= _SILENT))
         if wrong.any():
             # known as soon as the bus is through with them
             self.freeze_s = float(self.link.free_s[self._bus[wrong]].max())
