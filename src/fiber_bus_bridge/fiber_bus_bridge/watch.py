@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+from numba import njit
 
 from fiber_bus_bridge.bus import Ack
 from fiber_bus_bridge.link import Link
@@ -124,9 +125,12 @@ class Watch:
         replies = self.link.transfer(frames, read, t, keep=False)
 
         took_s = replies.end_s - replies.start_s
-        for first in (*range(_BEATS), *range(b + a + r, b + a + r + _BEATS)):
-            beats = slice(first, first + b - _BEATS + 1, _BEATS)
-            self._beaten(buses[::_BEATS], replies.ack[beats], replies.end_s[beats], took_s[beats])
+        for beats in (slice(0, b), slice(b + a + r, None)):
+            _beaten(
+                buses, replies.ack[beats], replies.end_s[beats], took_s[beats],
+                self.silence_s or np.inf, self.stretch_s,
+                self.beat_s, self._shortest_s, self._slow,
+            )  # fmt: skip
         arrived = self._hear(looked, replies, looks, width)
         self._doubt[asked[replies.ack[b : b + a] == _NO_ADDRESS]] += _ABSENT
         turns.learn(looked, took_s[looks], asked, took_s[b : b + a])
@@ -149,17 +153,6 @@ class Watch:
             self._beats = encode_command(Opcode.BEAT, general_call(self.link.buses[buses]))
             self._beats_key = key
         return self._beats.then(Frames.empty(to)).then(self._beats)
-
-    def _beaten(self, buses, ack, end_s, took_s):
-        """Take note of which BEATs got through when, and how slowly."""
-        # who has not heard one for too long does not begin again
-        in_time = end_s <= self.beat_s[buses] + (self.silence_s or np.inf)
-        through = (ack == _OK) & in_time
-        buses, took_s = buses[through], took_s[through]
-        self.beat_s[buses] = end_s[through]
-        self._shortest_s[buses] = np.minimum(self._shortest_s[buses], took_s)
-        slow = took_s > self._shortest_s[buses] + self.stretch_s
-        self._slow[buses] = np.where(slow, self._slow[buses] + 1, 0)
 
     def _look_again(self, rows, t, width):
         """Look once more at some that gave no answer; a robot may not be silent for long."""
@@ -222,3 +215,16 @@ class Watch:
             known = np.where(self._open(), _BEAT_KNOWN, 1.0) * self.period_s + self.now_s
             if (buses & (known >= last)).any():
                 self.freeze_s = max(last[buses].min(), self.now_s)
+
+
+@njit(cache=True)
+def _beaten(buses, ack, end_s, took_s, silence_s, stretch_s, beat_s, shortest_s, slow):
+    # Take note of which BEATs got through when, and how slowly.
+    for i in range(len(buses)):
+        bus = buses[i]
+        # who has not heard one for too long does not begin again
+        if ack[i] != _OK or end_s[i] > beat_s[bus] + silence_s:
+            continue
+        beat_s[bus] = end_s[i]
+        shortest_s[bus] = min(shortest_s[bus], took_s[i])
+        slow[bus] = slow[bus] + 1 if took_s[i] > shortest_s[bus] + stretch_s else 0

@@ -1,6 +1,7 @@
 """Counts per bus of what went over it, for diagnostics."""
 
 import numpy as np
+from numba import njit
 
 from fiber_bus_bridge.bus.backend import Ack, Exchange
 
@@ -12,7 +13,6 @@ _COUNTS = (
 )  # fmt: skip
 
 
-# plain numbers: members of an enumeration are slow to look up batch by batch
 _OK, _NO_ADDRESS = int(Ack.OK), int(Ack.NO_ADDRESS)
 _REFUSED, _LOST = int(Ack.REFUSED), int(Ack.LOST)
 
@@ -34,17 +34,11 @@ class BusCounters:
     def add(self, exchange: Exchange) -> None:
         """Count a batch; bytes are data bytes, read and written."""
         frames, replies = exchange.frames, exchange.replies
-        at, ack = self._rows(frames.to.bus), replies.ack
-        good, refused = ack == _OK, ack == _REFUSED
-        moved = np.where(good | refused, frames.lengths, 0)
-        moved += np.where(good, np.diff(replies.offsets), 0)
-        self.frames += self._count(at)
-        self.bytes += self._count(at, moved).astype(np.int64)
-        self.busy_s += self._count(at, replies.end_s - replies.start_s)
-        if not good.all():
-            self.no_address += self._count(at[ack == _NO_ADDRESS])
-            self.refused += self._count(at[refused])
-            self.line_errors += self._count(at[ack >= _LOST])
+        _add(
+            self._rows(frames.to.bus), replies.ack, frames.offsets, replies.offsets,
+            replies.start_s, replies.end_s, self.frames, self.bytes, self.busy_s,
+            self.no_address, self.refused, self.line_errors,
+        )  # fmt: skip
 
     def add_retries(self, buses) -> None:
         """Count one more try on each of these buses, shape (f,)."""
@@ -69,5 +63,23 @@ class BusCounters:
     def _rows(self, buses):
         return np.searchsorted(self.buses, buses)
 
-    def _count(self, rows, weights=None):
-        return np.bincount(rows, weights, minlength=len(self.buses))
+    def _count(self, rows):
+        return np.bincount(rows, minlength=len(self.buses))
+
+
+@njit(cache=True)
+def _add(
+    at, ack, written, read, start_s, end_s,
+    frames, sizes, busy_s, no_address, refused, line_errors,
+):  # fmt: skip
+    for f in range(len(at)):
+        bus = at[f]
+        frames[bus] += 1
+        busy_s[bus] += end_s[f] - start_s[f]
+        if ack[f] == _OK or ack[f] == _REFUSED:
+            sizes[bus] += written[f + 1] - written[f]
+        if ack[f] == _OK:
+            sizes[bus] += read[f + 1] - read[f]
+        no_address[bus] += ack[f] == _NO_ADDRESS
+        refused[bus] += ack[f] == _REFUSED
+        line_errors[bus] += ack[f] >= _LOST

@@ -1,6 +1,7 @@
 """Buses that exist only in simulated time, with simulated positioners on them."""
 
 import numpy as np
+from numba import njit
 
 from fiber_bus_bridge.bus.backend import Ack, Replies
 from fiber_bus_bridge.bus.faults import Cure, Faults
@@ -92,8 +93,7 @@ class SimulatedBuses:
             return Replies(nothing.astype(np.int64), nothing, nothing, offsets, _no_bytes())
         at = self._at(frames.to.bus)
         self._bring_up(at, not_before)
-        low, high = self._listeners(at, frames.to)
-        answered = self._answered(low, high)
+        low, high, answered = self._listeners(at, frames.to)
         lasts = self.timing.message_s(
             np.where(answered, frames.lengths, 0), np.where(answered, read, 0), frames.to.ten_bit
         )
@@ -103,7 +103,9 @@ class SimulatedBuses:
         rate = self._error_rate(frames.to.bus, start_s)
         if rate is not None:
             add_noise(heard, frames, offsets, rate, self._rng)
-            low, high = self._listeners(at, Addresses(frames.to.bus, heard.address, heard.ten_bit))
+            low, high, _ = self._listeners(
+                at, Addresses(frames.to.bus, heard.address, heard.ten_bit)
+            )
         heard.reads[heard.turned | heard.cut | (fate != _OK)] = False
         high = np.where(reaches & ~heard.lost, high, low)
         there, accepted, data = self.positioners.exchange(
@@ -140,19 +142,15 @@ class SimulatedBuses:
         if not np.array_equal(self.positioners.memory["address"], self._addresses.address):
             self._address_book(self.positioners.addresses)
 
-    def _answered(self, low, high):
-        memory = self.positioners.memory
-        awake = (memory["powered"] & ~memory["deaf"])[self._order]
-        awake = np.concatenate([[0], np.cumsum(awake)])
-        return awake[high] > awake[low]
-
     def _listeners(self, at, to):
-        """Range of the robots, in the sorted order, that listen to each frame."""
-        keys = np.where(at >= 0, at * _KEYS_PER_BUS + to.ten_bit * 1024 + to.address, -1)
-        low = np.searchsorted(self._sorted_keys, keys, side="left")
-        called = (to.address == 0) & ~to.ten_bit & (at >= 0)
-        last = np.where(called, keys + _KEYS_PER_BUS - 1, keys)
-        return low, np.searchsorted(self._sorted_keys, last, side="right")
+        """Range of the robots, in the sorted order, that listen to each frame, and if any does."""
+        low, high = np.zeros((2, len(at)), dtype=np.int64)
+        answered = np.zeros(len(at), dtype=bool)
+        _listeners(
+            self.positioners.memory, self._order, self._sorted_keys,
+            at, to.address, to.ten_bit, low, high, answered,
+        )  # fmt: skip
+        return low, high, answered
 
     def _schedule(self, at, lasts, not_before, low, high):
         """Start, end, what the lines allow and who is reached, of each frame."""
@@ -191,3 +189,19 @@ class SimulatedBuses:
 
 def _no_bytes():
     return np.zeros(0, dtype=np.uint8)
+
+
+@njit(cache=True)
+def _listeners(m, order, keys, at, address, ten_bit, low, high, answered):
+    for f in range(len(at)):
+        if at[f] < 0:
+            continue
+        key = at[f] * _KEYS_PER_BUS + ten_bit[f] * 1024 + address[f]
+        called = address[f] == 0 and not ten_bit[f]
+        low[f] = np.searchsorted(keys, key)
+        high[f] = np.searchsorted(keys, key + (_KEYS_PER_BUS if called else 1))
+        for k in range(low[f], high[f]):
+            r = m[order[k]]
+            if r.powered and not r.deaf:
+                answered[f] = True
+                break
