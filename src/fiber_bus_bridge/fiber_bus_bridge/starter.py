@@ -90,7 +90,8 @@ class Starter:
         if len(rows) == 0:
             return Start(t, t, None, nobody, nobody)
         buses = np.unique(self._bus[rows])
-        countdown_s = min(1.2 * look_s + _SLACK_S + self.silence_s, _LONGEST_S)
+        countdown_s = 1.2 * look_s + _SLACK_S + self.silence_s + 2.0 * self.period_s
+        countdown_s = min(countdown_s, _LONGEST_S)
         units = round(countdown_s / COUNTDOWN_S)
         calls = encode_command(
             Opcode.GO, general_call(self.link.buses[buses]), sequence[buses], units
@@ -103,7 +104,8 @@ class Starter:
         late[rows] = (replies.end_s > go_s + self.skew_s)[np.searchsorted(buses, self._bus[rows])]
         watch = Watch(
             self.link, rows, boot, sequence, go_s,
-            self.silence_s, self.period_s, self.stretch_s, self.listen,
+            self.silence_s, self.period_s, self.stretch_s,
+            look_s / np.bincount(self._bus[rows]).max(), self.listen,
         )  # fmt: skip
         if late.any():  # a clock held low made the GO late on their bus
             missing = self._call_off(rows, known, watch, everyone)

@@ -21,13 +21,15 @@ class Turns:
         bus: place of the bus of each robot, shape (n,).
         buses: how many there are.
         room_s: time of a bus in each step [s].
+        read_s: how long one reading takes, as far as is known beforehand [s].
     """
 
-    def __init__(self, bus, buses: int, room_s: float):
+    def __init__(self, bus, buses: int, room_s: float, read_s: float = 0.0):
         self._bus, self._room_s = bus, room_s
         self._order = np.argsort(bus, kind="stable")
         self._first = np.searchsorted(bus[self._order], np.arange(buses + 1))
-        self._read_s, self._ask_s = np.zeros((2, buses))  # longest of the last step, 0 unknown
+        # the longest of the last step, 0 unknown
+        self._read_s, self._ask_s = np.full(buses, read_s), np.zeros(buses)
         self._read_next, self._ask_next = np.zeros((2, buses), dtype=np.int64)
 
     def next(self, robots, ask: bool) -> tuple[np.ndarray, np.ndarray]:

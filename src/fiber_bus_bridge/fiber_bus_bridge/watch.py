@@ -60,6 +60,7 @@ class Watch:
         period_s: time between two steps [s].
         stretch_s: how much longer than the shortest a BEAT may take on a bus [s]. A STOP would
             be as late there, so after three in a row its robots are left to stop themselves.
+        verify_s: how long it takes to read VERIFY_BYTES of one robot, 0 unknown [s].
         listen: called with rows, their valid statuses, and the time of the look.
     """
 
@@ -73,6 +74,7 @@ class Watch:
         silence_s: float,
         period_s: float,
         stretch_s: float = np.inf,
+        verify_s: float = 0.0,
         listen: Callable[[np.ndarray, Statuses, float], None] = lambda *_: None,
     ):
         n, buses = len(link.addresses), len(link.buses)
@@ -87,7 +89,10 @@ class Watch:
         self._running[rows] = True
         self._bus = link.at(link.addresses.bus)
         room_s = (1.0 - _OVERRUN) * period_s
-        self._turns = {w: Turns(self._bus, buses, room_s) for w in (VERIFY_BYTES, STATUS_BYTES)}
+        self._turns = {
+            VERIFY_BYTES: Turns(self._bus, buses, room_s, verify_s),
+            STATUS_BYTES: Turns(self._bus, buses, room_s),
+        }
         self._boot, self._sequence = boot, sequence[self._bus]
         self._doubt = np.zeros(n, dtype=np.int64)
         self._kept_s = np.full(n, -np.inf)
