@@ -1,0 +1,79 @@
+"""A small plane of simulated robots, its buses, and a session with it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fiber_bus_bridge import (
+    Positioners,
+    Session,
+    SessionState,
+    SimulatedBuses,
+    addresses_of,
+    bus_timing,
+)
+from fiber_core.clearance import Safety
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.presets import preset
+from fiber_core.wire_units import WireMotion, WireUnits
+
+
+class Rig:
+    """A plane of nearly folded robots on simulated buses, ten to a bus, and a session with it."""
+
+    def __init__(self, n=19, start=None, enabled=None, config=None, faults=None, **positioners):
+        rows = np.arange(n)
+        plane = replace(preset("desi", n), bus=rows // 10, address=8 + rows % 10)
+        self.plane = plane if enabled is None else plane.with_enabled(enabled)
+        self.units = WireUnits.for_plane(self.plane)
+        folded = np.stack([np.linspace(-1, 1, n), np.full(n, 2.6)], axis=1)
+        start = self.units.to_counts(folded if start is None else start)
+        self.robots = Positioners(
+            addresses_of(self.plane), self.plane.ids, self.units.quantum_prad, start, **positioners
+        )
+        self.session = Session(
+            self.plane,
+            self.units,
+            Safety(),
+            SimulatedBuses(self.robots, bus_timing("1M"), faults),
+            self.units.to_angles(start),
+            config,
+        )
+        self.t = 0.0
+
+    def orders(self, theta, phi, ticks=250):
+        """One segment for each joint that moves: turns of theta and phi [quanta a tick], (n,)."""
+        velocity = np.stack(np.broadcast_arrays(theta, phi, np.zeros(self.plane.n)), 1)[:, :2]
+        velocity = velocity.astype(np.int64).ravel()
+        moves = velocity != 0
+        offsets = np.concatenate([[0], np.cumsum(moves)])
+        return WireMotion(
+            self.units, self.session.counts, offsets, np.full(moves.sum(), ticks), velocity[moves]
+        )
+
+    def call(self, name, *arguments):
+        self.t = max(self.t, getattr(self.session, name)(self.t, *arguments))
+
+    def ready(self, theta=400, phi=0, targets=None):
+        self.call("configure")
+        motion = self.orders(theta, phi)
+        self.session.submit(motion, targets)
+        return motion
+
+    def run(self):
+        """Advance ten times a second until the plan ends."""
+        for _ in range(200):
+            if self.session.state is not SessionState.MOVING:
+                return self.session.result
+            self.t += 0.1
+            self.call("advance")
+        raise AssertionError("the plan does not end")
+
+    def where(self):
+        return self.robots.positions(self.t)
+
+
+def ended_once(result, n):
+    assert len(result.outcome) == len(result.reason) == len(result.error_mm) == n
+    reached = result.outcome == Outcome.REACHED
+    assert np.array_equal(reached, result.reason == Reason.OK)

@@ -1,0 +1,290 @@
+"""Load, verify, go: who is started, who is held and why."""
+
+import numpy as np
+import pytest
+from session_rig import Rig, ended_once
+
+import fiber_bus_bridge.upload
+from fiber_bus_bridge.bus import Faults
+from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_command, decode_load
+from fiber_core.clearance import neighbour_pairs
+from fiber_core.outcomes import Outcome, Reason
+
+
+@pytest.mark.parametrize("present", [True, False])
+def test_an_absent_robot_is_held_and_its_neighbours_are_certified_around_it(present):
+    # one robot points at another, which turns to point at it while it turns away
+    plane = Rig(7).plane
+    away, comer = neighbour_pairs(plane)[0]
+    toward = plane.centers[comer] - plane.centers[away]
+    angle = np.arctan2(toward[1], toward[0])
+    bend = 1.2  # tips lie half of this off theta
+    facing = np.angle(np.exp(1j * (angle + np.pi))) - bend / 2
+    start = np.tile([0.0, 3.1], (7, 1))
+    start[away] = [angle - bend / 2, bend]
+    start[comer] = [facing - np.sign(facing) * 7000 * 250 * 1e-6, bend]
+    theta = np.zeros(7)
+    theta[away] = -7000 * np.sign(start[away, 0])
+    theta[comer] = np.sign(facing) * 7000e-6 / Rig(7).units.quantum_rad
+
+    rig = Rig(7, start)
+    rig.ready(theta)
+    rig.robots.power([away], present, rig.t)
+    rig.call("start")
+    result = rig.run()
+    ended_once(result, 7)
+    expected = [Reason.OK] * 2 if present else [Reason.NOT_ACKNOWLEDGED, Reason.UNSAFE_AS_LOADED]
+    assert result.reason[[away, comer]].tolist() == expected
+    assert np.any(rig.where() != rig.units.to_counts(start)) == present
+    assert rig.session.link.counters.table()[0]["retries"] == (0 if present else 4)
+
+
+def test_the_certificate_sees_bytes_not_intentions(monkeypatch):
+    rig = Rig()
+    motion = rig.ready(theta=400, phi=-30)
+    seen = []
+
+    def tampered(*arguments):
+        frames = encode(*arguments)
+        if len(frames) <= 4:
+            return frames
+        data = frames.data.copy()
+        rows = frames[np.array([4])]
+        orders = decode_load(rig.units, rows)
+        other = encode(
+            rig.units, rows.to, orders.sequence, orders.offsets, orders.ticks, -orders.velocity
+        )
+        data[frames.offsets[4] : frames.offsets[5]] = other.data
+        return Frames(frames.to, frames.offsets, data)
+
+    def certified(plane, motion, *arguments):
+        seen.append(motion)
+        return hold(plane, motion, *arguments)
+
+    upload = fiber_bus_bridge.upload
+    encode, hold = upload.encode_load, upload.hold_until_safe
+    monkeypatch.setattr(upload, "encode_load", tampered)
+    monkeypatch.setattr(upload, "hold_until_safe", certified)
+    rig.call("start")
+    turns = rig.units.to_counts(seen[-1].end - seen[-1].start)
+    assert turns[4].tolist() == [-400 * 250, 30 * 250]
+    assert turns[5].tolist() == [400 * 250, -30 * 250]
+    result = rig.run()
+    assert (result.outcome[4], result.reason[4]) == (Outcome.HELD, Reason.OFF_TARGET)
+    assert np.array_equal(np.delete(rig.where(), 4, 0), np.delete(motion.end, 4, 0))
+
+
+def test_a_tampered_order_is_not_verified_and_does_not_move(monkeypatch):
+    rig = Rig()
+    motion = rig.ready()
+    link = rig.session.link
+    statuses = link.statuses
+
+    def tamper_then_read(rows, t, whole=True):
+        rig.robots.memory["order"][3, 3] ^= 1
+        return statuses(rows, t, whole)
+
+    monkeypatch.setattr(link, "statuses", tamper_then_read)
+    rig.call("start")
+    monkeypatch.undo()
+    assert not rig.session.upload.started[3]
+    # its bus went to a fresh sequence number, so that the GO meant nothing to it
+    assert rig.session.upload.sequence.tolist() == [2] * 10 + [1] * 9
+    result = rig.run()
+    assert (result.outcome[3], result.reason[3]) == (Outcome.HELD, Reason.NOT_VERIFIED)
+    expected = motion.end.copy()
+    expected[3] = motion.start[3]
+    assert np.array_equal(rig.where(), expected)
+
+
+def test_an_order_the_robot_refuses_holds_only_that_robot():
+    rig = Rig()
+    rig.call("configure")
+    rig.robots.memory["limits"][5] = 0
+    rig.session.submit(rig.orders(-400, 0))  # farther out of what it takes for its limits
+    rig.call("start")
+    result = rig.run()
+    assert result.reason[5] == Reason.REFUSED and result.outcome[5] == Outcome.HELD
+    assert (result.outcome == Outcome.REACHED).sum() == 18
+    assert rig.session.link.counters.table()[0]["refused"] == 3
+
+
+def test_a_reset_after_loading_is_noticed_before_go(monkeypatch):
+    rig = Rig()
+    rig.ready()
+    send = rig.session.link.send
+
+    def send_then_lose_power(rows, frames, t):
+        acks = send(rows, frames, t)
+        rig.robots.power([2], False, rig.session.link.now_s)
+        rig.robots.power([2], True, rig.session.link.now_s)
+        return acks
+
+    monkeypatch.setattr(rig.session.link, "send", send_then_lose_power)
+    rig.call("start")
+    monkeypatch.undo()
+    assert rig.run().reason[2] == Reason.NOT_VERIFIED
+
+
+def test_a_robot_that_misses_the_go_is_told_by_itself_and_starts_with_the_others(monkeypatch):
+    rig = Rig()
+    motion = rig.ready()
+    call = rig.session.link.call
+
+    def deaf_to_go(frames, t):
+        rig.robots.memory["call_deaf"][1] = True
+        replies = call(frames, t)
+        rig.robots.memory["call_deaf"][1] = False
+        return replies
+
+    monkeypatch.setattr(rig.session.link, "call", deaf_to_go)
+    rig.call("start")
+    monkeypatch.undo()
+    started = rig.robots.memory["started_s"]
+    assert np.ptp(started) < 20e-6 and started.min() > rig.session.link.now_s
+    assert set(rig.run().outcome) == {Outcome.REACHED}
+    assert np.array_equal(rig.where(), motion.end)
+
+
+def test_a_robot_that_cannot_be_started_calls_the_others_off_and_they_go_without_it(monkeypatch):
+    rig = Rig()
+    motion = rig.ready()
+    link = rig.session.link
+    transfer = link.transfer
+
+    def deaf_to_every_go(frames, *arguments, **options):
+        heads = [p[p[:1] == b"\xf1" :][:1] for p in map(frames.payload, range(len(frames)))]
+        rig.robots.memory["deaf"][1] = any(h and h[0] >> 4 == Opcode.GO for h in heads)
+        return transfer(frames, *arguments, **options)
+
+    monkeypatch.setattr(link, "transfer", deaf_to_every_go)
+    rig.call("start")
+    assert rig.session.upload.started.tolist() == [row != 1 for row in range(19)]
+    assert set(rig.session.upload.sequence) == {2}
+    assert np.array_equal(rig.where(), motion.start)
+    result = rig.run()
+    ended_once(result, 19)
+    assert (result.outcome[1], result.reason[1]) == (Outcome.HELD, Reason.NOT_ACKNOWLEDGED)
+    assert (result.outcome == Outcome.REACHED).sum() == 18
+
+
+def test_a_bus_that_hears_the_go_late_once_is_told_again():
+    quiet = Rig()
+    quiet.ready()
+    quiet.call("start")
+    # the clock of the second bus is held when the GO is on it, and never again
+    go_s = quiet.session.upload.go_s
+    rig = Rig(faults=Faults(stretches=((12, go_s - 1.1e-4, go_s, 1e-3),)))
+    motion = rig.ready()
+    rig.call("start")
+    assert rig.session.upload.started.all() and rig.session.upload.go_s > go_s + 2e-3
+    assert set(rig.run().outcome) == {Outcome.REACHED}
+    assert np.array_equal(rig.where(), motion.end)
+
+
+def test_a_bus_that_hears_the_go_late_does_not_start_and_nobody_is_left_stopped():
+    rig = Rig(faults=Faults(stretches=((12, 0.0, np.inf, 1e-3),)))
+    motion = rig.ready(theta=np.where(np.arange(19) == 4, 0, 400))
+    rig.call("start")
+    moves = (np.arange(19) < 10) & (np.arange(19) != 4)
+    assert np.array_equal(rig.session.upload.started, moves)
+    result = rig.run()
+    assert set(result.reason[10:]) == {Reason.NOT_ACKNOWLEDGED}
+    assert np.array_equal(rig.where()[moves], motion.end[moves])
+    assert np.array_equal(rig.where()[~moves], motion.start[~moves])
+    assert set(rig.robots.states(rig.t)[~moves]) == {RobotState.IDLE}
+
+
+def test_an_objection_after_the_certificate_drops_all_orders():
+    rig = Rig(7)
+    motion = rig.ready()
+    seen = []
+
+    def object_to_it():
+        seen.append(set(rig.robots.states(rig.session.link.now_s)))
+        return False
+
+    rig.call("start", object_to_it)
+    assert seen == [{RobotState.LOADED}]
+    assert set(rig.session.result.reason) == {Reason.STOPPED}
+    assert set(rig.robots.states(rig.t)) == {RobotState.IDLE}
+    assert np.array_equal(rig.robots.positions(rig.t + 9), motion.start)
+
+
+def test_the_same_call_puts_the_same_bytes_on_the_buses():
+    def traffic():
+        rig = Rig()
+        rig.robots.power([7], False, 0.0)
+        rig.ready(theta=300, phi=-20)
+        rig.call("start")
+        rig.run()
+        parts = [
+            (e.frames.to.bus, e.frames.to.address, e.frames.data, e.replies.data, e.replies.end_s)
+            for e in rig.session.link.take_traffic()
+        ]
+        assert rig.session.link.take_traffic() == []
+        return b"".join(column.tobytes() for part in parts for column in part)
+
+    assert traffic() == traffic()
+
+
+def test_go_starts_all_buses_at_one_instant_and_is_sent_once():
+    rig = Rig()
+    rig.ready()
+    rig.session.link.take_traffic()
+    rig.call("start")
+    calls = [e for e in rig.session.link.take_traffic() if not e.frames.to.address.any()]
+    assert len(calls) == 1 and calls[0].frames.to.bus.tolist() == [0, 1]
+    assert decode_command(calls[0].frames.payload(0), 0, False) == (Opcode.GO, 1)
+    assert len(set(calls[0].replies.start_s)) == 1
+
+
+def test_the_fresh_sequence_numbers_come_round():
+    rig = Rig(3)
+    rig.call("configure")
+    for turn in range(35):
+        rig.session.submit(rig.orders(200 if turn % 2 else -200, 0, ticks=5))
+        rig.call("start")
+        assert set(rig.run().outcome) == {Outcome.REACHED}
+
+
+def test_an_unsafe_robot_that_cannot_be_disarmed_does_not_hear_the_go(monkeypatch):
+    rig = Rig()
+    motion = rig.ready()
+    uploader, link = rig.session._uploader, rig.session.link
+    certify_loaded, call = uploader._certify, link.call
+    held = np.arange(19) == 2
+
+    def unsafe_and_cut_off(loaded):
+        rig.robots.powered[2] = False  # only from the bus: it keeps its order
+        return certify_loaded(loaded)[0], held
+
+    def heard_again(frames, t):
+        rig.robots.powered[2] = True
+        return call(frames, t)
+
+    monkeypatch.setattr(uploader, "_certify", unsafe_and_cut_off)
+    monkeypatch.setattr(link, "call", heard_again)
+    rig.call("start")
+    assert rig.robots.states(rig.t)[2] == RobotState.LOADED
+    assert np.array_equal(rig.session.upload.started, ~held)
+    result = rig.run()
+    assert result.reason[2] == Reason.UNSAFE_AS_LOADED
+    expected = np.where(held[:, None], motion.start, motion.end)
+    assert np.array_equal(rig.where(), expected)
+
+
+def test_nobody_moves_when_no_sequence_number_is_safe(monkeypatch):
+    rig = Rig(7)
+    motion = rig.ready()
+    uploader = rig.session._uploader
+    certify_loaded, rounds = uploader._certify, iter(np.eye(7, dtype=bool))
+    monkeypatch.setattr(
+        uploader, "_certify", lambda loaded: (certify_loaded(loaded)[0], next(rounds))
+    )
+    monkeypatch.setattr(uploader, "_disarm", lambda rows, boot, t: np.array([2]))
+    rig.call("start")
+    ended_once(rig.session.result, 7)
+    told = rig.session.result.reason.tolist()
+    assert told == [Reason.UNSAFE_AS_LOADED] * 6 + [Reason.STOPPED]
+    assert np.array_equal(rig.robots.positions(rig.t + 9), motion.start)

@@ -1,0 +1,176 @@
+"""Robots that stop on the way: who is stopped when, and who goes on."""
+
+import numpy as np
+import pytest
+from session_rig import Rig, ended_once
+
+from fiber_bus_bridge import (
+    Session,
+    SessionConfig,
+    SessionError,
+    SessionState,
+    SimulatedBuses,
+)
+from fiber_bus_bridge.firmware import Event
+from fiber_bus_bridge.resume import remaining_motion
+from fiber_bus_bridge.wire import Fault, RobotState
+from fiber_core.clearance import Safety, neighbour_pairs
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.wire_units import WireMotion, WireUnits
+
+
+@pytest.mark.parametrize("when_s", [-0.2, 0.2])
+def test_a_robot_that_hears_no_general_call_keeps_nobody_else_from_the_end(when_s):
+    rig = Rig()
+    motion = rig.ready()
+    if when_s > 0:
+        rig.call("start")
+        when_s += rig.session.upload.start_s
+    rig.robots.schedule([(3, when_s, Event.CALL_DEAF, 1)])
+    if when_s < 0:
+        rig.call("start")
+    result = rig.run()
+    ended_once(result, 19)
+    assert result.outcome[3] != Outcome.REACHED
+    assert result.reason[3] == Reason.NOT_ACKNOWLEDGED
+    assert set(np.delete(result.outcome, 3)) == {Outcome.REACHED}
+    assert np.array_equal(np.delete(rig.where(), 3, 0), np.delete(motion.end, 3, 0))
+
+
+@pytest.mark.parametrize("when_s", [0.0, 0.3])
+def test_a_robot_that_stops_by_itself_stops_everybody_at_once(when_s):
+    rig = Rig(config=SessionConfig(resumes=0))
+    rig.ready()
+    rig.call("start")
+    at = rig.session.upload.start_s + when_s
+    rig.robots.schedule([(3, at, Event.JAM_THETA, 1)])
+    result = rig.run()
+    assert rig.session.state is SessionState.STOPPED
+    ended_once(result, 19)
+    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
+    assert set(np.delete(result.reason, 3)) == {Reason.STOPPED}
+    halted = rig.robots.memory["halted_s"]
+    assert halted[3] == pytest.approx(at, abs=20e-6)
+    assert np.all(halted - at < rig.session.config.watch_s + 1e-3)
+
+
+@pytest.mark.parametrize("when_s", [0.0, 0.3123, 0.9999])
+def test_those_who_had_to_stop_go_on_to_the_very_end_of_their_orders(when_s):
+    rig = Rig()
+    motion = rig.ready(theta=np.arange(19) * 40 - 360, phi=-30)
+    rig.call("start")
+    at = rig.session.upload.start_s + when_s
+    rig.robots.schedule([(3, at, Event.JAM_THETA, 1)])
+    result = rig.run()
+    assert rig.session.state is SessionState.IDLE and len(rig.session.uploads) == 2
+    ended_once(result, 19)
+    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
+    assert set(np.delete(result.outcome, 3)) == {Outcome.REACHED}
+    assert np.array_equal(np.delete(rig.where(), 3, 0), np.delete(motion.end, 3, 0))
+
+
+def test_what_remains_of_a_motion_keeps_its_instants():
+    units = WireUnits()
+    motion = WireMotion(units, [[0, 0]], [0, 3, 4], [10, 20, 5, 40], [7, -3, 100, 11])
+    # stopped half a tick after the 17th: theta is in its second segment
+    counts = [[70 - 3 * 7 - 1, 11 * 17 + 5]]
+    left = remaining_motion(motion, counts, 17.5 * units.tick_s, [[500, 500]], [True])
+    assert np.array_equal(left.end, motion.end)
+    assert left.ticks[left.offsets[0] : left.offsets[1]].sum() == 13 + 5
+    assert left.ticks[left.offsets[1] :].sum() == 23
+    assert (left.ticks[left.offsets[1] - 1], left.velocity[left.offsets[1] - 1]) == (5, 100)
+    assert np.abs(np.delete(left.velocity, left.offsets[1] - 1)).max() <= 11
+    rests = remaining_motion(motion, counts, 17.5 * units.tick_s, [[500, 500]], [False])
+    assert len(rests.ticks) == 0
+
+
+def test_robots_nobody_beats_for_stop_themselves():
+    rig = Rig()
+    rig.ready()
+    rig.call("start")
+    rig.t = rig.session.upload.start_s + 0.3
+    rig.session.advance(rig.t)
+    silence_s = 1e-3 * rig.session.config.silence_ms
+    assert set(rig.robots.states(rig.t + silence_s + 0.1)) == {RobotState.FAULT}
+    assert set(rig.robots.memory["fault"]) == {Fault.SILENCE}
+    assert np.ptp(rig.robots.memory["halted_s"]) < 100e-6
+
+
+def test_a_robot_that_falls_silent_fails_and_holds_its_neighbours_until_found_again():
+    rig = Rig()
+    rig.ready()
+    rig.call("start")
+    rig.robots.schedule([(0, rig.session.upload.start_s + 0.3, Event.POWER, 0)])
+    result = rig.run()
+    ended_once(result, 19)
+    assert (result.outcome[0], result.reason[0]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
+    # nobody knows where it is: who could touch it stays where all stopped, the rest go on
+    assert rig.session.state is SessionState.IDLE
+    touchy = np.isin(
+        np.arange(19), neighbour_pairs(rig.plane)[(neighbour_pairs(rig.plane) == 0).any(axis=1)]
+    )
+    assert set(result.reason[touchy & (np.arange(19) > 0)]) == {Reason.UNSAFE_AS_LOADED}
+    assert set(result.reason[~touchy]) == {Reason.OK}
+
+    rig.session.submit(rig.orders(-400, 0))
+    rig.call("start")
+    pairs = neighbour_pairs(rig.plane)
+    beside = np.setdiff1d(pairs[(pairs == 0).any(axis=1)].ravel(), 0)
+    held = np.union1d(beside, [0])
+    assert np.array_equal(np.flatnonzero(~rig.session.upload.started), held)
+    rig.run()
+
+    rig.robots.power([0], True, rig.t)
+    rig.call("configure")
+    assert np.array_equal(rig.session.counts, rig.where())
+    rig.session.submit(rig.orders(np.where(np.isin(np.arange(19), held), -300, 0), 0))
+    rig.call("start")
+    assert (rig.run().outcome[held] == Outcome.REACHED).all()
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_stop_then_clear(moving):
+    rig = Rig()
+    motion = rig.ready()
+    if moving:
+        rig.call("start")
+    rig.t += 0.4
+    rig.call("advance")
+    rig.call("stop")
+    at = rig.where()
+    result = rig.session.result
+    ended_once(result, 19)
+    assert set(result.reason) == {Reason.STOPPED} and set(result.outcome) == {Outcome.HELD}
+    assert np.array_equal(rig.session.counts, at)
+    assert np.all((at[:, 0] > motion.start[:, 0]) == moving)
+    assert np.all(at[:, 0] < motion.end[:, 0])
+    rig.t += 9
+    assert np.array_equal(rig.where(), at)
+    assert set(rig.robots.states(rig.t)) == {RobotState.STOPPED}
+    with pytest.raises(SessionError, match="cannot submit while STOPPED: clear first"):
+        rig.session.submit(rig.orders(100, 0))
+    rig.call("clear")
+    rig.session.submit(rig.orders(100, 0))
+    rig.call("start")
+    assert set(rig.run().outcome) == {Outcome.REACHED}
+
+
+def test_stop_works_in_every_state():
+    for before in ((), ("configure",), ("configure", "stop"), ("configure", "stop", "clear")):
+        rig = Rig(7)
+        for name in before:
+            rig.call(name)
+        rig.call("stop")
+        assert rig.session.state is SessionState.STOPPED
+        rig.call("clear")
+        known = SessionState.IDLE if before else SessionState.UNCONFIGURED
+        assert rig.session.state is known
+
+
+def test_a_stop_survives_the_bridge():
+    rig = Rig(7)
+    rig.call("configure")
+    rig.call("stop")
+    again = Session(rig.plane, rig.units, Safety(), SimulatedBuses(rig.robots), rig.session.angles)
+    again.configure(rig.t)
+    assert again.state is SessionState.STOPPED
