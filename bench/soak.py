@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -315,8 +316,8 @@ def main(argv: list[str] | None = None) -> int:
     done = {(line["kind"], line["seed"], line["robots"]) for line in lines}
     tasks = [task for task in _tasks(args) if task not in done]
     commit, failed = _commit(), sum(bool(line["wrong"]) for line in lines)
-    with multiprocessing.Pool(args.jobs) as pool:
-        for number, line in enumerate(pool.imap(_work, tasks), 1):
+    with multiprocessing.Pool(args.jobs) if args.jobs > 1 else nullcontext() as pool:
+        for number, line in enumerate((pool.imap if pool else map)(_work, tasks), 1):
             line["commit"] = commit
             lines.append(line)
             if args.lines:

@@ -1,6 +1,7 @@
 """The campaigns of bench/soak.py: they pass, they repeat, and they see what must not happen."""
 
 import importlib.util
+import json
 from pathlib import Path
 
 import numpy as np
@@ -38,16 +39,16 @@ def test_the_judge_sees_robots_that_were_not_stopped(soak, monkeypatch):
     # in this one, going on after a robot has lost power makes arms touch
     judge = Watch._judge
 
-    def goes_on(watch):
-        judge(watch)
+    def goes_on(watch, running):
+        judge(watch, running)
         watch.freeze_s = None
         watch.arrived |= watch.wrong | (watch._doubt >= 6)
 
     monkeypatch.setattr(Watch, "_judge", goes_on)
-    wrong = soak.run_campaign("brown_out", 10).wrong
+    wrong = soak.run_campaign("brown_out", 26).wrong
     assert any("arms touch" in words for words in wrong)
     monkeypatch.undo()
-    assert soak.run_campaign("brown_out", 10).wrong == []
+    assert soak.run_campaign("brown_out", 26).wrong == []
 
 
 def test_the_judge_sees_orders_that_were_not_verified(soak):
@@ -56,3 +57,34 @@ def test_the_judge_sees_orders_that_were_not_verified(soak):
     odd = Runs(np.array([3]), np.array([1.0]), np.array([2.0]), np.array([[1, 1]]), ones, ones)
     soak._judge_runs(campaign, odd, [])
     assert campaign.wrong == ["robot 3 moved at 1.0000 s unverified"]
+
+
+def test_a_run_that_was_cut_off_goes_on_and_the_table_is_of_all_lines(soak, tmp_path, capsys):
+    lines, out = tmp_path / "lines.jsonl", tmp_path / "table.md"
+    some = ["--kind", "none", "stall", "--robots", "37", "--lines", str(lines), "--out", str(out)]
+    assert soak.main([*some, "--campaigns", "1"]) == 0
+    first = lines.read_text()
+    assert soak.main([*some, "--campaigns", "2"]) == 0
+    assert lines.read_text().startswith(first)
+    told = [json.loads(line) for line in lines.read_text().splitlines()]
+    assert sorted((line["kind"], line["seed"]) for line in told) == [
+        ("none", 0), ("none", 1), ("stall", 0), ("stall", 1),
+    ]  # fmt: skip
+    assert out.read_text() == soak.table(told)
+    assert "| all | 4 | 0 |" in out.read_text()
+    # a campaign of a line is replayed by its kind and seed
+    capsys.readouterr()
+    assert soak.main(["--replay", "stall:1", "--robots", "37"]) == 0
+    words = capsys.readouterr().out
+    gap_mm = next(line["gap_mm"] for line in told if (line["kind"], line["seed"]) == ("stall", 1))
+    assert f"smallest true gap {gap_mm:.4f} mm" in words and "nothing wrong" in words
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("absent", 5), ("brown_out", 4), ("stretch", 5), ("scl_stuck", 9)]
+)
+def test_stops_are_no_farther_apart_than_what_is_certified(soak, kind, seed):
+    # in these somebody stops on the way
+    campaign = soak.run_campaign(kind, seed)
+    assert campaign.wrong == []
+    assert 0.0 < campaign.apart_ms <= 1e3 * soak.SAFETY.stop_skew_s

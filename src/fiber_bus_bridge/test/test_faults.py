@@ -10,6 +10,7 @@ from fiber_bus_bridge.firmware import EVENT, Event, MotionRecord, Positioners
 from fiber_bus_bridge.link import Link
 from fiber_bus_bridge.wire import (
     STATUS_BYTES,
+    VERIFY_BYTES,
     Addresses,
     Alert,
     Configuration,
@@ -277,3 +278,30 @@ def test_every_kind_of_fault_can_be_drawn_and_is_the_same_again(kind):
     parts = [(f.lines, f.noise, f.stretches, f.events.tolist()) for f in drawn]
     assert parts[0] == parts[1] != parts[2]
     assert sum(map(bool, parts[0])) == 1
+
+
+def test_the_alert_line_is_let_go_when_the_whole_status_has_been_read():
+    buses = buses_with(events=[(1, 1.5, Event.JAM_THETA, 1)])
+    moving(buses)
+    one = TO[np.array([1])]
+    first_bytes = buses.transfer(Frames.empty(one), VERIFY_BYTES, 1.6)
+    assert first_bytes.ack.tolist() == [Ack.OK]
+    assert buses.alert_lines(1.7).tolist() == [0]
+    assert buses.alert_lines(1.4).tolist() == []  # as it was then
+    told = decode_status(one, buses.transfer(Frames.empty(one), STATUS_BYTES, 1.8).table(17))
+    assert told.alerts.tolist() == [Alert.STALLED]
+    assert buses.alert_lines(1.9).tolist() == []
+    again = decode_status(one, buses.transfer(Frames.empty(one), STATUS_BYTES, 2.0).table(17))
+    assert again.alerts.tolist() == [Alert.STALLED]
+
+
+def test_a_frame_without_data_asks_whether_somebody_is_there():
+    buses = buses_with(events=[(1, 0.5, Event.POWER, 0), (2, 0.5, Event.DEAF, 1)])
+    calls = encode_command(Opcode.BEAT, general_call([0]))
+    frames = calls.then(Frames.empty(TO))
+    assert [frames.payload(k) for k in range(5)] == [calls.payload(0), b"", b"", b"", b""]
+    replies = buses.transfer(frames, 0, 1.0)
+    there = [Ack.OK, Ack.NO_ADDRESS, Ack.NO_ADDRESS, Ack.OK]
+    assert replies.ack.tolist() == [Ack.OK, *there]
+    took = (replies.end_s - replies.start_s)[1:]
+    assert took == pytest.approx(buses.timing.unanswered_s(TO.ten_bit))

@@ -288,3 +288,36 @@ def test_nobody_moves_when_no_sequence_number_is_safe(monkeypatch):
     told = rig.session.result.reason.tolist()
     assert told == [Reason.UNSAFE_AS_LOADED] * 6 + [Reason.STOPPED]
     assert np.array_equal(rig.robots.positions(rig.t + 9), motion.start)
+
+
+def test_all_or_nothing_is_of_those_who_could_touch_not_of_the_plane():
+    # a robot points at its neighbour, which comes there as it leaves; others turn elsewhere
+    rig = Rig(37)
+    plane, pairs = rig.plane, neighbour_pairs(rig.plane)
+    leaver, comer = pairs[len(pairs) // 2]
+    toward = plane.centers[comer] - plane.centers[leaver]
+    angle, bend = np.arctan2(toward[1], toward[0]), 1.2
+    facing = np.angle(np.exp(1j * (angle + np.pi))) - bend / 2
+    start = np.tile([0.0, 3.1], (37, 1))
+    start[leaver] = [angle - bend / 2, bend]
+    start[comer] = [facing - np.sign(facing) * 7000 * 250 * 1e-6, bend]
+    theta = np.full(37, 400)
+    theta[leaver] = -7000 * np.sign(start[leaver, 0])
+    theta[comer] = np.sign(facing) * 7000e-6 / rig.units.quantum_rad
+
+    ended = []
+    for present in (True, False):
+        rig = Rig(37, start)
+        motion = rig.ready(theta)
+        rig.robots.power([leaver], present, rig.t)
+        rig.call("start")
+        ended.append((rig.run(), rig.where(), motion))
+    (whole, _, _), (result, where, motion) = ended
+    assert set(whole.outcome) == {Outcome.REACHED}
+    held = np.flatnonzero(result.outcome != Outcome.REACHED)
+    assert sorted(held.tolist()) == sorted([leaver, comer])
+    assert result.reason[leaver] == Reason.NOT_ACKNOWLEDGED
+    assert result.reason[comer] == Reason.UNSAFE_AS_LOADED
+    others = np.setdiff1d(np.arange(37), held)
+    assert len(np.unique(plane.bus[others])) == len(np.unique(plane.bus))
+    assert np.array_equal(where[others], motion.end[others])

@@ -11,6 +11,7 @@ from fiber_bus_bridge import (
     SessionState,
     SimulatedBuses,
 )
+from fiber_bus_bridge.bus import Cure, Faults, Line
 from fiber_bus_bridge.firmware import Event
 from fiber_bus_bridge.resume import remaining_motion
 from fiber_bus_bridge.wire import Fault, RobotState
@@ -174,3 +175,43 @@ def test_a_stop_survives_the_bridge():
     again = Session(rig.plane, rig.units, Safety(), SimulatedBuses(rig.robots), rig.session.angles)
     again.configure(rig.t)
     assert again.state is SessionState.STOPPED
+
+
+STOPS = {
+    "stalls": ([(3, 0.3, Event.JAM_THETA, 1)], ()),
+    "loses power": ([(3, 0.3, Event.POWER, 0)], ()),
+    "boots": ([(3, 0.3, Event.POWER, 0), (3, 0.301, Event.POWER, 1)], ()),
+    "goes deaf": ([(3, 0.3, Event.DEAF, 1)], ()),
+    "hears no calls": ([(3, 0.3, Event.CALL_DEAF, 1)], ()),
+    "takes nothing": ([(3, 0.3, Event.BUSY, 1)], ()),
+    "holds the clock": ([], ((3, 0.3, np.inf, 2e-3),)),
+}
+
+
+@pytest.mark.parametrize("what", STOPS)
+@pytest.mark.parametrize("later_s", [0.0, 0.7e-3, 1.4e-3, 2.1e-3])
+def test_whoever_fails_all_stop_within_the_skew_that_is_certified(what, later_s):
+    events, stretches = STOPS[what]
+    faults = Faults(stretches=tuple((row, t + later_s, *rest) for row, t, *rest in stretches))
+    rig = Rig(config=SessionConfig(resumes=0), faults=faults)
+    rig.ready()
+    rig.call("start")
+    rig.robots.schedule([(row, t + later_s, *rest) for row, t, *rest in events])
+    rig.run()
+    rig.robots.bring_up(rig.t + 0.1)
+    stops = rig.robots.memory["halted_s"]
+    assert stops.min() >= 0.3
+    assert np.ptp(stops) <= Safety().stop_skew_s
+
+
+def test_a_bus_that_sticks_stops_with_the_others():
+    lines = ((Line.SCL_LOW, 1, 0.3, np.inf, Cure.NOTHING),)
+    rig = Rig(config=SessionConfig(resumes=0), faults=Faults(lines=lines))
+    rig.ready()
+    rig.call("start")
+    rig.run()
+    rig.robots.bring_up(rig.t + 0.1)
+    stops = rig.robots.memory["halted_s"]
+    silence_s = 1e-3 * SessionConfig().silence_ms
+    assert 0.3 < stops.min() and stops.max() < 0.3 + silence_s + 1e-3
+    assert np.ptp(stops) <= Safety().stop_skew_s

@@ -1,0 +1,104 @@
+#!/usr/bin/env python3
+"""Measure how far apart in time robots stop when one of them fails on its way.
+
+Two full buses of robots turn, all of them; one fails at a random instant, and those that have
+orders left stop. The table is of the longest time between the first stop and the last, by the
+robots' own memory. What the certificate contains is `Safety.stop_skew_s`.
+"""
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fiber_bus_bridge import (
+    TOPOLOGIES,
+    Positioners,
+    Session,
+    SessionConfig,
+    SessionState,
+    SimulatedBuses,
+    addresses_of,
+    bus_timing,
+)
+from fiber_bus_bridge.bus import Cure, Faults, Line, Topology
+from fiber_bus_bridge.firmware import Event
+from fiber_core.clearance import Safety
+from fiber_core.presets import preset
+from fiber_core.wire_units import WireMotion, WireUnits
+
+__all__ = ["FAILURES", "apart_ms", "main"]
+
+FAILURES = ("stalls", "loses power", "goes deaf", "holds the clock", "bus stuck")
+TABLE = {**TOPOLOGIES, "16 a bus": Topology(16, 200)}
+_EVENTS = {"stalls": Event.JAM_THETA, "loses power": Event.POWER, "goes deaf": Event.DEAF}
+
+
+def apart_ms(topology: str, clock: str, failure: str, rng: np.random.Generator) -> float:
+    """Let one of two buses of robots fail; returns how far apart they stop [ms]."""
+    n = 2 * TABLE[topology].robots_per_bus
+    bus, address = TABLE[topology].hang(n)
+    plane = replace(preset("desi", n), bus=bus, address=address)
+    units = WireUnits.for_plane(plane)
+    counts = units.encoder_counts(plane, np.tile([0.0, 2.9], (n, 1)))
+    robots = Positioners(addresses_of(plane), plane.ids, units.quantum_prad, counts)
+    row, at = int(rng.integers(n)), 1.0 + rng.uniform(0.0, 0.1)
+    lines, stretches = (), ()
+    if failure == "bus stuck":
+        lines = ((Line.SCL_LOW, int(bus[row]), at, np.inf, Cure.NOTHING),)
+    elif failure == "holds the clock":
+        stretches = ((row, at, np.inf, 10 ** rng.uniform(-3, -1.7)),)
+    faults = Faults(lines=lines, stretches=stretches)
+    buses = SimulatedBuses(robots, bus_timing(clock), faults)
+    config = SessionConfig(resumes=0)
+    session = Session(plane, units, Safety(), buses, units.to_angles(counts), config)
+    t = session.configure(0.0)
+    orders = np.arange(n + 1).repeat(2)[1:]  # theta only
+    motion = WireMotion(units, counts, orders, np.full(n, 1000), np.full(n, 300))
+    session.submit(motion)
+    t = session.start(t)
+    if failure in _EVENTS:
+        robots.schedule([(row, at, _EVENTS[failure], int(failure != "loses power"))])
+    while session.state is SessionState.MOVING:
+        t = session.advance(t + 0.1)
+    robots.bring_up(t + 0.1)
+    stops = robots.memory["halted_s"][session.upload.started]
+    return 1e3 * float(np.ptp(stops[stops >= 1.0]))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--clock", nargs="+", default=["1M", "3.4M"])
+    parser.add_argument("--topology", choices=TABLE, nargs="+", default=list(TABLE))
+    parser.add_argument("--out", type=Path, help="file for the table, in markdown")
+    args = parser.parse_args(argv)
+    lines = [
+        "| topology | clock | " + " | ".join(FAILURES) + " |",
+        "|---" * (len(FAILURES) + 2) + "|",
+    ]
+    for topology in args.topology:
+        for clock in args.clock:
+            worst = []
+            for failure in FAILURES:
+                rng = np.random.default_rng(args.seed)
+                trials = range(args.trials)
+                worst.append(max(apart_ms(topology, clock, failure, rng) for _ in trials))
+            cells = " | ".join(f"{value:.2f}" for value in worst)
+            lines.append(f"| {topology} | {clock} | {cells} |")
+            print(lines[-1], flush=True)
+    text = "\n".join(lines) + "\n"
+    if args.out:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        args.out.write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
