@@ -69,6 +69,8 @@ def main(argv=None) -> int:
             report = _report(run)
             for note in run.recording.about["notes"]:
                 display.say(note)
+            if options.faults and not run.recording.events.bad.any():
+                display.say("the faults met nobody on the way: another --seed may")
         except (FiberError, OSError) as error:
             display.say(f"demo: {error}")
             return 1
