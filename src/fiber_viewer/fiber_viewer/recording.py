@@ -242,8 +242,9 @@ class Recording:
     def pauses_s(self) -> list[tuple[float, float]]:
         """From when on all were stopped until some went on [s]."""
         return [
-            (1e-6 * max(int(leg.stop_us.max()), 0), 1e-6 * after.begin_us)
+            (1e-6 * int(leg.stop_us.max()), 1e-6 * after.begin_us)
             for leg, after in zip(self.legs, self.legs[1:])
+            if leg.stopped.any()
         ]
 
     def rows_of(self, ids) -> np.ndarray:

@@ -1,8 +1,11 @@
 """A motion in legs is that of its orders, with a stop and a rest where there was one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from fiber_core.wire_units import WireMotion
 from fiber_viewer import Leg, RecordingError, counts_at, executed
 
 STOP_S, ON_S = 0.3003, 0.455001
@@ -45,6 +48,14 @@ def test_whole_numbers_say_the_same(resumed):
     assert off.max() < 1.001 * 5 * resumed.units.quantum_rad
     ends = counts_at(resumed.legs, np.arange(motion.n), np.full(motion.n, 10**9))
     np.testing.assert_array_equal(ends, resumed.legs[-1].end)
+
+
+def test_going_on_without_a_stop_is_no_pause(recording):
+    motion = recording.motion
+    rest = WireMotion(motion.units, motion.end, np.zeros_like(motion.offsets), [], [])
+    again = replace(recording, legs=(Leg.whole(motion), Leg.whole(rest, 9_000_000)))
+    assert again.pauses_s == []
+    np.testing.assert_allclose(again.decoded(9.5), recording.decoded.end)
 
 
 def test_shapes_are_checked(recording):
