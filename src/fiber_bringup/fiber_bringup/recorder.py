@@ -85,6 +85,11 @@ class _Heard:
         """Frames of all attempts: robots go on where the one before left them."""
         return [log for attempt in self.ran for log in attempt.logs]
 
+    @property
+    def latched_only(self) -> bool:
+        """Whether nothing was heard of it but what whoever comes late is told too."""
+        return self.targets is None and not self.ran
+
 
 class RecorderNode(Node):
     """Writes `plan-STAMP.npz` into a folder for every plan with an outcome.
@@ -104,6 +109,7 @@ class RecorderNode(Node):
         self._safety = declare_settings(self, Safety, "safety")
         self._plane = self._units = self._state = self._rest = None
         self._heard: dict[PlanStamp, _Heard] = {}
+        self._began_ns = self.get_clock().now().nanoseconds
         self._report = Reporter(self, "recorder")
         for topic, heard in (
             (topics.LAYOUT, self._on_layout),
@@ -157,6 +163,8 @@ class RecorderNode(Node):
 
     def _on_outcome(self, message):
         heard = self._of(message)
+        if heard.latched_only and PlanStamp.of(message).ns < self._began_ns:
+            return  # it ended before this recorder began, and may have its recording
         try:
             heard.ended = PlanEnd(PlanStamp.of(message).plan, *outcome.decode(message))
         except FiberError as error:

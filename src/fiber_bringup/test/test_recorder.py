@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
+from fiber_bringup.recorder import RecorderNode, recording_name
 from fiber_core.clearance import Safety, certify
 from fiber_core.outcomes import Outcome, Reason
+from fiber_core.presets import preset
+from fiber_core.wire_units import WireUnits
 from fiber_discretizer import sent_margins
+from fiber_msgs_py import PlanStamp, joint_states, layout, outcome, topics
+from fiber_node import Peer
 from fiber_viewer import EventKind
 
 pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
@@ -110,3 +115,23 @@ def test_a_plan_that_was_replaced_is_recorded_as_one_that_did_not_run(run):
     assert (replaced.reason == Reason.STOPPED).any()
     assert replaced.about["notes"] == ["no frames were heard: nobody was started"]
     assert replaced.load.frames.sum() == 0 and len(replaced.events.kind) == 0
+
+
+def test_a_plan_that_ended_before_the_recorder_began_keeps_the_recording_it_may_have(tmp_path):
+    plane = preset("desi", 7)
+    still, held = np.zeros((7, 2)), np.full(7, Outcome.HELD)
+    told = held, np.full(7, Reason.NO_TARGET), np.full(7, np.nan)
+    with Peer("bridge") as peer:
+        now_ns = peer.node.get_clock().now().nanoseconds
+        ended = topics.OUTCOME.publisher(peer.node)
+        layouts = topics.LAYOUT.publisher(peer.node)
+        states = topics.JOINT_STATES.publisher(peer.node)
+        layouts.publish(layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(now_ns)))
+        states.publish(joint_states.encode(plane.ids, still + 3.0, still, now_ns))
+        before, after = PlanStamp(now_ns), PlanStamp(now_ns + 3600 * 10**9)
+        for stamp in (before, after):
+            ended.publish(outcome.encode(plane.ids, *told, stamp))
+        peer.host(RecorderNode, folder=str(tmp_path))
+        later = tmp_path / recording_name(after)
+        peer.until(later.exists, 60.0, "the recording of a plan that ended later")
+        assert [path.name for path in tmp_path.iterdir()] == [later.name]

@@ -2,7 +2,7 @@
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-__all__ = ["EVENTS", "LATEST", "STREAM"]
+__all__ = ["EVENTS", "LATEST", "RESULTS", "STREAM"]
 
 
 def _profile(depth: int, durability: DurabilityPolicy) -> QoSProfile:
@@ -16,6 +16,8 @@ def _profile(depth: int, durability: DurabilityPolicy) -> QoSProfile:
 
 # the newest message counts, and whoever comes late gets it too
 LATEST = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
+# every message counts, two may come at once, and whoever comes late gets the last few too
+RESULTS = _profile(10, DurabilityPolicy.TRANSIENT_LOCAL)
 # every message counts, and comes alone
 EVENTS = _profile(10, DurabilityPolicy.VOLATILE)
 # every message counts, and several may come before the first is read

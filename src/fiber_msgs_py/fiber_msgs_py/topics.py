@@ -95,7 +95,7 @@ SEGMENTS = _topic("segments", PointCloud2, qos.LATEST)
 FRAMES = _topic("frames", PointCloud2, qos.STREAM)
 JOINT_STATES = _topic("joint_states", JointState, qos.LATEST)
 MARGINS = _topic("margins", PointCloud2, qos.LATEST)
-OUTCOME = _topic("outcome", PointCloud2, qos.LATEST)
+OUTCOME = _topic("outcome", PointCloud2, qos.RESULTS)
 PROGRESS = _topic("progress", DiagnosticStatus, qos.STREAM)
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, qos.EVENTS)
 
