@@ -118,7 +118,8 @@ def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tm
     client.wait_recording(stamp, WAIT_S)
     recording = load_recording(tmp_path / recording_name(stamp))
     assert recording.about["attempts"] == 2 and "2 attempts" in recording.about["notes"][0]
-    np.testing.assert_array_equal(recording.motion.start, before)
+    starts = [leg.motion.start for leg in recording.legs]
+    np.testing.assert_array_equal(starts, [before, client.before[stamp.next_attempt]])
     np.testing.assert_array_equal(recording.outcome, ended.outcome)
     assert recording.about["certificate"]["ok"]
     assert recording.problem.asked.sum() == problem.asked.sum()
@@ -167,11 +168,9 @@ def test_who_configuration_does_not_find_is_not_planned_for(graph, problem):
     others = ended.of(np.setdiff1d(problem.plane.ids[problem.asked], LOST))
     assert np.all(others.outcome == Outcome.REACHED) and client.last_attempt(stamp) == stamp
     assert np.all(ended.of(LOST).reason == Reason.NOT_ACKNOWLEDGED)
-
-    def said():
-        return client.statuses["bridge: left out"].text
-
-    client.until(lambda: "4 not found" in said(), WAIT_S, "word of who is not there")
+    client.until(
+        lambda: "4 not found" in client.statuses["bridge: left out"].text, WAIT_S, "word of that"
+    )
     robots.power(LOST, True, 0.0)
     client.call(topics.CONFIGURE, WAIT_S)
     client.until(lambda: client.plane.enabled[LOST].all(), WAIT_S, "all in the layout again")
