@@ -1,5 +1,7 @@
 """The bridge node on devices of this machine: /dev/i2c-N of a kernel that umockdev plays."""
 
+import errno
+import os
 import re
 import shutil
 import subprocess
@@ -9,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kernel_buses import umockdev
-from rest_of_graph import PLANE, START
+from rest_of_graph import PLANE, START, Rest
 
 from fiber_bus_bridge import BridgeError
 from fiber_bus_bridge.node import BridgeNode
 from fiber_core.problem import Problem, save_problem
+from fiber_msgs_py import topics
 from fiber_node import Peer
 
 pytestmark = pytest.mark.timeout(600)
@@ -52,3 +55,25 @@ def test_devices_that_cannot_be_used_end_it(tmp_path, devices, problem, said):
     save_problem(path, Problem(PLANE, START, np.full((7, 2), np.nan)))
     with Peer("rest") as peer, pytest.raises(BridgeError, match=said):
         peer.host(BridgeNode, devices=devices, problem=str(path) if problem else "")
+
+
+class Disowned:
+    """An adapter whose driver cannot do what it is asked."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def i2c_rdwr(self, *messages):
+        raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
+
+
+def test_an_adapter_that_cannot_be_used_leaves_a_bridge_that_says_so(tmp_path, caplog, monkeypatch):
+    pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
+    monkeypatch.setattr("smbus2.SMBus", Disowned)
+    path = tmp_path / "problem.npz"
+    save_problem(path, Problem(PLANE, START, np.full((7, 2), np.nan)))
+    with Peer("rest") as peer:
+        rest = Rest(peer, str(path), devices=["/dev/i2c-0"])
+        answer = rest.call(topics.CONFIGURE)
+        assert answer.success and answer.message == "0 of 7 robots configured"
+    assert "bus 0: [Errno 95] Operation not supported" in caplog.text

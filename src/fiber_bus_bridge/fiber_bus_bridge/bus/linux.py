@@ -1,6 +1,7 @@
 """Real buses: messages to /dev/i2c-N through the Linux kernel."""
 
 import errno
+import logging
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -30,6 +31,7 @@ ACK_OF_ERRNO = {
     errno.EBUSY: Ack.STUCK,
     errno.ETIMEDOUT: Ack.TIMED_OUT,
 }
+_LOG = logging.getLogger(__name__)
 
 
 class LinuxBuses:
@@ -38,7 +40,8 @@ class LinuxBuses:
     Messages go to the kernel by up to 42 at a time, joined by repeated START. When one of them
     fails the kernel does not say which: all of that batch are sent again one by one, so only
     what may be repeated is batched, and GO always goes alone. The clock of an adapter is set
-    by its driver, and so is how lines are freed; there is no alert line.
+    by its driver, and so is how lines are freed; there is no alert line. An adapter that
+    reports what is no fault of a bus cannot be used: it counts as stuck, and the log says why.
 
     No physical bus has been driven with it.
 
@@ -77,7 +80,6 @@ class LinuxBuses:
 
         Raises:
             TopologyError: there is no device for a bus.
-            OSError: the kernel reports what is no fault of a bus.
         """
         f = len(frames)
         read = np.broadcast_to(np.asarray(read_bytes, dtype=np.int64), (f,))
@@ -139,8 +141,8 @@ class LinuxBuses:
             ack = Ack.OK
         except OSError as error:
             if error.errno not in ACK_OF_ERRNO:
-                raise
-            ack = ACK_OF_ERRNO[error.errno]
+                _LOG.error("bus %d: %s", bus, error)
+            ack = ACK_OF_ERRNO.get(error.errno, Ack.STUCK)
         replies.end_s[rows] = self._clock()
         replies.ack[rows] = ack
         for row, answer in zip(rows, answers):
