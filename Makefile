@@ -94,11 +94,12 @@ bench: build ## plan one field with no ROS and print one JSON line, into OUT
 bench-bus: build ## load, verify and start 5000 robots, on bad buses too, and print a table
 	@$(INSTALLED) && $(PYTHON) bench/bus.py --out bench/results/bus.md
 
-CAMPAIGNS ?= 20
+CAMPAIGNS ?= 10
 .PHONY: soak
-soak: build ## campaigns of faults (CAMPAIGNS= of each kind), a million odd frames; REPLAY=kind:seed
+soak: build ## campaigns of faults (CAMPAIGNS= of each kind, MIXED=, LINES=file to go on), REPLAY=kind:seed
 	@$(INSTALLED) && if [ -n "$(REPLAY)" ]; then $(PYTHON) bench/soak.py --replay $(REPLAY); \
-	else $(PYTHON) bench/soak.py --campaigns $(CAMPAIGNS) && $(PYTHON) bench/fuzz.py; fi
+	else $(PYTHON) bench/soak.py --campaigns $(CAMPAIGNS) $(if $(MIXED),--mixed $(MIXED)) \
+		$(if $(LINES),--lines $(LINES)) && $(PYTHON) bench/fuzz.py; fi
 
 .PHONY: test
 test: build ## run every test of the packages and of test/, and count them

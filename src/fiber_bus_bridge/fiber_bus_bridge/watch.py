@@ -205,9 +205,11 @@ class Watch:
         """Decide whether all must stop, and when."""
         wrong = running & (self.wrong | (self._doubt >= _SILENT))
         if wrong.any():
-            # known as soon as the bus is through with them
-            self.freeze_s = float(self.link.free_s[self._bus[wrong]].max())
-            return
+            # known as soon as the bus is through with them, which on a slow one takes its time
+            known = self.link.free_s[self._bus[wrong]].min()
+            if known <= self.now_s:
+                self.freeze_s = float(known)
+                return
         low = self.link.backend.alert_lines(self.now_s)
         if len(low) and not np.isin(low, self._low).all():
             self.freeze_s = self.now_s

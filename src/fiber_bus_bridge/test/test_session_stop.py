@@ -185,6 +185,7 @@ STOPS = {
     "hears no calls": ([(3, 0.3, Event.CALL_DEAF, 1)], ()),
     "takes nothing": ([(3, 0.3, Event.BUSY, 1)], ()),
     "holds the clock": ([], ((3, 0.3, np.inf, 2e-3),)),
+    "holds the clock for long": ([], ((3, 0.3, np.inf, 3.55e-3),)),
 }
 
 
