@@ -14,13 +14,7 @@ from fiber_bus_bridge.results import Plan, PlanResult, judge
 from fiber_bus_bridge.resume import remaining_motion
 from fiber_bus_bridge.starter import Starter
 from fiber_bus_bridge.upload import Upload, Uploader
-from fiber_bus_bridge.wire import (
-    Alert,
-    Configuration,
-    Opcode,
-    RobotState,
-    encode_config,
-)
+from fiber_bus_bridge.wire import Alert, Configuration, Opcode, RobotState, encode_config
 from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
