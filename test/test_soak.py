@@ -81,7 +81,8 @@ def test_a_run_that_was_cut_off_goes_on_and_the_table_is_of_all_lines(soak, tmp_
 
 
 @pytest.mark.parametrize(
-    ("kind", "seed"), [("absent", 5), ("brown_out", 4), ("stretch", 5), ("scl_stuck", 9)]
+    ("kind", "seed"),
+    [("absent", 5), ("brown_out", 4), ("reset", 40), ("stretch", 5), ("scl_stuck", 9)],
 )
 def test_stops_are_no_farther_apart_than_what_is_certified(soak, kind, seed):
     # in these somebody stops on the way

@@ -7,6 +7,7 @@ from fiber_bus_bridge import SimulatedBuses, bus_timing
 from fiber_bus_bridge.bus import Ack, Cure, FaultKind, Faults, Line, draw_faults
 from fiber_bus_bridge.bus.lines import STRETCH_LIMIT_S
 from fiber_bus_bridge.firmware import EVENT, Event, MotionRecord, Positioners
+from fiber_bus_bridge.firmware.events import BOOT_S
 from fiber_bus_bridge.link import Link
 from fiber_bus_bridge.wire import (
     STATUS_BYTES,
@@ -58,7 +59,8 @@ def test_a_stuck_line_times_out_and_takes_its_bus_with_it_until_it_is_freed(line
         assert replies.end_s[3] - 1.0 < 1e-3
         end_s, free = buses.recover(0, attempt, replies.end_s[0])
         assert (free, end_s > replies.end_s[0]) == (heal, True)
-        again = buses.transfer(CLEAR[np.arange(3)], 0, end_s).ack
+        booted_s = end_s + BOOT_S * (attempt == Cure.POWER)
+        again = buses.transfer(CLEAR[np.arange(3)], 0, booted_s).ack
         assert (set(again) == {Ack.OK}) == heal
 
 
@@ -67,6 +69,14 @@ def test_a_power_cycle_of_a_branch_boots_its_robots_and_no_others():
     buses.recover(0, Cure.POWER, 1.0)
     assert buses.positioners.memory["boot"].tolist() == [2, 2, 2, 1]
     assert buses.alert_lines(2.0).tolist() == [0]
+
+
+def test_a_robot_that_boots_is_not_there_yet():
+    buses = buses_with(events=[(1, 0.5, Event.POWER, 0), (1, 0.502, Event.POWER, 1)])
+    asked = Frames.empty(TO[np.array([0, 1])])
+    for t, there in ((0.503, False), (0.5069, False), (0.502 + BOOT_S, True)):
+        acks = buses.transfer(asked, 0, t).ack.tolist()
+        assert acks == [Ack.OK, Ack.OK if there else Ack.NO_ADDRESS]
 
 
 def test_a_line_that_sticks_at_the_last_acknowledge_leaves_a_robot_that_has_heard():

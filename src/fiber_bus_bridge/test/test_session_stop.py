@@ -181,6 +181,7 @@ STOPS = {
     "stalls": ([(3, 0.3, Event.JAM_THETA, 1)], ()),
     "loses power": ([(3, 0.3, Event.POWER, 0)], ()),
     "boots": ([(3, 0.3, Event.POWER, 0), (3, 0.301, Event.POWER, 1)], ()),
+    "boots after 2 ms": ([(3, 0.3, Event.POWER, 0), (3, 0.302, Event.POWER, 1)], ()),
     "goes deaf": ([(3, 0.3, Event.DEAF, 1)], ()),
     "hears no calls": ([(3, 0.3, Event.CALL_DEAF, 1)], ()),
     "takes nothing": ([(3, 0.3, Event.BUSY, 1)], ()),

@@ -8,9 +8,11 @@ from numba import njit
 from fiber_bus_bridge.firmware.drive import halt, reboot, settle
 from fiber_bus_bridge.wire.codes import RobotState
 
-__all__ = ["EVENT", "Event", "bring_up", "events_in_order", "switch"]
+__all__ = ["BOOT_S", "EVENT", "Event", "bring_up", "events_in_order", "switch"]
 
 _UNCONFIGURED = int(RobotState.UNCONFIGURED)
+# A robot that loses power for an instant is missed when it is next asked whether it is there.
+BOOT_S = 5e-3
 
 
 class Event(IntEnum):
@@ -46,6 +48,7 @@ def switch(r, on, t):
     settle(r, t)
     if on and not r.powered:
         reboot(r, t)
+        r.boots_until_s = t + BOOT_S
     elif not on and r.powered:
         halt(r, t)
         r.state = _UNCONFIGURED  # the rest it forgets when it boots

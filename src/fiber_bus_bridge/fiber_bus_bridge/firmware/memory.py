@@ -26,6 +26,7 @@ MEMORY = np.dtype(
         ("call_deaf", "?"),  # hears no general call
         ("busy", "?"),  # takes nothing
         ("powered", "?"),
+        ("boots_until_s", "f8"),  # it hears nothing before [s]
         # what survives a power cut
         ("position", "i8", (2,)),  # encoders at rest, or where the motion began [quanta]
         ("boot", "i8"),
@@ -73,7 +74,7 @@ def new_memory(
     memory["jam_s"] = np.inf
     memory["powered"] = True
     memory["alert_s"] = np.inf
-    memory["started_s"] = memory["halted_s"] = -np.inf
+    memory["started_s"] = memory["halted_s"] = memory["boots_until_s"] = -np.inf
     memory["boot"] = 1
     memory["state"] = RobotState.UNCONFIGURED
     memory["executed"] = NOTHING

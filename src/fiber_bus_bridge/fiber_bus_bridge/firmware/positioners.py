@@ -144,7 +144,8 @@ def _exchange(
             row = order[k]
             bring_up(m, events, next_event, last_event, row, start_s[f])
             r = m[row]
-            if not r.powered or r.deaf or (called and r.call_deaf):
+            off = not r.powered or start_s[f] < r.boots_until_s
+            if off or r.deaf or (called and r.call_deaf):
                 continue
             if last > first:
                 # it may break down before the frame is complete
