@@ -120,7 +120,8 @@ def _clashes(bodies, pairs, options, count, margin):
 @nb.njit(cache=True)
 def _follow(i, chosen, offsets, neighbours, clash, count, pose, trail):
     # Set the pose of i and all that follows from it. Returns how many were set, they
-    # stand on the trail, and who was left without a pose, -1 if nobody was.
+    # stand on the trail, and who was left without a pose, -1 if nobody was: never one that
+    # stays, or who is given up would be given up again without end.
     pose[i] = chosen
     trail[0] = i
     size, at = 1, 0
@@ -131,7 +132,7 @@ def _follow(i, chosen, offsets, neighbours, clash, count, pose, trail):
             b = neighbours[e]
             if pose[b] != _OPEN:
                 if clash[e, pose[a], pose[b]]:
-                    return size, b
+                    return size, a if pose[b] == _STAYS else b
                 continue
             left, possible = 0, _OPEN
             for j in range(count[b]):

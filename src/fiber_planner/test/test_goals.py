@@ -95,6 +95,27 @@ def test_a_target_under_a_disabled_arm_is_blocked(robots):
     assert choose_goals(free, MARGIN)[1][0] == Reason.OK
 
 
+@pytest.mark.parametrize("obstacles", [False, True])
+def test_a_target_with_an_elbow_blocked_on_either_side_is_blocked(robots, obstacles):
+    # each of the two leaves one elbow free, so only both together block the target
+    for sides in [(-1,), (1,), (-1, 1)]:
+        if obstacles:
+            centers = [(0, 0)]
+            columns = {"obstacles": np.array([[4.0 * side, 1.0, 0.8] for side in sides])}
+        else:  # straight arms of disabled robots, that end 4.5 mm to the side
+            centers = [(0, 0)] + [(10.5 * side, 1.0) for side in sides]
+            columns = {"enabled": [True] + [False] * len(sides)}
+        both_elbows = np.full((len(centers), 2, 2), [-np.pi, np.pi])
+        plane = robots(centers, limits=both_elbows, **columns)
+        start = np.zeros((plane.n, 2))
+        start[:, 0] = np.where(plane.centers[:, 0] > 0, np.pi, 0.0)
+        start[0] = -np.pi / 2, 0.0
+        targets = np.full((plane.n, 2), np.nan)
+        targets[0] = 0.0, 2.0
+        _, reason = choose_goals(Problem(plane, start, targets), MARGIN)
+        assert reason[0] == (Reason.GOAL_BLOCKED if len(sides) == 2 else Reason.OK)
+
+
 def test_what_cannot_be_reached_or_moved_is_refused_with_its_reason(robots):
     plane = robots([(0, 0), (30, 0), (60, 0)], enabled=[True, False, True])
     start = np.zeros((3, 2))
