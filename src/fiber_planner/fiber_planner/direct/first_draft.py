@@ -80,7 +80,10 @@ def straight_draft(
     q = np.empty((len(crowd.movable), 2, grid.intervals + 1))
     _go_straight(problem.start, ends.angles, q)
 
-    least = _least_mm(problem, crowd, parameters, grid.makespan_s)
+    # What safety asks at the speeds of this draft. Who goes faster later may need more, which
+    # the certificate tells; to ask it of all would leave many pairs no room at their ends.
+    speeds = np.minimum(np.abs(ends.angles - problem.start) / grid.makespan_s, plane.speeds)
+    least = _least_mm(crowd, parameters, plane, speeds, grid.makespan_s)
     at_start = gaps(plane, crowd.pairs, problem.start) - _EPS_MM
     at_end = gaps(plane, crowd.pairs, ends.angles) - _EPS_MM
     tangled = at_start < least
@@ -131,7 +134,8 @@ def _clear_options(problem, crowd, parameters, alone_s):
     # The option of each robot nearest to what choose_goals would have it end in. Goals that
     # leave the allowance are better, unless robots would have to be given up for it.
     least = parameters.margin_mm + parameters.allowance_mm
-    most = _least_mm(problem, crowd, parameters, 2.0 * alone_s).max(initial=0.0)
+    plane = problem.plane
+    most = _least_mm(crowd, parameters, plane, plane.speeds, 2.0 * alone_s).max(initial=0.0)
     goal, reason = choose_goals(problem, max(least, most + parameters.allowance_mm))
     if (reason == Reason.GOAL_BLOCKED).any():
         other, other_reason = choose_goals(problem, least)
@@ -142,8 +146,7 @@ def _clear_options(problem, crowd, parameters, alone_s):
     return away.argmin(axis=1)
 
 
-def _least_mm(problem, crowd, parameters, makespan_s):
-    # the gap Safety would ask of each pair at full speed, were nobody too close at the start
-    plane = problem.plane
-    speeds = point_speeds(levers_of(plane), plane.speeds * crowd.movable[: plane.n, None])
+def _least_mm(crowd, parameters, plane, speed_rad_s, makespan_s):
+    # the gap Safety asks of each pair at some joint speeds, were nobody too close at the start
+    speeds = point_speeds(levers_of(plane), speed_rad_s * crowd.movable[: plane.n, None])
     return parameters.safety.required_at(speeds, makespan_s, crowd.pairs)
