@@ -19,7 +19,7 @@ from fiber_planner.direct.draws import (
     trapezoid,
 )
 
-__all__ = ["add_weight", "fold_first", "restore", "sweep"]
+__all__ = ["add_weight", "fold_first", "go_straight", "restore", "sweep"]
 
 _GROWTH = 1.3  # of the weight of a pair, for every sweep its conflict lasts
 _KEEP_HALF = 0.3  # share of the odd draws that change half a profile
@@ -173,6 +173,19 @@ def fold_first(crowd, draft, which, step_s):
         begin = min(there, max(0, (last - turn) // 2))
         end = max(begin + max(1, turn), last - back)
         trapezoid(draft.q[i, 0], s, g, g, begin, end, last, last)
+
+
+@nb.njit(cache=True)
+def go_straight(crowd, draft, which):
+    """Let robots turn both motors over the whole time to where they end, shape of which (b,)."""
+    last = draft.q.shape[2] - 1
+    for i in range(len(crowd.start)):
+        if which[i] and draft.choice[i] >= 0:
+            alter(crowd, draft, i)
+            draft.legs[i, 0] = draft.legs[i, 1] = 0
+            for joint in range(2):
+                s, g = draft.q[i, joint, 0], draft.q[i, joint, last]
+                trapezoid(draft.q[i, joint], s, g, g, 0, last, last, last)
 
 
 @nb.njit(cache=True, error_model="numpy")

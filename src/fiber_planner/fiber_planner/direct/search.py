@@ -15,7 +15,7 @@ from fiber_planner.direct.first_draft import choose_ends, straight_draft
 from fiber_planner.direct.grid import time_grid
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.proof import missing_mm
-from fiber_planner.direct.repair import add_weight, fold_first, restore, sweep
+from fiber_planner.direct.repair import add_weight, fold_first, go_straight, restore, sweep
 from fiber_planner.direct.simplify import simplify
 from fiber_planner.protocol import Progress
 
@@ -188,25 +188,29 @@ class Search:
         fold_first(self._crowd, self._draft, self._crowd.movable, self._grid.step_s)
         return measure(self._crowd, self._draft)
 
-    def _fold_around(self):
+    def _fold_around(self, straight):
         # The robots in conflict and all around them begin again, with equal weights: what
-        # is stuck for long has pushed its weights beyond everything else.
-        pairs = self._crowd.pairs
-        near = np.zeros(len(self._crowd.movable), dtype=bool)
-        near[pairs[self._draft.depth > 0.0]] = True
+        # is stuck for long has pushed its weights beyond everything else. Two whose arms pass
+        # each other when both go straight may not be able to when both fold.
+        pairs, movable = self._crowd.pairs, self._crowd.movable
+        stuck = np.zeros(len(movable), dtype=bool)
+        stuck[pairs[self._draft.depth > 0.0]] = True
+        near = stuck.copy()
         near[pairs[near[pairs].any(axis=1)]] = True
         self._draft.weight[:] = 1.0
-        fold_first(self._crowd, self._draft, near & self._crowd.movable, self._grid.step_s)
+        fold_first(self._crowd, self._draft, near & movable, self._grid.step_s)
+        if straight:
+            go_straight(self._crowd, self._draft, stuck & movable)
         measure(self._crowd, self._draft)
 
     def _repair(self):
         folding = int(self._folding > 0.0)
         until = self._spent + _AT_ONE_MAKESPAN * max(_SMALL_PLANE, self._problem.plane.n)
         conflicts = self._sweep_over(_SWEEPS[folding])
-        for _ in range(_REFOLDED_AT_MOST * folding):
+        for number in range(_REFOLDED_AT_MOST * folding):
             if conflicts == 0 or self._spent >= until or self._over:
                 break
-            self._fold_around()
+            self._fold_around(straight=number % 2 == 1)
             conflicts = self._sweep_over(_SWEEPS[folding])
         return conflicts
 
