@@ -118,20 +118,42 @@ def test_hard_cases(case):
     assert ok.all()
 
 
-def test_targets_at_exactly_the_least_distance():
-    problem, _ = _row_of_robots((90, 90), (0, 180), 0, 0)
-    plane = problem.plane
-    # tips face each other on the x axis; between them the gap two robots need at full speed
+def _tips_facing(theta_start, gap_mm, others=()):
+    # two robots that end with their tips a gap apart on the x axis, and more that turn back
+    turns = (*theta_start, *others)
+    problem, goal = _row_of_robots(turns, [0] * len(turns), 0, 0)
+    bend = np.arccos((10.4 - 2.0 - gap_mm) / 12.0)
+    goal[:2] = [[-bend, 2 * bend], [np.pi - bend, 2 * bend]]
+    assert gaps(problem.plane, [[0, 1]], goal)[0] == pytest.approx(gap_mm, abs=1e-9)
+    return replace(problem, targets=kinematics.forward(problem.plane, goal)[1])
+
+
+def _required_at_full_speed(plane):
+    n = plane.n
     half_turn = SegmentMotion(
-        np.zeros((2, 2)), np.arange(5), np.full(4, np.pi / plane.speeds[0, 0]), plane.speeds.ravel()
+        np.zeros((n, 2)),
+        np.arange(2 * n + 1),
+        np.full(2 * n, np.pi / plane.speeds[0, 0]),
+        plane.speeds.ravel(),
     )
-    required = DirectParameters().safety.required_mm(plane, half_turn, np.array([[0, 1]]))[0]
-    bend = np.arccos((10.4 - 2.0 - required) / 12.0)
-    goal = np.array([[-bend, 2 * bend], [np.pi - bend, 2 * bend]])
-    assert gaps(plane, [[0, 1]], goal)[0] == pytest.approx(required, abs=1e-9)
-    problem = Problem(plane, problem.start, kinematics.forward(plane, goal)[1])
+    return DirectParameters().safety.required_mm(plane, half_turn, np.array([[0, 1]]))[0]
+
+
+def test_targets_at_exactly_the_least_distance():
+    required = _required_at_full_speed(_row_of_robots((90, 90), (0, 180))[0].plane)
+    problem = _tips_facing((90, 90), required)
     _, ok = _judge(problem, DirectPlanner().plan(problem))
     assert ok.all()
+
+
+def test_slow_robots_may_end_nearer_than_fast_ones_could():
+    # the third one has far to go, the two that face each other have all that time
+    gap_mm = 0.12
+    problem = _tips_facing((-20, 160), gap_mm, others=(200,))
+    assert gap_mm < _required_at_full_speed(problem.plane)
+    motion, ok = _judge(problem, DirectPlanner().plan(problem))
+    assert ok.all()
+    assert motion.makespan_s <= 1.01 * lower_bound_s(problem)
 
 
 def _boxed_in():

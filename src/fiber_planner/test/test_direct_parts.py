@@ -19,6 +19,7 @@ from fiber_planner.direct.grid import TimeGrid, time_grid
 from fiber_planner.direct.penetration import _DEEPEST, penetration
 from fiber_planner.direct.pieces import pieces_of
 from fiber_planner.direct.proof import missing_mm
+from fiber_planner.direct.repair import go_straight
 from fiber_planner.direct.simplify import simplify
 
 _STEPS = 24
@@ -220,6 +221,21 @@ def test_a_detour_nobody_needs_becomes_a_line_and_one_that_is_needed_stays():
     assert measure(crowd, draft) == 0
     assert np.array_equal(draft.q[0], q[0])  # and is waited for
     assert np.array_equal(draft.q[:, :, [0, -1]], q[:, :, [0, -1]])
+
+
+def test_who_goes_straight_keeps_its_ends_and_nobody_else_changes():
+    plane = plane_from(PRESETS["desi"], np.arange(3), [[0.0, 0.0], [10.4, 0.0], [40.0, 0.0]])
+    crowd = crowd_of(Problem(plane, np.zeros((3, 2)), np.full((3, 2), np.nan)))
+    q = np.random.default_rng(0).uniform(0.0, 1.0, (3, 2, _STEPS + 1))
+    draft = _draft(crowd, q.copy(), 0.1)
+    draft.choice[1] = -1  # may end anywhere
+    draft.changed[:] = draft.around[:] = False
+    go_straight(crowd, draft, np.array([True, True, False]))
+    assert np.allclose(draft.q[0], np.linspace(q[0, :, 0], q[0, :, -1], _STEPS + 1).T)
+    assert np.array_equal(draft.q[1:], q[1:])
+    assert draft.legs.tolist() == [[0, 0], [5, 5], [5, 5]]
+    assert draft.changed.tolist() == [True, False, False]
+    assert draft.around.tolist() == [True, True, False]  # the second is its neighbour
 
 
 def test_who_had_to_wait_is_tried_again_once_the_other_has_changed():
