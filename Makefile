@@ -66,7 +66,7 @@ FORCE:
 
 src/%: ;
 
-build/.built: $(ENV_STAMP) build/.sources $(shell test -f build/.sources && cat build/.sources)
+build/.built: $(ENV_STAMP) tools/compile_loops.py build/.sources $(shell test -f build/.sources && cat build/.sources)
 	@echo "building the workspace"
 	@$(COLCON) build --event-handlers $(QUIET) || { cat log/latest_build/*/stderr.log; exit 1; }
 	@# compiled loops are cached a file each, and do not notice that what they call has changed

@@ -27,7 +27,7 @@ def in_a_domain_of_its_own(new_domain, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(new_domain()))
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def executable():
     """Path of an installed executable; skips where the workspace is not built."""
 
@@ -102,19 +102,30 @@ def test_the_whole_graph_runs_as_one_executable_too(executable, problem_file, tm
         assert nodes.end() == {"graph": 0}
 
 
-def test_the_demo_leaves_files_that_agree(executable, tmp_path):
-    command = [executable("fiber_bringup", "demo"), "--robots", "37", "--time-scale", "0"]
-    run = subprocess.run(
-        [*command, "--seed", "5", "--out", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"COLUMNS": "200"},
-    )
-    assert run.returncode == 0, run.stdout + run.stderr
-    report = json.loads((tmp_path / "report.json").read_text())
-    problem = load_problem(tmp_path / "problem.npz")
-    motion, outcome = load_plan(tmp_path / "plan.npz", problem.start)
+class Demo:
+    """The demo run once: its folder, and what it and its nodes wrote, with word of every loop."""
+
+    def __init__(self, folder, command, domain):
+        options = ["--robots", "37", "--time-scale", "0", "--seed", "5", "--out", str(folder)]
+        told = {"COLUMNS": "200", "NUMBA_DEBUG_CACHE": "1", "ROS_DOMAIN_ID": str(domain)}
+        run = subprocess.run(
+            [command, *options], capture_output=True, text=True, check=False, env=os.environ | told
+        )
+        assert run.returncode == 0, run.stdout + run.stderr
+        self.folder, self.said = folder, run.stdout
+        logs = [path.read_text(errors="replace") for path in folder.glob("*.log")]
+        self.said_by_all = "\n".join([run.stdout, run.stderr, *logs])
+
+
+@pytest.fixture(scope="module")
+def demo(executable, tmp_path_factory, new_domain):
+    return Demo(tmp_path_factory.mktemp("demo"), executable("fiber_bringup", "demo"), new_domain())
+
+
+def test_the_demo_leaves_files_that_agree(demo):
+    report = json.loads((demo.folder / "report.json").read_text())
+    problem = load_problem(demo.folder / "problem.npz")
+    motion, outcome = load_plan(demo.folder / "plan.npz", problem.start)
     assert report["robots"] == report["asked"] == 37 == len(outcome)
     reached = outcome == Outcome.REACHED
     assert report["reached"] == reached.sum() > 37 / 2
@@ -124,6 +135,16 @@ def test_the_demo_leaves_files_that_agree(executable, tmp_path):
     off = np.hypot(*(forward(problem.plane, motion.end)[1] - problem.targets).T)
     assert off[reached].max() < 0.1 < off[~reached].min(initial=np.inf)
     assert report["bytes_mean"] >= report["bytes_bound"] > 4 and report["bus_time_s"] > 0
-    assert (tmp_path / "plane.png").read_bytes().startswith(b"\x89PNG")
+    assert (demo.folder / "plane.png").read_bytes().startswith(b"\x89PNG")
     for name in ("makespan", "report.json", "plan.npz", "plane.png"):
-        assert name in run.stdout
+        assert name in demo.said
+
+
+def test_the_build_has_compiled_every_loop_of_the_demo(demo):
+    built = Path(__file__).parents[1] / "build/.built"  # made when compile_loops was through
+    if not built.exists():
+        pytest.skip("NOT TESTED, this workspace was not built by make")
+    used = re.findall(r"data (?:saved to|loaded from) '(.*)'", demo.said_by_all)
+    assert len(used) > 50, "the nodes say nothing of their loops"
+    late = {path for path in used if Path(path).stat().st_mtime > built.stat().st_mtime}
+    assert not late, "tools/compile_loops.py does not come by these"

@@ -1,31 +1,56 @@
-"""Run a small plane through the installed cores, so that every loop is compiled and cached."""
+"""Run a small plane through the installed nodes, so that every loop is compiled and cached.
+
+The nodes themselves, because a loop is compiled for the very arrays it is given: one that may
+be written to, or came from another process, is of another type.
+"""
 
 import sys
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
+from tempfile import TemporaryDirectory
 
 import numpy as np
-from plan_field import carry_out
 
-from fiber_core.fields import random_problem
+from fiber_bringup.client import PlaneClient
+from fiber_bringup.environment import own_domain
+from fiber_bringup.graph import Graph
+from fiber_core.fields import random_field, random_problem
 from fiber_core.presets import preset
 from fiber_planner import make_planner, planners
 
+_PRESET, _ROBOTS = "desi_outlines", 37
+_WAIT_S = 600.0
 
-def _small():
-    return random_problem(preset("desi_outlines", robots=37), np.random.default_rng(0))
+
+def _reconfigure(planner: str) -> None:
+    domain = own_domain()
+    bridge = {"preset": _PRESET, "robots": _ROBOTS, "time_scale": 0.0}
+    with (
+        TemporaryDirectory() as folder,
+        Graph(
+            planner={"planner": planner},
+            bridge=bridge,
+            recorder={"folder": folder},  # it asks for margins, and replays
+            domain=domain,
+            args=["--ros-args", "--log-level", "warn"],
+        ),
+        PlaneClient(domain) as client,
+    ):
+        client.wait_for_graph(_WAIT_S, also=("recorder",))
+        rng = np.random.default_rng(0)
+        problem = random_field(client.plane, rng, start=client.angles).problem
+        ended = client.reconfigure(client.plane.ids, problem.targets, _WAIT_S)
+        client.wait_recording(ended.stamp, _WAIT_S)
 
 
 def _plan(name: str) -> None:
-    make_planner(name).plan(_small())
+    plane = preset(_PRESET, _ROBOTS)
+    make_planner(name).plan(random_problem(plane, np.random.default_rng(0)))
 
 
 def main() -> int:
     """Compile on two cores, then once through the whole chain; returns the exit code."""
     with ProcessPoolExecutor(2) as pool:
-        done = [pool.submit(carry_out, _small(), "dnf")]
+        done = [pool.submit(_reconfigure, "dnf")]
         done += [pool.submit(_plan, name) for name in planners() if name != "dnf"]
         for each in done:
             each.result()
