@@ -8,11 +8,10 @@ import time
 import numpy as np
 import pytest
 from kernel_buses import Kernel
-from rest_of_graph import COUNTS, PLANE, START, UNITS, Rest, turning
+from rest_of_graph import COUNTS, PLANE, UNITS, Rest, problem_file, turning
 
 from fiber_bus_bridge import Positioners, SimulatedBuses, addresses_of
 from fiber_core.outcomes import Outcome, Reason
-from fiber_core.problem import Problem, save_problem
 from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import joint_states, topics
 from fiber_node import Peer
@@ -38,14 +37,7 @@ PATIENT = {
 
 
 @pytest.fixture
-def path(tmp_path):
-    problem = Problem(PLANE, START, np.full((7, 2), np.nan))
-    save_problem(tmp_path / "problem.npz", problem)
-    return str(tmp_path / "problem.npz")
-
-
-@pytest.fixture
-def rest(path, tmp_path, monkeypatch):
+def rest(tmp_path, monkeypatch):
     """A bridge on a device behind which robots are elsewhere than it believes."""
     # umockdev takes every file below /dev for one of its own, also what Fast DDS has in /dev/shm
     (tmp_path / "udp.xml").write_text(PROFILE)
@@ -54,7 +46,7 @@ def rest(path, tmp_path, monkeypatch):
     robots = Positioners(addresses_of(PLANE), PLANE.ids, UNITS.quantum_prad, moved)
     kernel = Kernel(SimulatedBuses(robots), time.monotonic)
     with Peer("rest") as peer:
-        rest = Rest(peer, path, devices=["/dev/i2c-0"], **PATIENT)
+        rest = Rest(peer, problem_file(tmp_path), devices=["/dev/i2c-0"], **PATIENT)
         rest.robots = robots
         yield rest
     kernel.close()

@@ -4,6 +4,7 @@ import numpy as np
 
 from fiber_bus_bridge.node import BridgeNode
 from fiber_core.presets import preset
+from fiber_core.problem import Problem, save_problem
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import (
     PlanStamp,
@@ -15,7 +16,18 @@ from fiber_msgs_py import (
     topics,
 )
 
-__all__ = ["COUNTS", "PLANE", "START", "TICKS", "UNITS", "VELOCITY", "WAIT_S", "Rest", "turning"]
+__all__ = [
+    "COUNTS",
+    "PLANE",
+    "START",
+    "TICKS",
+    "UNITS",
+    "VELOCITY",
+    "WAIT_S",
+    "Rest",
+    "problem_file",
+    "turning",
+]
 
 WAIT_S = 300.0  # the first motion compiles
 PLANE = preset("desi", 7)
@@ -31,6 +43,13 @@ def turning(ids=PLANE.ids, ticks=TICKS):
     n = len(ids)
     offsets = np.repeat(np.arange(n + 1), 2)[1:]
     return WireMotion(UNITS, COUNTS[:n], offsets, np.full(n, ticks), np.full(n, VELOCITY))
+
+
+def problem_file(folder, start=START) -> str:
+    """Write where the robots begin, nobody asked to go anywhere; return the file."""
+    path = folder / "problem.npz"
+    save_problem(path, Problem(PLANE, start, np.full((7, 2), np.nan)))
+    return str(path)
 
 
 class Rest:

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from rest_of_graph import COUNTS, PLANE, START, UNITS, WAIT_S, Rest, turning
+from rest_of_graph import COUNTS, PLANE, UNITS, WAIT_S, Rest, problem_file, turning
 
 from fiber_bus_bridge import BridgeError
 from fiber_bus_bridge.node import BridgeNode
 from fiber_bus_bridge.wire import Opcode
 from fiber_core.outcomes import Outcome, Reason
-from fiber_core.problem import Problem, save_problem
 from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import (
     MessageError,
@@ -26,16 +25,9 @@ pytestmark = pytest.mark.timeout(600)
 
 
 @pytest.fixture
-def path(tmp_path):
-    problem = Problem(PLANE, START, np.full((7, 2), np.nan))
-    save_problem(tmp_path / "problem.npz", problem)
-    return str(tmp_path / "problem.npz")
-
-
-@pytest.fixture
-def rest(path):
+def rest(tmp_path):
     with Peer("rest") as peer:
-        yield Rest(peer, path)
+        yield Rest(peer, problem_file(tmp_path))
 
 
 def test_it_shows_its_plane_and_where_the_encoders_are(rest):
@@ -61,10 +53,10 @@ def test_orders_wait_for_start_and_are_carried_out_to_the_last_quantum(rest):
     assert Opcode.LOAD in opcodes and any(np.any(log.read) for _, log in logs)
 
 
-def test_a_capture_is_written_of_each_plan(path, tmp_path):
+def test_a_capture_is_written_of_each_plan(tmp_path):
     pytest.importorskip("vcd", reason="pyvcd is not installed: no captures")
     with Peer("rest") as peer:
-        rest = Rest(peer, path, capture=str(tmp_path / "capture"))
+        rest = Rest(peer, problem_file(tmp_path), capture=str(tmp_path / "capture"))
         rest.ready(9)
         assert rest.call(topics.START).success
         rest.end(9)
@@ -139,9 +131,9 @@ def test_newer_orders_replace_those_that_wait(rest):
     rest.until(lambda: np.array_equal(rest.counts(), turning(ticks=10).end))
 
 
-def test_a_stop_while_the_next_look_is_due_leaves_a_bridge_that_answers(path):
+def test_a_stop_while_the_next_look_is_due_leaves_a_bridge_that_answers(tmp_path):
     with Peer("rest") as peer:
-        rest = Rest(peer, path, time_scale=1.0)
+        rest = Rest(peer, problem_file(tmp_path), time_scale=1.0)
         rest.ready(9)
         assert rest.call(topics.START).success
         looks = min(rest.bridge.timers, key=lambda timer: timer.timer_period_ns)
@@ -156,7 +148,8 @@ def test_a_stop_while_the_next_look_is_due_leaves_a_bridge_that_answers(path):
         assert rest.call(topics.CLEAR).success
 
 
-def test_settings_it_cannot_work_with_end_it(path):
+def test_settings_it_cannot_work_with_end_it(tmp_path):
+    path = problem_file(tmp_path)
     with Peer("rest") as peer:
         with pytest.raises(MessageError, match="time_scale -1.0"):
             peer.host(BridgeNode, problem=path, time_scale=-1.0)

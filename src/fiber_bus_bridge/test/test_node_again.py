@@ -7,12 +7,11 @@ import threading
 
 import numpy as np
 import pytest
-from rest_of_graph import PLANE, START, UNITS, WAIT_S, Rest
+from rest_of_graph import PLANE, START, UNITS, WAIT_S, Rest, problem_file
 
 import fiber_bus_bridge.node.hardware
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
-from fiber_core.problem import Problem, save_problem
 from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import PlanStamp, joint_states, layout, targets, topics
 from fiber_node import Peer
@@ -83,8 +82,7 @@ class Scene(Rest):
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     """Function that makes a scene; parameters are those of the bridge."""
-    problem = Problem(PLANE, STANDING, np.full((7, 2), np.nan))
-    save_problem(tmp_path / "problem.npz", problem)
+    path = problem_file(tmp_path, STANDING)
     made, build = [], fiber_bus_bridge.node.hardware.simulated_buses
     monkeypatch.setattr(
         fiber_bus_bridge.node.hardware,
@@ -92,7 +90,7 @@ def scene(tmp_path, monkeypatch):
         lambda *given: made.append(build(*given)) or made[-1],
     )
     with Peer("rest") as peer:
-        yield lambda **parameters: Scene(peer, str(tmp_path / "problem.npz"), made, **parameters)
+        yield lambda **parameters: Scene(peer, path, made, **parameters)
 
 
 def test_who_was_held_for_another_is_asked_again_and_arrives(scene):

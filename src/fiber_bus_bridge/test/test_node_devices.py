@@ -8,14 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from kernel_buses import umockdev
-from rest_of_graph import PLANE, START, Rest
+from rest_of_graph import Rest, problem_file
 
 from fiber_bus_bridge import BridgeError
 from fiber_bus_bridge.node import BridgeNode
-from fiber_core.problem import Problem, save_problem
 from fiber_msgs_py import topics
 from fiber_node import Peer
 
@@ -51,10 +49,9 @@ def test_the_node_on_devices():
 )
 def test_devices_that_cannot_be_used_end_it(tmp_path, devices, problem, said):
     pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
-    path = tmp_path / "problem.npz"
-    save_problem(path, Problem(PLANE, START, np.full((7, 2), np.nan)))
+    path = problem_file(tmp_path)
     with Peer("rest") as peer, pytest.raises(BridgeError, match=said):
-        peer.host(BridgeNode, devices=devices, problem=str(path) if problem else "")
+        peer.host(BridgeNode, devices=devices, problem=path if problem else "")
 
 
 class Disowned:
@@ -70,10 +67,8 @@ class Disowned:
 def test_an_adapter_that_cannot_be_used_leaves_a_bridge_that_says_so(tmp_path, caplog, monkeypatch):
     pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
     monkeypatch.setattr("smbus2.SMBus", Disowned)
-    path = tmp_path / "problem.npz"
-    save_problem(path, Problem(PLANE, START, np.full((7, 2), np.nan)))
     with Peer("rest") as peer:
-        rest = Rest(peer, str(path), devices=["/dev/i2c-0"])
+        rest = Rest(peer, problem_file(tmp_path), devices=["/dev/i2c-0"])
         answer = rest.call(topics.CONFIGURE)
         assert answer.success and answer.message == "0 of 7 robots configured"
     assert "bus 0: [Errno 95] Operation not supported" in caplog.text

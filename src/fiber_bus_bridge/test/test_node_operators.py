@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
-from rest_of_graph import COUNTS, PLANE, START, Rest, turning
+from rest_of_graph import COUNTS, PLANE, Rest, problem_file, turning
 
 from fiber_bus_bridge import BridgeError
 from fiber_bus_bridge.disabled import read_disabled, write_disabled
 from fiber_core.outcomes import Outcome, Reason
-from fiber_core.problem import Problem, save_problem
 from fiber_msgs_py import diagnostics, layout, topics
 from fiber_node import Peer
 
@@ -45,9 +44,7 @@ class Operator(Rest):
 
 @pytest.fixture
 def path(tmp_path):
-    problem = Problem(PLANE, START, np.full((7, 2), np.nan))
-    save_problem(tmp_path / "problem.npz", problem)
-    return str(tmp_path / "problem.npz")
+    return problem_file(tmp_path)
 
 
 @pytest.fixture
