@@ -1,10 +1,13 @@
 """What the tests of this package share: repeatable properties, and the real focal planes."""
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+sys.path.append(str(Path(__file__).parent))  # for what they share in modules of its own
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
