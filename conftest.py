@@ -1,4 +1,8 @@
-"""Every test process gets a ROS domain of its own, on loopback, before rclpy is imported."""
+"""What every test process is given before rclpy and the messages are imported.
+
+A ROS domain of its own, on loopback, and messages that check what is assigned to them: whether
+they do is settled once in a process, by whoever imports the first.
+"""
 
 import os
 import random
@@ -35,6 +39,7 @@ os.environ |= {
     "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
     "FASTRTPS_DEFAULT_PROFILES_FILE": str(_ROOT / "src/fiber_bringup/config/fastdds.xml"),
     "ROS_DOMAIN_ID": str(_claim_domain()),
+    "ROS_PYTHON_CHECK_FIELDS": "1",
 }
 os.environ.setdefault("ROS_LOG_DIR", str(_ROOT / "log/ros"))
 

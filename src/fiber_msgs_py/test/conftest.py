@@ -1,17 +1,10 @@
-"""A plane of three robots with everything a layout can carry, and a plan's stamp.
+"""A plane of three robots with everything a layout can carry, and a plan's stamp."""
 
-The messages check what is assigned to them, which they do only when asked before import.
-"""
+import numpy as np
+import pytest
 
-import os
-
-os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
-
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-
-from fiber_core.focal_plane import FocalPlane  # noqa: E402
-from fiber_msgs_py import PlanStamp  # noqa: E402
+from fiber_core.focal_plane import FocalPlane
+from fiber_msgs_py import PlanStamp
 
 
 @pytest.fixture
