@@ -15,7 +15,8 @@ from fiber_bus_bridge.errors import BridgeError, SessionError, TopologyError, Wi
 from fiber_bus_bridge.firmware import Positioners
 from fiber_bus_bridge.results import PlanResult
 from fiber_bus_bridge.roster import Roster
-from fiber_bus_bridge.session import Session, SessionConfig, SessionState
+from fiber_bus_bridge.session import Session, SessionState
+from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
 from fiber_bus_bridge.upload import Upload
 

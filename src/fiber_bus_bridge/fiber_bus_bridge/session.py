@@ -1,7 +1,7 @@
 """A controller's session with a focal plane: configure, take orders, start, watch, stop."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
@@ -12,6 +12,7 @@ from fiber_bus_bridge.fold import fold_motion
 from fiber_bus_bridge.link import Link
 from fiber_bus_bridge.results import Plan, PlanResult, judge
 from fiber_bus_bridge.resume import remaining_motion
+from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.starter import Starter
 from fiber_bus_bridge.upload import Upload, Uploader
 from fiber_bus_bridge.wire import Alert, Configuration, Opcode, RobotState, encode_config
@@ -20,7 +21,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 
-__all__ = ["Session", "SessionConfig", "SessionState"]
+__all__ = ["Session", "SessionState"]
 
 
 _CONFIGS = 2  # times a robot is configured that then reports a fault
@@ -34,34 +35,6 @@ class SessionState(Enum):
     READY = "start, or clear to drop the orders"
     MOVING = "wait for the end, or stop"
     STOPPED = "clear first"
-
-
-@dataclass(frozen=True)
-class SessionConfig:
-    """Settings of a session and their defaults.
-
-    Args:
-        tolerance_mm: distance from its target within which a tip has reached it [mm].
-        start_tolerance_rad: how far orders may begin from where encoders are [rad].
-        watchdog_ms: how long an order may wait on a robot for its GO [ms].
-        grace_s: how long after the last robot should have arrived the plan is ended [s].
-        silence_ms: how long a moving robot goes on without hearing from the bridge [ms].
-        watch_s: time between two beats [s]; the longer, the later a robot that stops by
-            itself is noticed, which `Safety.stop_skew_s` must contain.
-        stretch_s: how much longer than usual a beat may take on a bus before all are stopped,
-            as a STOP would come as late there [s]; inf where the host keeps no time.
-        resumes: how often in a plan those who can go on after all had to stop, without whoever
-            was at fault.
-    """
-
-    tolerance_mm: float = 0.1
-    start_tolerance_rad: float = 1e-4
-    watchdog_ms: int = 10_000
-    grace_s: float = 1.0
-    silence_ms: int = 5
-    watch_s: float = 2.5e-3
-    stretch_s: float = 1e-3
-    resumes: int = 3
 
 
 class Session:

@@ -17,7 +17,8 @@ from fiber_bus_bridge.node.hardware import device_hardware, simulated_hardware
 from fiber_bus_bridge.node.notes import PlanNotes
 from fiber_bus_bridge.node.operators import declare_roster, follow_operators
 from fiber_bus_bridge.node.telling import Telling
-from fiber_bus_bridge.session import Session, SessionConfig, SessionState
+from fiber_bus_bridge.session import Session, SessionState
+from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.simulation import SimulationConfig
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
