@@ -113,6 +113,9 @@ def _figures(table, preset) -> Preset:
         if preset not in PRESETS:
             raise LayoutError(f"no preset is named {preset!r}; there are {', '.join(PRESETS)}")
         return PRESETS[preset]
+    lacks = [name for name in ("arm_theta_mm", "arm_phi_mm") if name not in table]
+    if lacks:
+        raise LayoutError(f"{table.path} has no column {' nor '.join(lacks)}: name a preset")
     arms = _pair(table, "arm_theta_mm", "arm_phi_mm", (np.nan, np.nan))
     usual = np.median(arms, axis=0)
     for name in ("desi", "pfs", "sdss_v", "moons", "lamost"):

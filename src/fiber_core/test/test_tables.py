@@ -122,7 +122,7 @@ def test_two_columns_are_a_plane_once_a_preset_is_named(tmp_path):
     plane = read_layout(path, "pfs")
     for name in ("arms", "limits", "speeds", "phi_vertices", "phi_radius", "enabled", "bus"):
         assert np.array_equal(getattr(plane, name), getattr(usual, name)), name
-    with pytest.raises(LayoutError, match="name a preset"):
+    with pytest.raises(LayoutError, match="no column arm_theta_mm nor arm_phi_mm: name a preset"):
         read_layout(path)
     with pytest.raises(LayoutError, match="keck"):
         read_layout(path, "keck")
