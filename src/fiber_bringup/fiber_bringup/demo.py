@@ -15,6 +15,7 @@ asked reached its target or is held with a reason.
 import argparse
 import json
 import os
+import signal
 import sys
 import time
 from dataclasses import dataclass
@@ -56,6 +57,7 @@ class _Run:
 
 def main(argv=None) -> int:
     """Run the demonstration from the command line."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the nodes with it
     options = _parser().parse_args(argv)
     begin = time.monotonic()
     options.out.mkdir(parents=True, exist_ok=True)
