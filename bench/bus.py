@@ -9,10 +9,11 @@ planner and discretizer. Results are a table in markdown.
 import argparse
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from ordered_field import OrderedField, ordered_field
 
 from fiber_bus_bridge import (
     TOPOLOGIES,
@@ -26,14 +27,8 @@ from fiber_bus_bridge import (
 from fiber_bus_bridge.bus import Cure, Faults, Line
 from fiber_bus_bridge.wire import VERIFY_BYTES, decode_load, encode_load
 from fiber_core.clearance import Safety
-from fiber_core.fields import random_problem
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
-from fiber_core.problem import Problem
-from fiber_core.targets import assign
-from fiber_core.wire_units import WireUnits
-from fiber_discretizer import discretize
-from fiber_planner import DEFAULT_PLANNER, make_planner
 
 __all__ = ["main"]
 
@@ -46,30 +41,14 @@ CASES = {
 }
 
 
-@dataclass(frozen=True)
-class _Plan:
-    plane: object
-    units: WireUnits
-    counts: np.ndarray
-    wire: object
-    targets: np.ndarray
-
-
-def plan_of(robots: int, seed: int, topology: str) -> _Plan:
+def plan_of(robots: int, seed: int, topology: str) -> OrderedField:
     """Return orders of the default planner for a random field."""
     bus, address = TOPOLOGIES[topology].hang(robots)
     plane = replace(preset("desi", robots), bus=bus, address=address)
-    problem = random_problem(plane, np.random.default_rng(seed))
-    units = WireUnits.for_plane(plane)
-    counts = units.encoder_counts(plane, problem.start)
-    start, asked = units.to_angles(counts), problem.asked
-    given = assign(plane, start, plane.ids[asked], problem.targets[asked])
-    planned = make_planner(DEFAULT_PLANNER).plan(Problem(plane, start, given.targets))
-    done = discretize(plane, planned.motion, units, Safety(), counts)
-    return _Plan(plane, units, counts, done.wire, problem.targets)
+    return ordered_field(plane, np.random.default_rng(seed))
 
 
-def carry_out(plan: _Plan, faults: Faults, clock: str, seed: int) -> dict:
+def carry_out(plan: OrderedField, faults: Faults, clock: str, seed: int) -> dict:
     """Configure, then load, verify and go one second later; returns the figures."""
     plane, to = plan.plane, addresses_of(plan.plane)
     robots = Positioners(to, plane.ids, plan.units.quantum_prad, plan.counts)
@@ -129,7 +108,7 @@ def _wrong(robots, upload, plan):
     return int(wrong)
 
 
-def codec_ms(plan: _Plan) -> dict:
+def codec_ms(plan: OrderedField) -> dict:
     """Median processor time to encode and to decode every order [ms]."""
     to, wire, units = addresses_of(plan.plane), plan.wire, plan.units
     frames = encode_load(units, to, 1, wire.offsets, wire.ticks, wire.velocity)

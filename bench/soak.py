@@ -22,6 +22,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from ordered_field import OrderedField, ordered_field
 
 from fiber_bus_bridge import (
     Positioners,
@@ -35,14 +36,8 @@ from fiber_bus_bridge.bus import FaultKind, draw_faults
 from fiber_bus_bridge.capture import Tap
 from fiber_bus_bridge.firmware import MotionRecord
 from fiber_core.clearance import Safety, certify, neighbour_pairs
-from fiber_core.fields import random_problem
 from fiber_core.outcomes import Outcome
 from fiber_core.presets import preset
-from fiber_core.problem import Problem
-from fiber_core.targets import assign
-from fiber_core.wire_units import WireUnits
-from fiber_discretizer import discretize
-from fiber_planner import DEFAULT_PLANNER, make_planner
 
 __all__ = ["KINDS", "Campaign", "run_campaign"]
 
@@ -80,29 +75,13 @@ class Campaign:
     tap: Tap | None = None
 
 
-@dataclass(frozen=True)
-class _Field:
-    plane: object
-    units: WireUnits
-    counts: np.ndarray
-    wire: object
-    targets: np.ndarray
-
-
 @cache
-def _field(robots: int, number: int) -> _Field:
+def _field(robots: int, number: int) -> OrderedField:
     """A random field, planned and discretized; every other one has ten-bit addresses."""
     plane = preset("desi", robots)
     rows = np.arange(plane.n)
     plane = replace(plane, bus=rows // 16, address=(8 if number % 2 else 200) + rows % 16)
-    problem = random_problem(plane, np.random.default_rng([number, 77]))
-    units = WireUnits.for_plane(plane)
-    counts = units.encoder_counts(plane, problem.start)
-    start, asked = units.to_angles(counts), problem.asked
-    given = assign(plane, start, plane.ids[asked], problem.targets[asked])
-    planned = make_planner(DEFAULT_PLANNER).plan(Problem(plane, start, given.targets))
-    done = discretize(plane, planned.motion, units, SAFETY, counts)
-    return _Field(plane, units, counts, done.wire, problem.targets)
+    return ordered_field(plane, np.random.default_rng([number, 77]))
 
 
 class _Seen:

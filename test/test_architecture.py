@@ -42,7 +42,14 @@ ARROWS = {
     "fiber_viewer.node": {"fiber_viewer", "fiber_node", "visualization_msgs"} | ROS,
     "fiber_bringup": {"fiber_viewer", "fiber_viewer.node", "ament_index_python", "rich", "rosbags"}
     | NODES,
-    "bench": {"fiber_planner", "fiber_discretizer", "fiber_bus_bridge", "fiber_viewer"},
+    # scripts find each other by the names of their files
+    "bench": {
+        "fiber_planner",
+        "fiber_discretizer",
+        "fiber_bus_bridge",
+        "fiber_viewer",
+        "ordered_field",
+    },
 }
 # import name -> rosdep key or package name, where they differ
 KEYS = {

@@ -1,6 +1,6 @@
 """The campaigns of bench/soak.py: they pass, they repeat, and they see what must not happen."""
 
-import importlib.util
+import importlib
 import json
 from pathlib import Path
 
@@ -15,11 +15,9 @@ pytestmark = pytest.mark.timeout(600)
 
 @pytest.fixture(scope="module")
 def soak():
-    path = Path(__file__).parents[1] / "bench" / "soak.py"
-    spec = importlib.util.spec_from_file_location("soak_under_test", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(Path(__file__).parents[1] / "bench")
+        return importlib.import_module("soak")
 
 
 @pytest.mark.parametrize("kind", ["none", "stall", "sda_stuck", "noise", "mixed"])
