@@ -108,7 +108,7 @@ class Session:
 
     @property
     def velocities(self) -> np.ndarray:
-        """Mean joint speeds between the last two encoder readings [rad/s], shape (n, 2)."""
+        """Mean joint speeds between the last two readings, 0 at rest [rad/s], shape (n, 2)."""
         if self.state is not SessionState.MOVING:
             return np.zeros(self.counts.shape)
         return self._velocities
@@ -285,7 +285,8 @@ class Session:
         """Take note of valid statuses read at time t."""
         way = (status.position - self.counts[rows]) * self.units.quantum_rad
         passed = np.maximum(t - self._read_s[rows], 1e-9)[:, None]
-        self._velocities[rows] = way / passed
+        moves = (status.state == RobotState.MOVING)[:, None]
+        self._velocities[rows] = np.where(moves, way / passed, 0.0)
         self._read_s[rows] = t
         self.counts[rows] = status.position
         self.robot_state[rows] = status.state

@@ -46,6 +46,20 @@ def test_the_encoders_are_seen_on_the_way():
     assert np.all(np.abs(halfway - motion.decoded().start)[:, 0] > spread[:, 0])
 
 
+def test_who_has_arrived_has_no_speed_while_another_moves():
+    rig = Rig(n=3)
+    session = rig.session
+    rig.call("configure")
+    session.submit(rig.orders(400, 0, ticks=[250, 250, 1000]))
+    rig.call("start")
+    for _ in range(15):
+        rig.t += 0.1
+        rig.call("advance")
+    assert session.state is SessionState.MOVING
+    assert session.velocities[2, 0] == pytest.approx(400 * rig.units.velocity_rad_s, rel=0.05)
+    assert not session.velocities[:2].any()
+
+
 def test_a_frame_that_was_not_meant_for_it_costs_no_robot(monkeypatch):
     rig = Rig(3)
     send = rig.session.link.send
