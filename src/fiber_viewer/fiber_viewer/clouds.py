@@ -18,12 +18,12 @@ __all__ = [
 ]
 
 POINTS = 6  # of a link
-_FIELDS = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("state", "<f4")]
+_FIELDS = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("state", "<f4"), ("rgb", "<u4")]
 _METRES = 1e-3
 
 
 class ViewState(IntEnum):
-    """What a robot does; the number is the colour of its points."""
+    """What a robot does; the number is the state of its points."""
 
     RESTING = 0
     MOVING = 1
@@ -33,6 +33,8 @@ class ViewState(IntEnum):
     DISABLED = 5
 
 
+# by ViewState, the colours of the player
+_RGB = np.array([0xA3ABB3, 0x0072B2, 0x009E73, 0xE69F00, 0xD55E00, 0x6B737B], dtype="<u4")
 _OF_OUTCOME = {
     Outcome.REACHED: ViewState.REACHED,
     Outcome.HELD: ViewState.HELD,
@@ -63,10 +65,10 @@ def arms_cloud(plane: FocalPlane, angles, states) -> np.ndarray:
     Args:
         plane: the focal plane.
         angles: joint angles [rad], shape (n, 2).
-        states: number for the colour of each robot, shape (n,).
+        states: ViewState of each robot, shape (n,).
 
     Returns:
-        Structured array x, y, z, state, shape (n * 2 * POINTS,).
+        Structured array x, y, z, state, rgb, shape (n * 2 * POINTS,).
     """
     elbow, tip = kinematics.forward(plane, angles)
     along = np.linspace(0, 1, POINTS)[:, None]
@@ -76,19 +78,19 @@ def arms_cloud(plane: FocalPlane, angles, states) -> np.ndarray:
 
 
 def plane_cloud(plane: FocalPlane) -> np.ndarray:
-    """Return the centres of all robots, then those of fixed discs, as x, y, z, state in metres."""
+    """Return the centres of all robots, then those of fixed discs, in metres."""
     xy = np.concatenate([plane.centers, plane.obstacles[:, :2]])
     states = np.where(plane.enabled, ViewState.RESTING, ViewState.DISABLED)
     return _cloud(xy, np.append(states, np.full(len(plane.obstacles), ViewState.DISABLED)))
 
 
 def points_cloud(xy_mm, state: ViewState) -> np.ndarray:
-    """Return points [mm], shape (k, 2), as x, y, z, state in metres."""
+    """Return points [mm], shape (k, 2), in metres."""
     return _cloud(np.asarray(xy_mm, dtype=float), np.full(len(xy_mm), state))
 
 
 def _cloud(xy_mm, states):
     rows = np.zeros(len(xy_mm), dtype=_FIELDS)
     rows["x"], rows["y"] = xy_mm.T * _METRES
-    rows["state"] = states
+    rows["state"], rows["rgb"] = states, _RGB[states]
     return rows

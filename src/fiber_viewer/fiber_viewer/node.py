@@ -10,7 +10,7 @@ import numpy as np
 from geometry_msgs.msg import Point
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fiber_core.errors import FiberError
@@ -99,7 +99,8 @@ class ViewerNode(Node):
         self._heard_s, self._shown = time.monotonic(), None
 
     def _tick(self):
-        wanted = self._arms.get_subscription_count() + self._watched.get_subscription_count() > 0
+        listeners = self._arms.get_subscription_count(), self._watched.get_subscription_count()
+        wanted = any(listeners)
         if wanted and self._listening is None:
             self._listening = topics.JOINT_STATES.subscription(self, self._on_joint_states)
         elif not wanted and self._listening is not None:
@@ -111,9 +112,10 @@ class ViewerNode(Node):
         moving = speeds.any(axis=1)
         if not np.array_equal(ids, self._plane.ids):
             return
-        if self._shown == PlanStamp(self._states[3]) and not moving.any():
-            return  # nothing has changed
-        self._shown = PlanStamp(self._states[3])
+        picture = self._states[3], list(self.get_parameter("watch").value), listeners
+        if self._shown == picture and not moving.any():
+            return  # nothing has changed, and nobody came
+        self._shown = picture
         since = min(time.monotonic() - self._heard_s, _LONGEST_S)
         self._show(angles + since * speeds, moving)
 
@@ -127,12 +129,12 @@ class ViewerNode(Node):
 
     def _markers(self, angles) -> MarkerArray:
         ids = np.array(self.get_parameter("watch").value, dtype=np.int64)
-        found = []
+        header = Header(frame_id=FRAME_ID, stamp=self.get_clock().now().to_msg())
+        found = [Marker(header=header, action=Marker.DELETEALL)]  # who is no longer watched
         for row in self._plane.index_of(ids).tolist():
             for link, line in enumerate(outlines(self._plane, row, angles) if row >= 0 else ()):
-                marker = Marker(ns=f"{self._plane.ids[row]}", id=link, type=Marker.LINE_STRIP)
-                marker.header.frame_id = FRAME_ID
-                marker.header.stamp = self.get_clock().now().to_msg()
+                name = f"{self._plane.ids[row]}"
+                marker = Marker(header=header, ns=name, id=link, type=Marker.LINE_STRIP)
                 marker.scale.x, marker.color = _LINE_M, _COLOR
                 marker.pose.orientation.w = 1.0
                 marker.points = [Point(x=x, y=y) for x, y in (line * 1e-3).tolist()]

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
+from visualization_msgs.msg import Marker
 
 from fiber_core import kinematics
 from fiber_core.outcomes import Outcome
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
-from fiber_msgs_py import PlanStamp, joint_states, layout, outcome, targets, topics
+from fiber_msgs_py import FRAME_ID, PlanStamp, joint_states, layout, outcome, targets, topics
 from fiber_node import Peer
 from fiber_viewer.clouds import POINTS, ViewState, arms_cloud, plane_cloud, view_states
 from fiber_viewer.node import ARMS, PLANE, TARGETS, WATCHED, ViewerNode
@@ -31,7 +33,8 @@ def points(rows):
 
 
 def test_points_run_along_both_arms_in_metres(plane, angles):
-    rows = arms_cloud(plane, angles, np.arange(N))
+    states = np.arange(N) % len(ViewState)
+    rows = arms_cloud(plane, angles, states)
     elbow, tip = kinematics.forward(plane, angles)
     links = points(rows).reshape(2, N, POINTS, 2) * 1e3
     for link, (begin, end) in zip(links, ((plane.centers, elbow), (elbow, tip))):
@@ -39,7 +42,8 @@ def test_points_run_along_both_arms_in_metres(plane, angles):
         np.testing.assert_allclose(link[:, -1], end, atol=1e-3)
         np.testing.assert_allclose(link[:, 2], 0.6 * begin + 0.4 * end, atol=1e-3)
     assert (rows["z"] == 0).all()
-    np.testing.assert_array_equal(rows["state"].reshape(2, N, POINTS)[1, :, 3], np.arange(N))
+    assert len(set(rows["rgb"])) == len(ViewState)
+    np.testing.assert_array_equal(rows["state"].reshape(2, N, POINTS)[1, :, 3], states)
 
 
 def test_states_tell_moving_before_outcome_and_disabled_before_all(plane):
@@ -121,7 +125,7 @@ def test_watched_it_shows_arms_until_nobody_moves(scene, plane, angles):
     scene.move(angles, speeds, 1)
     peer.until(lambda: len(seen) >= 3, WAIT_S, "pictures of moving arms")
     for message in seen:
-        rows = np.frombuffer(message.data, arms_cloud(plane, angles, np.zeros(N)).dtype)
+        rows = np.frombuffer(message.data, arms_cloud(plane, angles, np.zeros(N, int)).dtype)
         tips = points(rows).reshape(2, N, POINTS, 2)[1, :, -1] * 1e3
         reach = 0.5 * 0.15 * (2 * plane.arms[:, 1] + plane.arms[:, 0])  # while unheard of
         exact = kinematics.forward(plane, angles)[1]
@@ -148,13 +152,32 @@ def test_watched_it_shows_arms_until_nobody_moves(scene, plane, angles):
     peer.until(lambda: joint_states_heard() == 0, WAIT_S, "the viewer to stop listening")
 
 
+def watched(message):
+    """Robots whose outlines are left after a message; those before it must have been deleted."""
+    assert message.markers[0].action == Marker.DELETEALL
+    assert {marker.header.frame_id for marker in message.markers} == {FRAME_ID}
+    return {marker.ns for marker in message.markers[1:]}
+
+
+def test_at_rest_it_answers_whoever_comes_and_asks(scene, plane, angles):
+    peer, seen = scene.peer, scene.peer.hear(ARMS)
+    scene.move(angles, 0 * angles, 1)
+    peer.until(lambda: seen, WAIT_S, "arms at rest")
+    spun(peer, 8)
+    outlined = peer.hear(WATCHED)
+    peer.until(lambda: outlined, WAIT_S, "outlines for one who came later")
+    other = [int(plane.ids[7])]
+    scene.viewer.set_parameters([Parameter("watch", value=other)])
+    peer.until(lambda: watched(outlined[-1]) == {str(other[0])}, WAIT_S, "the outlines asked for")
+
+
 def test_only_watched_robots_have_outlines(scene, plane, angles):
     peer = scene.peer
     seen, asked = peer.hear(WATCHED), peer.hear(TARGETS)
     scene.move(angles, 0 * angles, 1)
     peer.until(lambda: seen, WAIT_S)
-    assert {marker.ns for marker in seen[-1].markers} == {str(plane.ids[3])}
-    line = np.array([[p.x, p.y] for p in seen[-1].markers[0].points])
+    assert watched(seen[-1]) == {str(plane.ids[3])}
+    line = np.array([[p.x, p.y] for p in seen[-1].markers[1].points])
     np.testing.assert_allclose(line * 1e3, outlines(plane, 3, angles)[0], atol=1e-9)
     xy_mm = np.array([[1.0, 2.0], [3.0, 4.0]])
     scene.say(topics.TARGETS, targets.encode(plane.ids[:2], xy_mm, PlanStamp(5)))
