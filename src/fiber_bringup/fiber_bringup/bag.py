@@ -2,7 +2,8 @@
 
 The topics are those of the graph, with the messages it sent: layout, targets, trajectory,
 segments, margins, joint_states and outcome. Encoders are published ten times a second, each robot
-with its latest reading, as the bridge does.
+with its latest reading, as the bridge does; its speed is that of the motion carried out. What the
+viewer would show is there too, twenty times a second: arms, plane and targets as points.
 """
 
 import argparse
@@ -31,12 +32,15 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
+from fiber_msgs_py.table import encode_table
 from fiber_viewer import Recording, load_recording
+from fiber_viewer import node as view
+from fiber_viewer.clouds import ViewState, arms_cloud, plane_cloud, points_cloud, view_states
 
 __all__ = ["main", "write_bag"]
 
 _VERSION = 9  # of the rosbag2 metadata: that of Jazzy
-_PERIOD_NS = 100_000_000
+_PERIOD_NS, _PICTURE_NS = 100_000_000, 50_000_000
 _SECOND = 1_000_000_000
 
 
@@ -105,28 +109,39 @@ def _messages(recording):
     yield stamp.ns, topics.SEGMENTS, segments.encode(ids, recording.motion, stamp)
     if recording.margins is not None:
         yield stamp.ns, topics.MARGINS, margins.encode(ids, recording.margins, stamp)
-    end_ns = stamp.ns
-    for end_ns, message in _joint_states(recording, stamp):
-        yield end_ns, topics.JOINT_STATES, message
+    for entry in _joint_states(recording, stamp):
+        yield entry
+        end_ns = entry[0]
     ended = recording.outcome, recording.reason, recording.error_mm
     yield end_ns, topics.OUTCOME, outcome.encode(ids, *ended, stamp)
+    yield from _view(recording, stamp, end_ns)
 
 
 def _joint_states(recording, stamp):
-    measured, units = recording.measured, recording.units
+    ids, units, measured = recording.problem.plane.ids, recording.units, recording.measured
     order = np.argsort(measured.time_us, kind="stable")
     time_ns = measured.time_us[order] * 1000
-    counts, before = recording.motion.start.copy(), recording.motion.start
+    counts = recording.motion.start.copy()
     begin = 0
     for now in range(0, int(time_ns.max(initial=0)) + 2 * _PERIOD_NS, _PERIOD_NS):
         end = int(np.searchsorted(time_ns, now, side="right"))
         heard = order[begin:end]
         counts[measured.row[heard]] = measured.counts[heard]
-        speeds = units.to_angles(counts - before) * (_SECOND / _PERIOD_NS)
-        ids = recording.problem.plane.ids
-        at = stamp.ns + now
-        yield at, joint_states.encode(ids, units.to_angles(counts), speeds, at)
-        before, begin = counts.copy(), end
+        begin, at = end, stamp.ns + now
+        speeds = recording.decoded.velocity(now / _SECOND)
+        yield at, topics.JOINT_STATES, joint_states.encode(ids, units.to_angles(counts), speeds, at)
+
+
+def _view(recording, stamp, end_ns):
+    plane, motion = recording.problem.plane, recording.decoded
+    asked = recording.problem.targets[recording.problem.asked]
+    yield stamp.ns, view.PLANE, encode_table(plane_cloud(plane), stamp)
+    yield stamp.ns, view.TARGETS, encode_table(points_cloud(asked, ViewState.REACHED), stamp)
+    for at in range(stamp.ns, end_ns + 1, _PICTURE_NS):
+        time_s = (at - stamp.ns) / _SECOND
+        ended = recording.outcome if at == end_ns else None
+        states = view_states(plane, motion.velocity(time_s).any(axis=1), ended)
+        yield at, view.ARMS, encode_table(arms_cloud(plane, motion(time_s), states), PlanStamp(at))
 
 
 def _qos(profile):

@@ -1,13 +1,21 @@
 """A bag says what the recording says, to a library that knows nothing of ours and to ROS."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import yaml
 from rclpy.serialization import deserialize_message
 
 from fiber_bringup.bag import main, write_bag
 from fiber_bringup.errors import PlaneError
+from fiber_core.kinematics import forward
 from fiber_core.motion import SegmentMotion
+from fiber_core.outcomes import Outcome
 from fiber_msgs_py import Topic, topics
+from fiber_viewer import node as view
+from fiber_viewer.clouds import POINTS, ViewState, arms_cloud
+from fiber_viewer.recording import Measured
 
 try:
     from rosbags.rosbag2 import Reader
@@ -19,6 +27,14 @@ pytestmark = [
     pytest.mark.timeout(900),  # the first plan of all compiles every core
     pytest.mark.skipif(Reader is None, reason="NOT TESTED: bags, because rosbags is missing"),
 ]
+
+
+VIEW = {f"/{topic.name}" for topic in (view.ARMS, view.PLANE, view.TARGETS)}
+TOPICS = {
+    f"/{topic.name}": topic
+    for topic in (*vars(topics).values(), *vars(view).values())
+    if isinstance(topic, Topic)
+}
 
 
 def heard(folder):
@@ -36,12 +52,12 @@ def test_a_bag_says_the_same(run, tmp_path):
     write_bag(tmp_path / "bag", run.done)
     found = heard(tmp_path / "bag")
     names = ("layout", "targets", "trajectory", "segments", "margins", "joint_states", "outcome")
-    assert set(found) == {f"/focal_plane/{name}" for name in names}
+    assert set(found) == {f"/focal_plane/{name}" for name in names} | VIEW
     stamp_ns = run.ended.stamp.ns
     for topic, messages in found.items():
         header = messages[0][1].header
         assert header.frame_id == "focal_plane" and messages[0][0] >= stamp_ns
-        if not topic.endswith("joint_states"):
+        if not topic.endswith(("joint_states", "arms")):
             assert header.stamp.sec * 10**9 + header.stamp.nanosec == stamp_ns
     assert found["/focal_plane/layout"][0][1].width == len(run.before)
     states = [message for _, message in found["/focal_plane/joint_states"]]
@@ -54,6 +70,37 @@ def test_a_bag_says_the_same(run, tmp_path):
     rows = found["/focal_plane/segments"][0][1]
     moved = SegmentMotion(run.done.decoded.start, *_segments(rows, run.done))
     np.testing.assert_allclose(moved.end, run.done.decoded.end)
+
+
+def test_speeds_keep_their_limits_and_add_up_however_seldom_encoders_were_read(run, tmp_path):
+    read = run.done.measured
+    seldom = Measured(read.row[::7], read.time_us[::7], read.counts[::7])
+    write_bag(tmp_path / "bag", replace(run.done, measured=seldom))
+    states = [message for _, message in heard(tmp_path / "bag")["/focal_plane/joint_states"]]
+    speeds = np.stack([message.velocity.reshape(-1, 2) for message in states])
+    limits = run.done.problem.plane.speeds
+    assert (np.abs(speeds) <= limits + 1e-6).all() and not speeds[-1].any()
+    way = run.done.units.to_angles(run.after - run.before)
+    assert (np.abs(0.1 * speeds.sum(axis=0) - way) <= 0.2 * limits).all()
+
+
+def test_a_bag_shows_the_arms_as_they_moved(run, tmp_path):
+    write_bag(tmp_path / "bag", run.done)
+    found = heard(tmp_path / "bag")
+    plane, moved = run.done.problem.plane, run.done.decoded
+    pictures = found["/focal_plane/view/arms"]
+    stamp_ns = run.ended.stamp.ns
+    for time_ns, message in pictures:
+        rows = np.frombuffer(
+            message.data.tobytes(), arms_cloud(plane, moved.start, [0] * plane.n).dtype
+        )
+        tips = np.stack([rows["x"], rows["y"]], axis=1).reshape(2, plane.n, POINTS, 2)[1, :, -1]
+        angles = moved((time_ns - stamp_ns) / 1e9)
+        np.testing.assert_allclose(tips * 1e3, forward(plane, angles)[1], atol=1e-3)
+    states = rows["state"].reshape(2, plane.n, POINTS)[0, :, 0]
+    assert (states[run.done.outcome == Outcome.REACHED] == ViewState.REACHED).all()
+    assert (np.diff([time_ns for time_ns, _ in pictures]) == 50_000_000).all()
+    assert pictures[-1][0] == found["/focal_plane/outcome"][0][0]
 
 
 def _segments(message, recording):
@@ -72,21 +119,28 @@ def _segments(message, recording):
 
 def test_ros_reads_every_message_of_a_bag(run, tmp_path):
     write_bag(tmp_path / "bag", run.done)
-    types = {topic.name: topic.type for topic in vars(topics).values() if isinstance(topic, Topic)}
     with Reader(tmp_path / "bag") as reader:
         for connection, _, data in reader.messages():
-            message = deserialize_message(bytes(data), types[connection.topic[1:]])
+            message = deserialize_message(bytes(data), TOPICS[connection.topic].type)
             assert message.header.frame_id == "focal_plane"
 
 
-def test_late_listeners_get_what_was_latched(run, tmp_path):
+def test_metadata_are_as_rosbag2_of_jazzy_reads_them(run, tmp_path):
     write_bag(tmp_path / "bag", run.done)
-    with Reader(tmp_path / "bag") as reader:
-        durability = {
-            c.topic.split("/")[-1]: c.ext.offered_qos_profiles[0].durability.name
-            for c in reader.connections
-        }
-    assert durability["layout"] == "TRANSIENT_LOCAL" and durability["targets"] == "VOLATILE"
+    text = (tmp_path / "bag" / "metadata.yaml").read_text()
+    about = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert (about["version"], about["storage_identifier"]) == (9, "mcap")
+    assert about["compression_mode"] == "", "chunks are compressed; a mode would need a plugin"
+    assert about["relative_file_paths"] == [file["path"] for file in about["files"]] == ["bag.mcap"]
+    for entry in about["topics_with_message_count"]:
+        told = entry["topic_metadata"]
+        topic, (offered,) = TOPICS[told["name"]], told["offered_qos_profiles"]
+        assert told["type"].split("/")[-1] == topic.type.__name__
+        assert told["serialization_format"] == "cdr"
+        assert told["type_description_hash"].startswith("RIHS01_")
+        assert offered["durability"] == topic.qos.durability.name.lower()
+        assert (offered["history"], offered["reliability"]) == ("keep_last", "reliable")
+        assert offered["depth"] == topic.qos.depth
 
 
 def test_a_bag_overwrites_nothing(run, tmp_path, capsys):
