@@ -16,6 +16,7 @@ setup(
         ("share/fiber_bringup/launch", glob("launch/*.launch.py")),
         ("share/fiber_bringup/config", glob("config/*")),
         ("share/fiber_bringup/rviz", glob("rviz/*.rviz")),
+        ("share/fiber_bringup/foxglove", glob("foxglove/*.json")),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
