@@ -88,7 +88,11 @@ def replay(
     runs = follow(plane, log)
     order = np.argsort(runs.begin_s, kind="stable")
     runs = runs.only(order)
-    of_leg = np.cumsum(np.diff(runs.begin_s, prepend=-np.inf) > _TOGETHER_S) - 1
+    of_leg = _together(runs.begin_s)
+    # what was told to go together was certified together: who was called off belongs to it,
+    # unless all were
+    began = np.isin(of_leg, of_leg[~runs.off])
+    runs, of_leg = runs.only(began), _together(runs.begin_s[began])
     count = int(of_leg.max(initial=-1)) + 1
     begins_s = np.array([runs.begin_s[of_leg == leg][0] for leg in range(count)])
     frames = Frames(Addresses(log.bus, log.address, log.ten_bit), log.offsets, log.data)
@@ -105,6 +109,7 @@ def replay(
         here = legs[-1].end
     first = runs.only(of_leg == 0)
     started, load_bytes = np.zeros(plane.n, dtype=bool), np.zeros(plane.n, dtype=np.int64)
+    runs = runs.only(~runs.off)
     started[runs.row] = True
     load_bytes[runs.row[::-1]] = frames[runs.frame[::-1]].lengths
     nothing = Leg.whole(WireMotion(units, here, np.zeros(2 * plane.n + 1), [], []))
@@ -112,6 +117,11 @@ def replay(
         tuple(legs) or (nothing,), started, unheard, load_bytes, runs.load_s,
         float(first.go_s.max()) if count else np.nan, float(begins_s[0]) if count else np.nan,
     )  # fmt: skip
+
+
+def _together(begin_s):
+    # which starts are one, numbered from 0, of starts in order
+    return np.cumsum(np.diff(begin_s, prepend=-np.inf) > _TOGETHER_S) - 1
 
 
 def _next_of_robot(runs):
@@ -165,6 +175,9 @@ def _leg(plane, motion, runs, begin_s, next_s, zero_s, said, unheard) -> Leg:
         stood_s = standstill_s(motion, row, place, min(about_s, ends_s[row]))
         stop_us[row], stop[row] = begin_us + round(1e6 * stood_s), place
 
+    off = runs.row[runs.off]
+    stop_us[off], stop[off] = begin_us, motion.start[off]
+    runs, next_s = runs.only(~runs.off), next_s[~runs.off]
     first_s = runs.stop_s.min(initial=np.inf)
     together_s, talks = first_s - begin_s, plane.bus[said.since(first_s)]
     silent = []

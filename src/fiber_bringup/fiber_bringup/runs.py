@@ -15,7 +15,7 @@ _TOLD = (Opcode.LOAD, Opcode.CLEAR, Opcode.GO, Opcode.STOP, Opcode.RESET)
 
 
 class Runs(NamedTuple):
-    """Orders that were started, in the order in which they were.
+    """Orders that were told to go, in the order in which they were.
 
     Args:
         row: robot, row of the plane, shape (r,).
@@ -23,6 +23,7 @@ class Runs(NamedTuple):
         go_s: when its GO began, in the time of the frames [s], shape (r,).
         begin_s: when its countdown was over [s], shape (r,).
         stop_s: when a STOP for it began [s], inf without one, shape (r,).
+        off: whether that was before the countdown was over, so that nothing began, shape (r,).
         load_s: when the first LOAD of all began [s], nan without one.
     """
 
@@ -31,11 +32,12 @@ class Runs(NamedTuple):
     go_s: np.ndarray
     begin_s: np.ndarray
     stop_s: np.ndarray
+    off: np.ndarray
     load_s: float
 
     def only(self, chosen) -> "Runs":
         """Return some of them, by index or flag."""
-        return Runs(*(column[chosen] for column in self[:5]), self.load_s)
+        return Runs(*(column[chosen] for column in self[:6]), self.load_s)
 
 
 def follow(plane: FocalPlane, log: FrameLog) -> Runs:
@@ -74,11 +76,10 @@ def follow(plane: FocalPlane, log: FrameLog) -> Runs:
                 stops[run], off[run] = time_s, started[run][3] > time_s
             stored[rows] = current[rows] = -1
     columns = np.array(started).reshape(-1, 4).T
-    runs = Runs(
+    return Runs(
         columns[0].astype(np.int64), columns[1].astype(np.int64), columns[2], columns[3],
-        np.array(stops), float(load_s),
+        np.array(stops), np.array(off, dtype=bool), float(load_s),
     )  # fmt: skip
-    return runs.only(~np.array(off, dtype=bool))
 
 
 def _orders(log) -> Iterator[tuple]:

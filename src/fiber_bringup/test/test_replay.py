@@ -1,5 +1,7 @@
 """Frames say what robots were told: the last order acknowledged, if a GO of its number came."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -88,3 +90,20 @@ def test_an_order_starts_once():
 def test_bytes_read_from_robots_are_no_orders():
     told, _ = ends(log(load([0], 1, [5], [1]), read=True), log(go(1)))
     assert not told.started.any()
+
+
+@pytest.mark.parametrize("stopped", [[], [0], [1], [0, 1]])
+def test_who_is_called_off_belongs_to_what_was_told_to_go_but_stays(stopped):
+    plane = replace(PLANE, bus=[0, 0, 1], address=[8, 9, 8])
+    to = addresses_of(plane)
+    orders = encode_load(UNITS, to, 1, [0, 1, 1, 2, 2, 3, 3], [5, 6, 7], [1, -2, 3])
+    told_to_go = encode_command(Opcode.GO, general_call([0, 1]), 1, 6000)  # 60 ms
+    logs = [log(orders, 1.0), log(told_to_go, 2.0)]
+    if stopped:
+        logs.append(log(encode_command(Opcode.STOP, general_call(stopped)), 2.03))
+    told = replay(plane, UNITS, START, logs)
+    off = np.isin(plane.bus, stopped)
+    assert np.array_equal(told.started, ~off)
+    assert np.array_equal(told.end, START + np.where(off, 0, [5, -12, 21])[:, None] * [1, 0])
+    assert np.array_equal(told.executed.end == UNITS.to_angles(START), (told.end == START))
+    assert told.motion.ticks.tolist() == ([] if off.all() else [5, 6, 7])
