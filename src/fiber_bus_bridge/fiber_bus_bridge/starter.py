@@ -116,7 +116,9 @@ class Starter:
             watch.step(VERIFY_BYTES)
             over = watch.now_s >= until_s and not watch.seen[rows].all()
             if watch.freeze_s is not None or over:
-                missing = self._call_off(rows, known, watch, watch.seen)
+                # stopped early, most of those not seen yet have only not been looked at
+                heard = watch.seen if over else ~watch.failing
+                missing = self._call_off(rows, known, watch, heard)
                 return Start(go_s, start_s, None, missing, nobody)
             self._again(watch, sequence, took_s, start_s)
         watch.counting = False

@@ -107,6 +107,11 @@ class Watch:
         """Robots that have not arrived, shape (n,)."""
         return self._running & ~self.arrived
 
+    @property
+    def failing(self) -> np.ndarray:
+        """Robots that said something wrong or, time and again, nothing, shape (n,)."""
+        return self.wrong | (self._doubt >= _SILENT)
+
     def step(self, width: int = STATUS_BYTES) -> None:
         """Beat, look at the next few robots, and judge.
 
@@ -203,7 +208,7 @@ class Watch:
 
     def _judge(self, running):
         """Decide whether all must stop, and when."""
-        wrong = running & (self.wrong | (self._doubt >= _SILENT))
+        wrong = running & self.failing
         if wrong.any():
             # known as soon as the bus is through with them, which on a slow one takes its time
             known = self.link.free_s[self._bus[wrong]].min()

@@ -19,11 +19,13 @@ from fiber_core.wire_units import WireMotion, WireUnits
 
 
 class Rig:
-    """A plane of nearly folded robots on simulated buses, ten to a bus, and a session with it."""
+    """A plane of nearly folded robots on simulated buses, ten to each, and a session with it."""
 
-    def __init__(self, n=19, start=None, enabled=None, config=None, faults=None, **positioners):
+    def __init__(
+        self, n=19, start=None, enabled=None, config=None, faults=None, on_bus=10, **positioners
+    ):
         rows = np.arange(n)
-        plane = replace(preset("desi", n), bus=rows // 10, address=8 + rows % 10)
+        plane = replace(preset("desi", n), bus=rows // on_bus, address=8 + rows % on_bus)
         self.plane = plane if enabled is None else plane.with_enabled(enabled)
         self.units = WireUnits.for_plane(self.plane)
         folded = np.stack([np.linspace(-1, 1, n), np.full(n, 2.6)], axis=1)

@@ -5,7 +5,7 @@ import pytest
 from session_rig import Rig, ended_once
 
 import fiber_bus_bridge.upload
-from fiber_bus_bridge.bus import Faults
+from fiber_bus_bridge.bus import Cure, Faults, Line
 from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_command, decode_load
 from fiber_core.clearance import neighbour_pairs
 from fiber_core.outcomes import Outcome, Reason
@@ -193,6 +193,23 @@ def test_a_bus_that_hears_the_go_late_does_not_start_and_nobody_is_left_stopped(
     assert np.array_equal(rig.where()[moves], motion.end[moves])
     assert np.array_equal(rig.where()[~moves], motion.start[~moves])
     assert set(rig.robots.states(rig.t)[~moves]) == {RobotState.IDLE}
+
+
+def test_a_bus_that_sticks_in_the_countdown_costs_the_other_bus_nobody():
+    quiet = Rig(220, on_bus=110)
+    quiet.ready()
+    quiet.call("start")
+    go_s = quiet.session.upload.go_s
+    # before even half of the other bus has been asked whether it counts down
+    lines = ((Line.SCL_LOW, 0, go_s + 1e-4, np.inf, Cure.NOTHING),)
+    rig = Rig(220, on_bus=110, faults=Faults(lines=lines))
+    motion = rig.ready()
+    rig.call("start")
+    assert np.array_equal(rig.session.upload.started, rig.plane.bus == 1)
+    result = rig.run()
+    assert set(result.reason[:110]) == {Reason.NOT_ACKNOWLEDGED}
+    assert set(result.outcome[110:]) == {Outcome.REACHED}
+    assert np.array_equal(rig.where(), np.where(rig.plane.bus[:, None], motion.end, motion.start))
 
 
 def test_an_objection_after_the_certificate_drops_all_orders():
