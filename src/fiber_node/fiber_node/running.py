@@ -22,14 +22,21 @@ def run(make_node: Callable[[], Node], args=None) -> int:
         args: command line for ROS.
     """
     rclpy.init(args=args)
+    executor, code = MultiThreadedExecutor(num_threads=2), 0
     try:
-        executor = MultiThreadedExecutor(num_threads=2)
         executor.add_node(make_node())
         executor.spin()
     except FiberError as error:
         rclpy.logging.get_logger("fiber").fatal(str(error))
-        rclpy.try_shutdown()
-        return 2
+        code = 2
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass  # the signal has shut rclpy down already, and a second time would be an error
-    return 0
+        pass  # the signal has shut rclpy down already
+    finally:
+        # a node may not go before what is at work in its threads, and shutdown does not wait
+        executor._executor.shutdown()
+        nodes = executor.get_nodes()
+        executor.shutdown()
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return code
