@@ -42,7 +42,9 @@ _CERTIFIED_AT_MOST = 8  # rounds of certificate and repair
 _GIVE_UP_ROUNDS = 12
 _LAST_EFFORT = 900  # candidates per robot granted to each of these rounds
 _RESTORE_DRAWS = 300
-_SMALL_PLANE = 100  # the effort granted to a plane of fewer robots
+# A few that are stuck are as hard on a small plane: it is granted the effort of a larger one, of
+# this many robots at least, and of up to as many times its own while those are not more than that.
+_SMALL_PLANE, _TIMES, _LARGER_PLANE = 100, 4, 1000
 _MORE_MM = 0.005  # asked for beyond what the certificate misses
 
 
@@ -89,9 +91,11 @@ class Search:
         self._reason, self._alone_s = self._ends.reason, self._ends.alone_s
         self._tick_s = WireUnits.for_plane(problem.plane).tick_s
         self._spent, self._sweep, self._folding = 0, 0, 0.0
-        self._limit = parameters.effort * max(_SMALL_PLANE, problem.plane.n)
-        pairs, movable = self._crowd.pairs, self._crowd.movable
-        beside = pairs[~movable[pairs].all(axis=1)]
+        self._granted = _granted(problem.plane.n)
+        self._limit = parameters.effort * self._granted
+        # beside an arm that cannot move; a fixed disc blocks no more than a passage
+        pairs, movable, robots = self._crowd.pairs, self._crowd.movable, problem.plane.n
+        beside = pairs[((pairs < robots) & ~movable[pairs]).any(axis=1)]
         self._walled = movable & np.isin(np.arange(len(movable)), beside)
 
     def run(self) -> Found:
@@ -205,7 +209,7 @@ class Search:
 
     def _repair(self):
         folding = int(self._folding > 0.0)
-        until = self._spent + _AT_ONE_MAKESPAN * max(_SMALL_PLANE, self._problem.plane.n)
+        until = self._spent + _AT_ONE_MAKESPAN * self._granted
         conflicts = self._sweep_over(_SWEEPS[folding])
         for number in range(_REFOLDED_AT_MOST * folding):
             if conflicts == 0 or self._spent >= until or self._over:
@@ -343,3 +347,8 @@ class Search:
         goal = np.where(arrived[:, None], draft.q[:n, :, -1], draft.q[:n, :, 0])
         tangled = self._crowd.pairs[self._tangled]
         return Found(self._grid.time_s, draft.q, goal, self._reason, tangled)
+
+
+def _granted(robots):
+    # robots for which effort is granted
+    return max(_SMALL_PLANE, robots, min(_TIMES * robots, _LARGER_PLANE))
