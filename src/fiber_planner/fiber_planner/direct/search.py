@@ -42,9 +42,7 @@ _CERTIFIED_AT_MOST = 8  # rounds of certificate and repair
 _GIVE_UP_ROUNDS = 12
 _LAST_EFFORT = 900  # candidates per robot granted to each of these rounds
 _RESTORE_DRAWS = 300
-# A few that are stuck are as hard on a small plane: it is granted the effort of a larger one, of
-# this many robots at least, and of up to as many times its own while those are not more than that.
-_SMALL_PLANE, _TIMES, _LARGER_PLANE = 100, 4, 1000
+_TINY_PLANE, _LARGE_PLANE, _TIMES = 100, 1000, 4  # see _granted
 _MORE_MM = 0.005  # asked for beyond what the certificate misses
 
 
@@ -350,5 +348,6 @@ class Search:
 
 
 def _granted(robots):
-    # robots for which effort is granted
-    return max(_SMALL_PLANE, robots, min(_TIMES * robots, _LARGER_PLANE))
+    # The robots for which effort is granted. A stuck pair is no easier for having few around it:
+    # each robot gets some times its share, as long as that is not more than a large plane has.
+    return max(_TINY_PLANE, robots, min(_TIMES * robots, _LARGE_PLANE))
