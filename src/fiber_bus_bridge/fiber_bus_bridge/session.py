@@ -343,12 +343,15 @@ class Session:
         if len(self.uploads) > self.config.resumes or not self._may_go():
             return self.stop(self.link.now_s)
         self.link.command(Opcode.CLEAR, rows[fit[rows]], self.link.now_s)
-        elapsed_s, goes_on = t - before.start_s, running & fit
+        elapsed_s, goes_on, crowded = t - before.start_s, running & fit, self._plan.crowded
         left = remaining_motion(before.motion, self.counts, elapsed_s, self._speed, goes_on)
         self._plan = Plan(left, self._plan.goals)
         self._begin(goes_on & self._plan.moves & ~self._plan.crowded, self.link.now_s)
         stays = running & ~self.upload.started & (self.upload.reason == Reason.OK)
-        reason = np.where(stays, Reason.STOPPED, self.upload.reason)
+        # who was left behind before keeps its reason
+        reason = np.where(self.upload.reason == Reason.OK, before.reason, self.upload.reason)
+        reason[crowded] = Reason.TOO_MANY_SEGMENTS
+        reason[stays] = Reason.STOPPED
         self.upload = self.uploads[-1] = replace(self.upload, reason=reason)
         return self._watch()
 

@@ -129,6 +129,40 @@ def test_a_robot_that_falls_silent_fails_and_holds_its_neighbours_until_found_ag
     assert (rig.run().outcome[held] == Outcome.REACHED).all()
 
 
+def test_who_was_left_behind_keeps_its_reason_when_all_are_stopped_again():
+    rig = Rig()
+    pairs = neighbour_pairs(rig.plane)
+    beside = np.setdiff1d(pairs[(pairs == 0).any(axis=1)].ravel(), 0)
+    wordy = np.setdiff1d(np.arange(1, 18), beside)[0]  # has more segments than can be sent
+    counts = np.zeros((19, 2), dtype=np.int64)
+    counts[:, 0] = np.where(np.arange(19) == wordy, 16, 1)
+    offsets = np.concatenate([[0], np.cumsum(counts.ravel())])
+    m = offsets[-1]
+    rig.call("configure")
+    start = rig.session.counts.copy()
+    rig.session.submit(
+        WireMotion(rig.units, start, offsets, np.full(m, 250), np.full(m, 400)),
+        np.zeros((19, 2)),
+    )
+    rig.call("start")
+    begin_s = rig.session.upload.start_s
+    rig.robots.schedule(
+        [
+            (0, begin_s + 0.3, Event.POWER, 0),
+            (18, begin_s + 0.9, Event.JAM_THETA, 1),
+        ]
+    )
+    result = rig.run()
+    assert len(rig.session.uploads) == 3
+    ended_once(result, 19)
+    assert set(result.reason[[0, 18]]) == {Reason.NOT_ACKNOWLEDGED}
+    assert set(result.reason[beside]) == {Reason.UNSAFE_AS_LOADED}
+    assert result.reason[wordy] == Reason.TOO_MANY_SEGMENTS
+    others = np.setdiff1d(np.arange(19), [0, 18, wordy, *beside])
+    assert set(result.reason[others]) == {Reason.OFF_TARGET}  # nobody is asked to be there
+    assert (rig.where()[others, 0] == start[others, 0] + 250 * 400).all()
+
+
 @pytest.mark.parametrize("moving", [True, False])
 def test_stop_then_clear(moving):
     rig = Rig()
