@@ -37,7 +37,7 @@ class Runs(NamedTuple):
 
     def only(self, chosen) -> "Runs":
         """Return some of them, by index or flag."""
-        return Runs(*(column[chosen] for column in self[:6]), self.load_s)
+        return Runs(*(column[chosen] for column in self[:-1]), self.load_s)
 
 
 def follow(plane: FocalPlane, log: FrameLog) -> Runs:

@@ -200,7 +200,7 @@ def test_a_bus_that_sticks_in_the_countdown_costs_the_other_bus_nobody():
     quiet.ready()
     quiet.call("start")
     go_s = quiet.session.upload.go_s
-    # before even half of the other bus has been asked whether it counts down
+    # before all on the other bus have been asked whether they count down
     lines = ((Line.SCL_LOW, 0, go_s + 1e-4, np.inf, Cure.NOTHING),)
     rig = Rig(220, on_bus=110, faults=Faults(lines=lines))
     motion = rig.ready()
