@@ -25,6 +25,15 @@ def test_an_exception_that_escapes_a_node_ends_the_graph_and_is_told_at_once(new
         assert "a node has died" in said and "a callback without care" in said
 
 
+@pytest.fixture
+def interrupts():
+    """Interrupts are heard, also where whoever runs the tests ignores them, as in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interrupts")
 def test_an_interrupt_while_waiting_ends_the_loop_before_the_nodes_go(new_domain, monkeypatch):
     looping = []
     leave = Graph._leave
