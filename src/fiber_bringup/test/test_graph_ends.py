@@ -27,7 +27,7 @@ def test_an_exception_that_escapes_a_node_ends_the_graph_and_is_told_at_once(new
 
 @pytest.fixture
 def interrupts():
-    """Interrupts are heard, also where whoever runs the tests ignores them, as in the background."""
+    """Interrupts are heard, also where whoever runs the tests ignores them."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
