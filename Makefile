@@ -25,7 +25,7 @@ QUIET := console_stderr- console_cohesion- console_direct- status- desktop_notif
 # The graph stays on this machine, over Fast DDS, and logs beside the build.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
-export FASTRTPS_DEFAULT_PROFILES_FILE := $(CURDIR)/src/fiber_bringup/config/fastdds.xml
+export FASTRTPS_DEFAULT_PROFILES_FILE := $(CURDIR)/src/fiber_node/config/fastdds.xml
 export ROS_LOG_DIR := $(CURDIR)/log/ros
 export PYTHONWARNINGS := ignore:::setuptools,ignore:::pkg_resources
 

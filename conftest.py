@@ -37,7 +37,7 @@ def _claim_domain() -> int:
 os.environ |= {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-    "FASTRTPS_DEFAULT_PROFILES_FILE": str(_ROOT / "src/fiber_bringup/config/fastdds.xml"),
+    "FASTRTPS_DEFAULT_PROFILES_FILE": str(_ROOT / "src/fiber_node/config/fastdds.xml"),
     "ROS_DOMAIN_ID": str(_claim_domain()),
     "ROS_PYTHON_CHECK_FIELDS": "1",
 }

@@ -15,16 +15,9 @@ from pathlib import Path
 import numpy as np
 from ordered_field import OrderedField, ordered_field
 
-from fiber_bus_bridge import (
-    TOPOLOGIES,
-    Positioners,
-    Session,
-    SessionState,
-    SimulatedBuses,
-    addresses_of,
-    bus_timing,
-)
-from fiber_bus_bridge.bus import Cure, Faults, Line
+from fiber_bus_bridge import TOPOLOGIES, Session, SessionState, addresses_of, bus_timing
+from fiber_bus_bridge.bus import Recovery
+from fiber_bus_bridge.simulation import Faults, Line, Positioners, SimulatedBuses
 from fiber_bus_bridge.wire import VERIFY_BYTES, decode_load, encode_load
 from fiber_core.clearance import Safety
 from fiber_core.outcomes import Outcome, Reason
@@ -32,7 +25,7 @@ from fiber_core.presets import preset
 
 __all__ = ["main"]
 
-_STUCK = ((Line.SDA_LOW, 3, 0.5, np.inf, Cure.NOTHING),)
+_STUCK = ((Line.SDA_LOW, 3, 0.5, np.inf, Recovery.NOTHING),)
 CASES = {
     "fault-free": Faults(),
     "one bit in 1e5": Faults(noise=tuple((bus, 0.0, np.inf, 1e-5) for bus in range(200))),

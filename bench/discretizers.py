@@ -27,11 +27,11 @@ from fiber_core.clearance import (
 )
 from fiber_core.fields import random_problem
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.metrics import ORDER_BYTES_BOUND
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
-from fiber_core.report import ORDER_BYTES_BOUND
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import (
     LINEARIZERS,

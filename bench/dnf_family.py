@@ -18,10 +18,10 @@ import numpy as np
 
 from fiber_core.clearance import neighbour_pairs, sampled_gaps
 from fiber_core.fields import random_problem
+from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
-from fiber_core.report import lower_bound_s
 from fiber_planner import PlannedMotion, make_planner
 
 __all__ = ["PLANES", "VARIANTS", "judged", "main", "run"]

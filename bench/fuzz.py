@@ -12,9 +12,9 @@ from collections import Counter
 
 import numpy as np
 
-from fiber_bus_bridge import Positioners, SimulatedBuses
 from fiber_bus_bridge.bus import Ack
 from fiber_bus_bridge.errors import WireError
+from fiber_bus_bridge.simulation import Positioners, SimulatedBuses
 from fiber_bus_bridge.wire import (
     VERIFY_BYTES,
     Addresses,
@@ -65,7 +65,7 @@ def mutated(payload: bytes, other: bytes, rng: np.random.Generator) -> bytes:
 def _valid(to, rng):
     """Valid frames of every kind to one target."""
     called = to.address[0] == 0
-    short = (Opcode.STOP, Opcode.CLEAR, Opcode.RESET, Opcode.IDENTIFY, Opcode.BEAT)
+    short = (Opcode.STOP, Opcode.CLEAR, Opcode.RESET, Opcode.IDENTIFY, Opcode.HEARTBEAT)
     frames = [encode_command(opcode, to) for opcode in short]
     frames += [encode_command(Opcode.GO, to, s, 100 * s) for s in range(16)]
     limits, speed = np.array([[[-2_000_000, 2_000_000], [0, 2_000_000]]]), np.array([[8000, 8000]])

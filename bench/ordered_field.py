@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fiber_core.assignment import assign
 from fiber_core.clearance import Safety
 from fiber_core.fields import random_problem
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
-from fiber_core.targets import assign
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer import discretize
 from fiber_planner import DEFAULT_PLANNER, make_planner

@@ -14,18 +14,19 @@ from pathlib import Path
 
 import numpy as np
 
-from fiber_bus_bridge import PlanResult, Session, SessionState, SimulationConfig, simulated_buses
+from fiber_bus_bridge import PlanResult, Session, SessionState
 from fiber_bus_bridge.capture import Tap
+from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses
 from fiber_bus_bridge.wire import encode_load
+from fiber_core.assignment import assign
 from fiber_core.clearance import Certificate, Safety, certify, neighbour_pairs
 from fiber_core.errors import FiberError
+from fiber_core.metrics import ORDER_BYTES_BOUND, plan_metrics
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Reason
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem, save_plan, save_problem
-from fiber_core.report import ORDER_BYTES_BOUND, plan_report
-from fiber_core.sources import problem_from
-from fiber_core.targets import assign
+from fiber_core.problem_sources import problem_from
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import discretize
 from fiber_planner import DEFAULT_PLANNER, make_planner, planners
@@ -161,7 +162,7 @@ def main(argv: list[str] | None = None) -> int:
         args.out.mkdir(parents=True, exist_ok=True)
         save_problem(args.out / "problem.npz", problem)
         save_plan(args.out / "plan.npz", run.motion, outcome, reason)
-    report = plan_report(problem, run.motion, run.certificate, outcome, reason)
+    report = plan_metrics(problem, run.motion, run.certificate, outcome, reason)
     print(json.dumps({"planner": args.planner, "seed": args.seed, **report, **run.figures}))
     return 0
 

@@ -19,9 +19,9 @@ import numpy as np
 
 from fiber_core.clearance import Safety, certify
 from fiber_core.fields import random_problem
+from fiber_core.metrics import lower_bound_s
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
-from fiber_core.report import lower_bound_s
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import discretize
 from fiber_planner import DEFAULT_PLANNER, make_planner

@@ -24,17 +24,15 @@ from pathlib import Path
 import numpy as np
 from ordered_field import OrderedField, ordered_field
 
-from fiber_bus_bridge import (
-    Positioners,
-    Session,
-    SessionConfig,
-    SessionState,
-    SimulatedBuses,
-    addresses_of,
-)
-from fiber_bus_bridge.bus import FaultKind, draw_faults
+from fiber_bus_bridge import Session, SessionConfig, SessionState, addresses_of
 from fiber_bus_bridge.capture import Tap
-from fiber_bus_bridge.firmware import MotionRecord
+from fiber_bus_bridge.simulation import (
+    FaultKind,
+    Positioners,
+    SimulatedBuses,
+    TrueMotion,
+    draw_faults,
+)
 from fiber_core.clearance import Safety, certify, neighbour_pairs
 from fiber_core.outcomes import Outcome
 from fiber_core.presets import preset
@@ -124,7 +122,7 @@ def _run(campaign, robots, capture):
         to, plane.ids, units.quantum_prad, base.counts,
         clock_ppm=rng.uniform(-20, 20, plane.n), start_skew_s=rng.uniform(0, 20e-6, plane.n),
     )  # fmt: skip
-    record = MotionRecord(robots, units.quantum_rad)
+    record = TrueMotion(robots, units.quantum_rad)
     buses = SimulatedBuses(robots, faults=faults, rng=rng)
     if capture is not None:
         buses = campaign.tap = Tap(buses, buses.timing)

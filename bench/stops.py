@@ -15,16 +15,14 @@ import numpy as np
 
 from fiber_bus_bridge import (
     TOPOLOGIES,
-    Positioners,
     Session,
     SessionConfig,
     SessionState,
-    SimulatedBuses,
     addresses_of,
     bus_timing,
 )
-from fiber_bus_bridge.bus import Cure, Faults, Line, Topology
-from fiber_bus_bridge.firmware import Event
+from fiber_bus_bridge.bus import Recovery, Topology
+from fiber_bus_bridge.simulation import Event, Faults, Line, Positioners, SimulatedBuses
 from fiber_core.clearance import Safety
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireMotion, WireUnits
@@ -47,7 +45,7 @@ def apart_ms(topology: str, clock: str, failure: str, rng: np.random.Generator) 
     row, at = int(rng.integers(n)), 1.0 + rng.uniform(0.0, 0.1)
     lines, stretches = (), ()
     if failure == "bus stuck":
-        lines = ((Line.SCL_LOW, int(bus[row]), at, np.inf, Cure.NOTHING),)
+        lines = ((Line.SCL_LOW, int(bus[row]), at, np.inf, Recovery.NOTHING),)
     elif failure == "holds the clock":
         stretches = ((row, at, np.inf, 10 ** rng.uniform(-3, -1.7)),)
     faults = Faults(lines=lines, stretches=stretches)

@@ -26,7 +26,12 @@ STOCK_MESSAGES = {
     "std_srvs",
     "trajectory_msgs",
 }
-NODES = {"fiber_planner.node", "fiber_discretizer.node", "fiber_bus_bridge.node"}
+NODES = {
+    "fiber_planner.node",
+    "fiber_discretizer.node",
+    "fiber_bus_bridge.node",
+    "fiber_recording.node",
+}
 ROS = {"rclpy", "rcl_interfaces"}
 ARROWS = {
     "fiber_core": {"numpy", "numba", "scipy", "astropy"},
@@ -38,9 +43,14 @@ ARROWS = {
     "fiber_discretizer.node": {"fiber_discretizer", "fiber_node"} | ROS,
     "fiber_bus_bridge": {"fiber_core", "yaml", "vcd", "smbus2"},
     "fiber_bus_bridge.node": {"fiber_bus_bridge", "fiber_node"} | ROS,
-    "fiber_viewer": {"fiber_core", "matplotlib"},
+    "fiber_client": {"fiber_node", "rich"} | ROS,
+    "fiber_recording": {"fiber_bus_bridge"},
+    "fiber_recording.node": {"fiber_recording", "fiber_node"} | ROS,
+    "fiber_recording.settled_replay": {"fiber_recording", "fiber_client"},
+    "fiber_recording.bag": {"fiber_recording", "fiber_msgs_py", "fiber_client", "rosbags"} | ROS,
+    "fiber_viewer": {"fiber_recording", "matplotlib"},
     "fiber_viewer.node": {"fiber_viewer", "fiber_node", "visualization_msgs"} | ROS,
-    "fiber_bringup": {"fiber_viewer", "fiber_viewer.node", "ament_index_python", "rich", "rosbags"}
+    "fiber_bringup": {"fiber_client", "fiber_viewer", "fiber_viewer.node", "ament_index_python"}
     | NODES,
     # scripts find each other by the names of their files
     "bench": {
@@ -149,7 +159,7 @@ def test_no_arrow_but_those_of_the_house():
         ("fiber_core.kinematics", "import rclpy"),
         ("fiber_core.kinematics", "def f():\n    from fiber_planner import dnf"),
         ("fiber_core", "from importlib import import_module\nimport_module('sensor_msgs.msg')"),
-        ("fiber_planner.dnf", "import fiber_discretizer.margin"),
+        ("fiber_planner.dnf", "import fiber_discretizer.makarem2014.margin"),
         ("fiber_planner.dnf", "from fiber_msgs_py import targets"),
         ("fiber_planner.dnf", "from . import node"),
         ("fiber_planner", "from fiber_planner import node"),

@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
-from fiber_bringup.client import PlaneClient
-from fiber_bringup.errors import PlaneRefusal
 from fiber_bringup.graph import Graph
-from fiber_bringup.replay import replay, settled_replay
+from fiber_client.client import PlaneClient
+from fiber_client.errors import PlaneRefusal
 from fiber_core.clearance import Safety, certify
 from fiber_core.fields import random_field
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
 from fiber_msgs_py import PlanStamp, targets, topics
 from fiber_msgs_py.table import encode_table
+from fiber_recording.replay import replay
+from fiber_recording.settled_replay import settled_replay
 
 pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
 
@@ -102,14 +103,18 @@ def test_the_stamp_of_the_targets_is_on_every_message(client):
         return [
             name
             for name, heard in derived.items()
-            if all(PlanStamp.of(message) < ended.stamp for message in heard)
+            if all(PlanStamp.of(message) < PlanStamp(ended.stamp_ns) for message in heard)
         ]
 
     client.until(lambda: not silent(), WAIT_S, lambda: f"this plan on {silent()}")
     for name, heard in derived.items():
         stamps = {PlanStamp.of(message) for message in heard}
-        assert {stamp for stamp in stamps if stamp >= ended.stamp} == {ended.stamp}, name
-    assert {"sent", "planner", "discretizer", "bridge", "ended"} <= set(client.times[ended.stamp])
+        assert {stamp for stamp in stamps if stamp >= PlanStamp(ended.stamp_ns)} == {
+            PlanStamp(ended.stamp_ns)
+        }, name
+    assert {"sent", "planner", "discretizer", "bridge", "ended"} <= set(
+        client.times[PlanStamp(ended.stamp_ns)]
+    )
 
 
 def test_home_folds(client):
@@ -176,7 +181,7 @@ def test_a_bad_table_is_refused_and_nothing_moves(client, name):
     assert set(client.ends) == ends
     ended, _ = check_good_plan(client, 4)
     assert bad not in {PlanStamp.of(message) for message in trajectories} | set(client.ends)
-    assert ended.stamp in client.ends
+    assert PlanStamp(ended.stamp_ns) in client.ends
 
 
 def test_the_client_itself_refuses_to_send_a_bad_table(client):
@@ -251,8 +256,8 @@ def test_two_domains_do_not_see_each_other_and_send_the_same_bytes(
         assert np.array_equal(other.units.to_counts(other.angles), before)
         second = other.reconfigure(ids, xy_mm, WAIT_S)
         told_again = settled_replay(other, second, before, WAIT_S)
-        assert set(one.ends) == set(one.frames) == {first.stamp}
-        assert set(other.ends) == set(other.frames) == {second.stamp}
+        assert set(one.ends) == set(one.frames) == {PlanStamp(first.stamp_ns)}
+        assert set(other.ends) == set(other.frames) == {PlanStamp(second.stamp_ns)}
     for name in ("offsets", "ticks", "velocity"):
         assert np.array_equal(getattr(told.motion, name), getattr(told_again.motion, name)), name
     assert np.array_equal(first.outcome, second.outcome)

@@ -4,19 +4,18 @@ import numpy as np
 import pytest
 
 import fiber_bus_bridge.node.hardware
-from fiber_bringup.client import PlaneClient
-from fiber_bringup.disable import OperatorsList
 from fiber_bringup.graph import Graph
-from fiber_bringup.recorder import recording_name
-from fiber_bringup.replay import replay, settled_replay
-from fiber_bus_bridge import SimulatedBuses
-from fiber_bus_bridge.bus import Faults
-from fiber_bus_bridge.firmware import EVENT, Event
+from fiber_bus_bridge.simulation import EVENT, Event, Faults, SimulatedBuses
+from fiber_client.client import PlaneClient
+from fiber_client.disable import OperatorsList
 from fiber_core.clearance import Safety, certify
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
 from fiber_msgs_py import PlanStamp, targets, topics
-from fiber_viewer import load_recording
+from fiber_recording import load_recording
+from fiber_recording.node import recording_name
+from fiber_recording.replay import replay
+from fiber_recording.settled_replay import settled_replay
 
 pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
 
@@ -118,7 +117,7 @@ def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tm
     client.wait_recording(stamp, WAIT_S)
     recording = load_recording(tmp_path / recording_name(stamp))
     assert recording.about["attempts"] == 2 and "2 attempts" in recording.about["notes"][0]
-    starts = [leg.motion.start for leg in recording.legs]
+    starts = [phase.motion.start for phase in recording.phases]
     np.testing.assert_array_equal(starts, [before, client.before[stamp.next_attempt]])
     np.testing.assert_array_equal(recording.outcome, ended.outcome)
     assert recording.about["certificate"]["ok"]

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiber_bringup.client import PlaneClient
-from fiber_bringup.errors import ProcessError
 from fiber_bringup.processes import Processes, installed
+from fiber_client.client import PlaneClient
+from fiber_client.errors import ProcessError
 from fiber_core.clearance import Safety, certify
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiber_bus_bridge.firmware import Runs
-from fiber_bus_bridge.watch import Watch
+from fiber_bus_bridge.motion_monitor import MotionMonitor
+from fiber_bus_bridge.simulation import Runs
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -35,14 +35,14 @@ def test_a_campaign_is_its_kind_and_its_seed(soak):
 
 def test_the_judge_sees_robots_that_were_not_stopped(soak, monkeypatch):
     # in this one, going on after a robot has lost power makes arms touch
-    judge = Watch._judge
+    judge = MotionMonitor._judge
 
     def goes_on(watch, running):
         judge(watch, running)
         watch.freeze_s = None
         watch.arrived |= watch.wrong | (watch._doubt >= 6)
 
-    monkeypatch.setattr(Watch, "_judge", goes_on)
+    monkeypatch.setattr(MotionMonitor, "_judge", goes_on)
     wrong = soak.run_campaign("brown_out", 26).wrong
     assert any("arms touch" in words for words in wrong)
     monkeypatch.undo()

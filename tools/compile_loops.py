@@ -10,11 +10,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from fiber_bringup.client import PlaneClient
-from fiber_bringup.environment import own_domain
 from fiber_bringup.graph import Graph
+from fiber_client.client import PlaneClient
 from fiber_core.fields import random_field, random_problem
 from fiber_core.presets import preset
+from fiber_msgs_py import PlanStamp
+from fiber_node.ros_environment import own_domain
 from fiber_planner import make_planner, planners
 
 _WAIT_S = 600.0
@@ -28,7 +29,7 @@ def _reconfigure(planner: str) -> None:
         Graph(
             planner={"planner": planner},
             bridge=bridge,
-            recorder={"folder": folder},  # it asks for margins, and replays
+            recorder={"folder": folder},  # it asks for corridors, and replays
             domain=domain,
             args=["--ros-args", "--log-level", "warn"],
         ),
@@ -38,7 +39,7 @@ def _reconfigure(planner: str) -> None:
         rng = np.random.default_rng(0)
         problem = random_field(client.plane, rng, start=client.angles).problem
         ended = client.reconfigure(client.plane.ids, problem.targets, _WAIT_S)
-        client.wait_recording(ended.stamp, _WAIT_S)
+        client.wait_recording(PlanStamp(ended.stamp_ns), _WAIT_S)
 
 
 def _plan(name: str) -> None:

@@ -17,7 +17,8 @@ from pathlib import Path
 from PIL import Image
 
 from fiber_core.outcomes import Outcome
-from fiber_viewer import figures, load_recording
+from fiber_recording import load_recording
+from fiber_viewer import figures
 from fiber_viewer.page import write_player
 
 # name of the picture: size of the window, then the moment: part of the makespan, and the rest

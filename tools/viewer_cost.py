@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fiber_bringup.client import PlaneClient
-from fiber_bringup.display import table
-from fiber_bringup.environment import own_domain, stay_on_this_machine
 from fiber_bringup.processes import Processes
+from fiber_client.client import PlaneClient
+from fiber_client.terminal import table
 from fiber_core.fields import random_field
 from fiber_msgs_py import topics
+from fiber_node.ros_environment import own_domain, use_loopback
 from fiber_viewer.node import ARMS, WATCHED
 
 _WAIT_S = 300.0
@@ -34,7 +34,7 @@ def main() -> int:
     parser.add_argument("--robots", type=int, default=5000)
     parser.add_argument("--plans", type=int, default=5, help="in each setting")
     args = parser.parse_args()
-    stay_on_this_machine()
+    use_loopback()
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     rows = [("setting", "bridge cpu s", "longest pause s", "pictures a s")]
     for name, beside, watched in (

@@ -23,13 +23,8 @@ setup(
     zip_safe=False,  # compiled loops are cached beside the modules
     entry_points={
         "console_scripts": [
-            "reconfigure = fiber_bringup.reconfigure:main",
             "demo = fiber_bringup.demo:main",
             "graph = fiber_bringup.graph:main",
-            "recorder = fiber_bringup.recorder:main",
-            "bag = fiber_bringup.bag:main",
-            "disable = fiber_bringup.disable:disable",
-            "enable = fiber_bringup.disable:enable",
         ]
     },
 )

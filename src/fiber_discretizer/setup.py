@@ -3,7 +3,7 @@ from setuptools import find_packages, setup
 setup(
     name="fiber_discretizer",
     version="0.1.0",
-    description="Turns joint trajectories into a few certified constant-velocity segments.",
+    description="PollScheduler joint trajectories into a few certified constant-velocity segments.",
     maintainer="fiber positioner team",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",

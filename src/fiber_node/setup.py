@@ -11,6 +11,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fiber_node"]),
         ("share/fiber_node", ["package.xml"]),
+        ("share/fiber_node/config", ["config/fastdds.xml"]),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here

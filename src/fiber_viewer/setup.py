@@ -18,7 +18,7 @@ setup(
     zip_safe=False,  # compiled loops are cached beside the modules
     entry_points={
         "console_scripts": [
-            "figures = fiber_viewer.draw:main",
+            "figures = fiber_viewer.figures.command:main",
             "player = fiber_viewer.page:main",
             "viewer = fiber_viewer.node:main",
             "snapshot = fiber_viewer.snapshot:main",

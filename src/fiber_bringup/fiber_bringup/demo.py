@@ -23,23 +23,24 @@ from pathlib import Path
 
 import numpy as np
 
-from fiber_bringup.client import PlaneClient, PlanEnd
-from fiber_bringup.display import ProgressDisplay, table
-from fiber_bringup.environment import own_domain, stay_on_this_machine
 from fiber_bringup.processes import Processes
-from fiber_bringup.reconfigure import summary, went_well
-from fiber_bringup.recorder import recording_name
-from fiber_bus_bridge import SimulationConfig
-from fiber_bus_bridge.bus import FaultKind
+from fiber_bus_bridge.simulation import FaultKind, SimulationConfig
+from fiber_client.client import PlaneClient
+from fiber_client.reconfigure import summary, went_well
+from fiber_client.terminal import ProgressDisplay, table
+from fiber_core.assignment import assign
 from fiber_core.errors import FiberError
+from fiber_core.metrics import ORDER_BYTES_BOUND
+from fiber_core.outcomes import PlanOutcome
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem, save_plan, save_problem
-from fiber_core.report import ORDER_BYTES_BOUND
-from fiber_core.sources import problem_from
+from fiber_core.problem_sources import problem_from
 from fiber_core.tables import read_targets
-from fiber_core.targets import assign
+from fiber_node.ros_environment import own_domain, use_loopback
 from fiber_planner import DEFAULT_PLANNER, planners
-from fiber_viewer import Recording, before_and_after, load_recording, write_player
+from fiber_recording import Recording, load_recording
+from fiber_recording.node import recording_name
+from fiber_viewer import before_and_after, write_player
 
 __all__ = ["main"]
 
@@ -50,7 +51,7 @@ _FILES = ("report.json", "problem.npz", "plan.npz", "plane.png", "recording.npz"
 class _Run:
     """What one reconfiguration left behind."""
 
-    ended: PlanEnd
+    ended: PlanOutcome
     recording: Recording
     wall_s: dict[str, float]
 
@@ -134,7 +135,7 @@ def _problem(options) -> Problem:
 
 
 def _reconfigure(problem, options, display) -> _Run:
-    stay_on_this_machine()
+    use_loopback()
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     bridge = {
         "problem": str((options.out / "problem.npz").resolve()),

@@ -10,11 +10,11 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, ShutdownException
 from rclpy.parameter import Parameter
 
-from fiber_bringup.environment import stay_on_this_machine
-from fiber_bringup.recorder import RecorderNode
 from fiber_bus_bridge.node import BridgeNode
 from fiber_discretizer.node import DiscretizerNode
+from fiber_node.ros_environment import use_loopback
 from fiber_planner.node import PlannerNode
+from fiber_recording.node import RecorderNode
 from fiber_viewer.node import ViewerNode
 
 __all__ = ["Graph", "main"]
@@ -63,7 +63,7 @@ class Graph:
         self.nodes: list = []
 
     def __enter__(self) -> "Graph":
-        stay_on_this_machine()
+        use_loopback()
         self._context = Context()
         rclpy.init(args=self._args, context=self._context, domain_id=self._domain)
         try:

@@ -14,7 +14,7 @@ from launch_ros.substitutions import FindPackageShare
 def generate_launch_description():
     config = PathJoinSubstitution([FindPackageShare("fiber_bringup"), "config"])
     parameters = PathJoinSubstitution([config, "focal_plane.yaml"])
-    profile = PathJoinSubstitution([config, "fastdds.xml"])
+    profile = PathJoinSubstitution([FindPackageShare("fiber_node"), "config", "fastdds.xml"])
     return LaunchDescription(
         [
             DeclareLaunchArgument(
@@ -83,7 +83,7 @@ def generate_launch_description():
                 parameters=[parameters],
             ),
             Node(
-                package="fiber_bringup",
+                package="fiber_recording",
                 executable="recorder",
                 name="recorder",
                 output="screen",

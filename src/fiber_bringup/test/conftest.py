@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from fiber_bringup.client import PlaneClient
 from fiber_bringup.graph import Graph
-from fiber_bringup.recorder import recording_name
-from fiber_bringup.replay import settled_replay
+from fiber_client.client import PlaneClient
 from fiber_core.fields import random_field
-from fiber_msgs_py import topics
-from fiber_viewer import load_recording
+from fiber_msgs_py import PlanStamp, topics
+from fiber_recording import load_recording
+from fiber_recording.node import recording_name
+from fiber_recording.settled_replay import settled_replay
 
 COMPILE_S, WAIT_S, ROBOTS = 600.0, 60.0, 37
 
@@ -41,8 +41,8 @@ class Run:
             self.ended = client.reconfigure(*self.targets, COMPILE_S)
             self.told = settled_replay(client, self.ended, self.before, WAIT_S)
             self.after = client.units.to_counts(client.angles)
-            self.done = recorded(client, folder, self.ended.stamp)
-            self.home = recorded(client, folder, client.home(WAIT_S).stamp)
+            self.done = recorded(client, folder, PlanStamp(self.ended.stamp_ns))
+            self.home = recorded(client, folder, PlanStamp(client.home(WAIT_S).stamp_ns))
             replaced = client.send(*self.targets)
             client.wait_ready(replaced, WAIT_S)
             client.wait_ready(client.send(*self.targets), WAIT_S)

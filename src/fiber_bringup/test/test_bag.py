@@ -7,15 +7,14 @@ import pytest
 import yaml
 from rclpy.serialization import deserialize_message
 
-from fiber_bringup.bag import main, write_bag
-from fiber_bringup.errors import PlaneError
+from fiber_client.errors import PlaneError
 from fiber_core.kinematics import forward
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome
 from fiber_msgs_py import Topic, topics
-from fiber_viewer import node as view
-from fiber_viewer.clouds import POINTS, ViewState, arms_cloud
-from fiber_viewer.recording import Measured
+from fiber_msgs_py.point_clouds import POINTS, ViewState, arms_cloud
+from fiber_recording.bag import main, write_bag
+from fiber_recording.recording import Measured
 
 try:
     from rosbags.rosbag2 import Reader
@@ -29,12 +28,8 @@ pytestmark = [
 ]
 
 
-VIEW = {f"/{topic.name}" for topic in (view.ARMS, view.PLANE, view.TARGETS)}
-TOPICS = {
-    f"/{topic.name}": topic
-    for topic in (*vars(topics).values(), *vars(view).values())
-    if isinstance(topic, Topic)
-}
+VIEW = {f"/{topic.name}" for topic in (topics.VIEW_ARMS, topics.VIEW_PLANE, topics.VIEW_TARGETS)}
+TOPICS = {f"/{topic.name}": topic for topic in vars(topics).values() if isinstance(topic, Topic)}
 
 
 def heard(folder):
@@ -51,9 +46,9 @@ def heard(folder):
 def test_a_bag_says_the_same(run, tmp_path):
     write_bag(tmp_path / "bag", run.done)
     found = heard(tmp_path / "bag")
-    names = ("layout", "targets", "trajectory", "segments", "margins", "joint_states", "outcome")
+    names = ("layout", "targets", "trajectory", "segments", "corridors", "joint_states", "outcome")
     assert set(found) == {f"/focal_plane/{name}" for name in names} | VIEW
-    stamp_ns = run.ended.stamp.ns
+    stamp_ns = run.ended.stamp_ns
     for topic, messages in found.items():
         header = messages[0][1].header
         assert header.frame_id == "focal_plane" and messages[0][0] >= stamp_ns
@@ -89,7 +84,7 @@ def test_a_bag_shows_the_arms_as_they_moved(run, tmp_path):
     found = heard(tmp_path / "bag")
     plane, moved = run.done.problem.plane, run.done.decoded
     pictures = found["/focal_plane/view/arms"]
-    stamp_ns = run.ended.stamp.ns
+    stamp_ns = run.ended.stamp_ns
     for time_ns, message in pictures:
         rows = np.frombuffer(
             message.data.tobytes(), arms_cloud(plane, moved.start, [0] * plane.n).dtype

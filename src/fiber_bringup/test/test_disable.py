@@ -2,9 +2,9 @@
 
 import pytest
 
-from fiber_bringup.client import PlaneClient
-from fiber_bringup.disable import disable, enable
 from fiber_bringup.graph import Graph
+from fiber_client.client import PlaneClient
+from fiber_client.disable import disable, enable
 
 WAIT_S = 60.0
 

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from fiber_bringup.recorder import RecorderNode, recording_name
 from fiber_core.clearance import Safety, certify
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer import sent_margins
+from fiber_discretizer import joint_corridors
 from fiber_msgs_py import PlanStamp, joint_states, layout, outcome, topics
-from fiber_node import Peer
-from fiber_viewer import EventKind
+from fiber_node import RosClient
+from fiber_recording import EventKind
+from fiber_recording.node import RecorderNode, recording_name
 
 pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
 
@@ -33,7 +33,7 @@ def test_what_was_asked_and_what_became_of_it(run):
     np.testing.assert_array_equal(run.done.outcome, run.ended.outcome)
     np.testing.assert_allclose(run.done.error_mm, run.ended.error_mm)
     about = run.done.about
-    assert (about["seed"], about["planner"], about["plan_ns"]) == (5, "direct", run.ended.stamp.ns)
+    assert (about["seed"], about["planner"], about["plan_ns"]) == (5, "direct", run.ended.stamp_ns)
     assert problem.plane.name == "desi" and about["notes"] == []
     assert about["report"]["reached"] == run.ended.count(Outcome.REACHED)
 
@@ -46,13 +46,13 @@ def test_the_certificate_is_that_of_the_motion(run):
 
 def test_the_margins_are_those_of_the_orders(run):
     recording = run.done
-    exact = sent_margins(recording.problem.plane, recording.decoded, Safety())
+    exact = joint_corridors(recording.problem.plane, recording.decoded, Safety())
     for name in ("low", "high"):
-        recorded, wall = getattr(recording.margins, name), getattr(exact, name)
+        recorded, wall = getattr(recording.corridors, name), getattr(exact, name)
         np.testing.assert_allclose(recorded, wall, atol=1.1e-3)  # rounded inwards
     assert (exact.high - exact.low).max() > 1.0
-    assert run.home.margins is None  # nobody discretized it
-    assert run.replaced.margins is not None
+    assert run.home.corridors is None  # nobody discretized it
+    assert run.replaced.corridors is not None
 
 
 def test_planned_curves_begin_and_end_with_the_motion(run):
@@ -95,7 +95,7 @@ def test_a_stopped_plan_is_recorded_as_far_as_it_went(run):
     assert any("stopped at" in note for note in stopped.about["notes"])
     assert (stopped.reason == Reason.STOPPED).any()
     np.testing.assert_array_equal(stopped.outcome, run.halted.outcome)
-    np.testing.assert_array_equal(stopped.legs[-1].end, run.at_rest)
+    np.testing.assert_array_equal(stopped.phases[-1].end, run.at_rest)
     np.testing.assert_allclose(
         stopped.decoded.end, stopped.units.to_angles(run.at_rest), atol=1e-12
     )
@@ -121,7 +121,7 @@ def test_a_plan_that_ended_before_the_recorder_began_keeps_the_recording_it_may_
     plane = preset("desi", 7)
     still, held = np.zeros((7, 2)), np.full(7, Outcome.HELD)
     told = held, np.full(7, Reason.NO_TARGET), np.full(7, np.nan)
-    with Peer("bridge") as peer:
+    with RosClient("bridge") as peer:
         now_ns = peer.node.get_clock().now().nanoseconds
         ended = topics.OUTCOME.publisher(peer.node)
         layouts = topics.LAYOUT.publisher(peer.node)

@@ -1,47 +1,39 @@
 """The bus bridge: orders become bytes, bytes go over I2C, robots move, outcomes come back."""
 
-from fiber_bus_bridge.attempts import Attempts
+from fiber_bus_bridge.availability import Availability
 from fiber_bus_bridge.bus import (
     TOPOLOGIES,
     Ack,
     BusBackend,
     BusTiming,
     Exchange,
-    SimulatedBuses,
     addresses_of,
     bus_timing,
 )
 from fiber_bus_bridge.errors import BridgeError, SessionError, TopologyError, WireError
-from fiber_bus_bridge.firmware import Positioners
-from fiber_bus_bridge.results import PlanResult
-from fiber_bus_bridge.roster import Roster
+from fiber_bus_bridge.loader import LoadedPlan
+from fiber_bus_bridge.plan_result import PlanResult
+from fiber_bus_bridge.replanning import Replanning
 from fiber_bus_bridge.session import Session, SessionState
 from fiber_bus_bridge.session_config import SessionConfig
-from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
-from fiber_bus_bridge.upload import Upload
 
 __all__ = [
     "TOPOLOGIES",
     "Ack",
-    "Attempts",
+    "Replanning",
     "BridgeError",
     "BusBackend",
     "BusTiming",
     "Exchange",
     "PlanResult",
-    "Positioners",
-    "Roster",
+    "Availability",
     "Session",
     "SessionConfig",
     "SessionError",
     "SessionState",
-    "SimulatedBuses",
-    "SimulationConfig",
     "TopologyError",
-    "Upload",
+    "LoadedPlan",
     "WireError",
     "addresses_of",
     "bus_timing",
-    "simulated_buses",
-    "simulated_plane",
 ]

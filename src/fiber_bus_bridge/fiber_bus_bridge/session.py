@@ -8,13 +8,13 @@ import numpy as np
 
 from fiber_bus_bridge.bus import BusBackend, addresses_of
 from fiber_bus_bridge.errors import SessionError
-from fiber_bus_bridge.fold import fold_motion
-from fiber_bus_bridge.link import Link
-from fiber_bus_bridge.results import Plan, PlanResult, judge
-from fiber_bus_bridge.resume import remaining_motion
+from fiber_bus_bridge.home import home_motion
+from fiber_bus_bridge.loader import LoadedPlan, Loader
+from fiber_bus_bridge.plan_result import Plan, PlanResult, judge
+from fiber_bus_bridge.remaining_motion import remaining_motion
 from fiber_bus_bridge.session_config import SessionConfig
-from fiber_bus_bridge.starter import Starter
-from fiber_bus_bridge.upload import Upload, Uploader
+from fiber_bus_bridge.start_stop import StartStop
+from fiber_bus_bridge.transactions import Transactions
 from fiber_bus_bridge.wire import Alert, Configuration, Opcode, RobotState, encode_config
 from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
@@ -70,7 +70,7 @@ class Session:
         if believed.shape != (plane.n, 2) or not np.isfinite(believed).all():
             raise SessionError(f"believed angles {believed.shape} do not fit {plane.n} robots")
         self.plane, self.units, self.config = plane, units, config or SessionConfig()
-        self.link = Link(backend, addresses_of(plane))
+        self.link = Transactions(backend, addresses_of(plane))
         self.state = SessionState.UNCONFIGURED
         self.counts = units.encoder_counts(plane, believed)
         self.known = np.zeros(plane.n, dtype=bool)
@@ -78,8 +78,8 @@ class Session:
         self.robot_fault = np.zeros(plane.n, dtype=np.int64)
         self.alerts = np.zeros(plane.n, dtype=np.int64)
         self.result: PlanResult | None = None
-        self.upload: Upload | None = None
-        self.uploads: list[Upload] = []  # all of the last plan
+        self.upload: LoadedPlan | None = None
+        self.uploads: list[LoadedPlan] = []  # all of the last plan
         self._may_go: Callable[[], bool] = lambda: True
         self._boot = np.full(plane.n, -1)
         self._lost = np.zeros(plane.n, dtype=bool)  # last heard, or started, while it moved
@@ -89,11 +89,11 @@ class Session:
         self._read_s = np.full(plane.n, -np.inf)
         self._plan: Plan | None = None
         silence_s = 1e-3 * self.config.silence_ms
-        self._starter = Starter(
+        self._starter = StartStop(
             self.link, silence_s, self.config.watch_s, self.config.stretch_s,
             0.25 * safety.start_skew_s, self._hear,
         )  # fmt: skip
-        self._uploader = Uploader(
+        self._uploader = Loader(
             plane, units, safety, self.link, neighbour_pairs(plane), self._starter
         )
         # inside the limits, so that what a robot accepts is inside them too
@@ -215,7 +215,7 @@ class Session:
         return self._watch()
 
     def advance(self, t: float) -> float:
-        """Watch the robots until time t; end the plan when all have arrived or time is up.
+        """MotionMonitor the robots until time t; end the plan when all have arrived or time is up.
 
         A robot that stops by itself, or falls silent, stops everybody. In other states
         nothing is done.
@@ -264,7 +264,7 @@ class Session:
         """
         self._require("home", SessionState.IDLE)
         chosen = self.plane.enabled & self.known
-        motion = fold_motion(
+        motion = home_motion(
             self.units, self.counts, self._limits[:, 1, 1], self._speed[:, 1], chosen
         )
         self.submit(motion)
@@ -314,7 +314,7 @@ class Session:
         return max(watch.now_s, self.link.now_s)
 
     def _begin(self, wanted, t):
-        """Upload the plan for the wanted robots and start them."""
+        """LoadedPlan the plan for the wanted robots and start them."""
         self.upload = self._uploader.run(
             self._plan.motion, wanted, self.known, self._boot, self._lost, t, self._may_go
         )
@@ -335,7 +335,7 @@ class Session:
         fit = (self.robot_state == RobotState.STOPPED) | silent
         fit &= (self.alerts & (Alert.STALLED | Alert.REBOOTED) == 0) & ~self._lost
         fit[rows] &= status.ok & (status.boot == self._boot[rows])
-        # who heard no BEAT though its bus did will not hear the next either
+        # who heard no HEARTBEAT though its bus did will not hear the next either
         bus = self.link.at(self.plane.bus)
         heard = np.unique(bus[running & (self.robot_state == RobotState.STOPPED)])
         fit &= ~(silent & np.isin(bus, heard))

@@ -10,8 +10,9 @@ import threading
 
 import numpy as np
 
-from fiber_bus_bridge.bus import Ack, SimulatedBuses
+from fiber_bus_bridge.bus import Ack
 from fiber_bus_bridge.bus.linux import LinuxBuses
+from fiber_bus_bridge.simulation import SimulatedBuses
 from fiber_bus_bridge.wire import Addresses, Frames
 
 DEBIAN = "/usr/lib/python3/dist-packages"  # where gi is, for Debian's own Python

@@ -10,11 +10,12 @@ import pytest
 from kernel_buses import Kernel
 from rest_of_graph import COUNTS, PLANE, UNITS, Rest, problem_file, turning
 
-from fiber_bus_bridge import Positioners, SimulatedBuses, addresses_of
+from fiber_bus_bridge import addresses_of
+from fiber_bus_bridge.simulation import Positioners, SimulatedBuses
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import joint_states, topics
-from fiber_node import Peer
+from fiber_node import RosClient
 
 PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
@@ -45,7 +46,7 @@ def rest(tmp_path, monkeypatch):
     moved = COUNTS + [30, 0]
     robots = Positioners(addresses_of(PLANE), PLANE.ids, UNITS.quantum_prad, moved)
     kernel = Kernel(SimulatedBuses(robots), time.monotonic)
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         rest = Rest(peer, problem_file(tmp_path), devices=["/dev/i2c-0"], **PATIENT)
         rest.robots = robots
         yield rest

@@ -4,14 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiber_bus_bridge import (
-    Positioners,
-    Session,
-    SessionState,
-    SimulatedBuses,
-    addresses_of,
-    bus_timing,
-)
+from fiber_bus_bridge import Session, SessionState, addresses_of, bus_timing
+from fiber_bus_bridge.simulation import Positioners, SimulatedBuses
 from fiber_core.clearance import Safety
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset

@@ -12,17 +12,10 @@ import numpy as np
 import pytest
 from kernel_buses import KernelBuses, umockdev
 
-from fiber_bus_bridge import (
-    Positioners,
-    Session,
-    SessionConfig,
-    SessionState,
-    SimulatedBuses,
-    addresses_of,
-    bus_timing,
-)
-from fiber_bus_bridge.bus import Ack, Cure, Faults, Line
-from fiber_bus_bridge.link import Link
+from fiber_bus_bridge import Session, SessionConfig, SessionState, addresses_of, bus_timing
+from fiber_bus_bridge.bus import Ack, Recovery
+from fiber_bus_bridge.simulation import Faults, Line, Positioners, SimulatedBuses
+from fiber_bus_bridge.transactions import Transactions
 from fiber_bus_bridge.wire import (
     STATUS_BYTES,
     Addresses,
@@ -117,7 +110,7 @@ def test_answers_come_from_the_robots_asked(backend):
     replies = buses.transfer(nothing, STATUS_BYTES, 0.0)
     status = decode_status(TO, replies.table(STATUS_BYTES))
     assert status.ok.all() and np.array_equal(status.position, robots.memory["position"])
-    who = Link(buses, TO).identities(np.arange(4), 0.0)
+    who = Transactions(buses, TO).identities(np.arange(4), 0.0)
     assert who.ok.all() and who.serial.tolist() == [1, 2, 3, 4]
 
 
@@ -160,7 +153,7 @@ def test_a_go_is_never_sent_twice(backend):
     ],
 )
 def test_lines_that_fail_are_told_apart_and_cost_their_bus_only(backend, line, acks):
-    buses, _ = backend(faults=Faults(lines=((line, 0, 0.0, np.inf, Cure.NOTHING),)))
+    buses, _ = backend(faults=Faults(lines=((line, 0, 0.0, np.inf, Recovery.NOTHING),)))
     assert buses.transfer(encode_command(Opcode.CLEAR, TO), 0, 0.0).ack.tolist() == acks
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fiber_bus_bridge import SimulatedBuses, TopologyError, addresses_of, bus_timing
+from fiber_bus_bridge import TopologyError, addresses_of, bus_timing
 from fiber_bus_bridge.bus import BUS_TIMINGS, TOPOLOGIES, Ack
-from fiber_bus_bridge.firmware import Positioners
+from fiber_bus_bridge.simulation import Positioners, SimulatedBuses
 from fiber_bus_bridge.wire import Addresses, Frames, Opcode, encode_command, general_call
 from fiber_core.presets import preset
 

@@ -9,9 +9,10 @@ import subprocess
 import numpy as np
 import pytest
 
-from fiber_bus_bridge import Positioners, SimulatedBuses, bus_timing
+from fiber_bus_bridge import bus_timing
 from fiber_bus_bridge.bus import BUS_TIMINGS
 from fiber_bus_bridge.capture import Tap
+from fiber_bus_bridge.simulation import Positioners, SimulatedBuses
 from fiber_bus_bridge.wire import (
     Addresses,
     Frames,

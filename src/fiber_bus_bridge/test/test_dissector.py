@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiber_bus_bridge import Positioners, SimulatedBuses, bus_timing
+from fiber_bus_bridge import bus_timing
 from fiber_bus_bridge.bus import Ack
 from fiber_bus_bridge.capture import Tap
+from fiber_bus_bridge.simulation import Positioners, SimulatedBuses
 from fiber_bus_bridge.wire import (
     ADDRESS_FIELDS,
     CALL_PREFIX,
@@ -74,7 +75,7 @@ def talk():
         (NOTHING, VERIFY_BYTES),
         (encode_command(Opcode.GO, CALLED, 5, 700), 0),
         (encode_command(Opcode.GO, TO[:1], 6, 0x1234), 0),
-        (encode_command(Opcode.BEAT, CALLED), 0),
+        (encode_command(Opcode.HEARTBEAT, CALLED), 0),
         (NOTHING, STATUS_BYTES),
         (encode_command(Opcode.STOP, absent), 0),
         (encode_command(Opcode.STOP, CALLED), 0),
@@ -197,7 +198,7 @@ def test_every_field_is_as_our_decoder_reads_it(talk, tmp_path):
     )
     assert said >= {
         "identity", "address only", "CONFIG", "LOAD, 1 + 1 segments", "GO to all", "GO",
-        "BEAT to all", "STOP to all", "CLEAR", "ADDRESS", "RESET", "verify LOADED",
+        "HEARTBEAT to all", "STOP to all", "CLEAR", "ADDRESS", "RESET", "verify LOADED",
         "status IDLE", "status STOPPED",
     }  # fmt: skip
 

@@ -3,12 +3,22 @@
 import numpy as np
 import pytest
 
-from fiber_bus_bridge import SimulatedBuses, bus_timing
-from fiber_bus_bridge.bus import Ack, Cure, FaultKind, Faults, Line, draw_faults
-from fiber_bus_bridge.bus.lines import STRETCH_LIMIT_S
-from fiber_bus_bridge.firmware import EVENT, Event, MotionRecord, Positioners
-from fiber_bus_bridge.firmware.events import BOOT_S
-from fiber_bus_bridge.link import Link
+from fiber_bus_bridge import bus_timing
+from fiber_bus_bridge.bus import Ack, Recovery
+from fiber_bus_bridge.simulation import (
+    EVENT,
+    Event,
+    FaultKind,
+    Faults,
+    Line,
+    Positioners,
+    SimulatedBuses,
+    TrueMotion,
+    draw_faults,
+)
+from fiber_bus_bridge.simulation.events import BOOT_S
+from fiber_bus_bridge.simulation.lines import STRETCH_LIMIT_S
+from fiber_bus_bridge.transactions import Transactions
 from fiber_bus_bridge.wire import (
     STATUS_BYTES,
     VERIFY_BYTES,
@@ -44,14 +54,14 @@ def buses_with(lines=(), noise=(), stretches=(), events=(), seed=0, mode="1M", t
 @pytest.mark.parametrize(
     ("line", "ack", "cure", "heals"),
     [
-        (Line.SDA_LOW, Ack.STUCK, Cure.CLOCKS, [True, True, True]),
-        (Line.SDA_LOW, Ack.STUCK, Cure.RESET, [False, True, True]),
-        (Line.SCL_LOW, Ack.TIMED_OUT, Cure.POWER, [False, False, True]),
-        (Line.SCL_LOW, Ack.TIMED_OUT, Cure.NOTHING, [False, False, False]),
+        (Line.SDA_LOW, Ack.STUCK, Recovery.CLOCKS, [True, True, True]),
+        (Line.SDA_LOW, Ack.STUCK, Recovery.RESET, [False, True, True]),
+        (Line.SCL_LOW, Ack.TIMED_OUT, Recovery.POWER, [False, False, True]),
+        (Line.SCL_LOW, Ack.TIMED_OUT, Recovery.NOTHING, [False, False, False]),
     ],
 )
 def test_a_stuck_line_times_out_and_takes_its_bus_with_it_until_it_is_freed(line, ack, cure, heals):
-    for attempt, heal in zip((Cure.CLOCKS, Cure.RESET, Cure.POWER), heals):
+    for attempt, heal in zip((Recovery.CLOCKS, Recovery.RESET, Recovery.POWER), heals):
         buses = buses_with([(line, 0, 0.0, FOREVER, cure)])
         replies = buses.transfer(CLEAR, 0, 1.0)
         assert replies.ack.tolist() == [ack, Ack.NOT_SENT, Ack.NOT_SENT, Ack.OK]
@@ -59,14 +69,14 @@ def test_a_stuck_line_times_out_and_takes_its_bus_with_it_until_it_is_freed(line
         assert replies.end_s[3] - 1.0 < 1e-3
         end_s, free = buses.recover(0, attempt, replies.end_s[0])
         assert (free, end_s > replies.end_s[0]) == (heal, True)
-        booted_s = end_s + BOOT_S * (attempt == Cure.POWER)
+        booted_s = end_s + BOOT_S * (attempt == Recovery.POWER)
         again = buses.transfer(CLEAR[np.arange(3)], 0, booted_s).ack
         assert (set(again) == {Ack.OK}) == heal
 
 
 def test_a_power_cycle_of_a_branch_boots_its_robots_and_no_others():
-    buses = buses_with([(Line.SCL_LOW, 0, 0.0, FOREVER, Cure.POWER)])
-    buses.recover(0, Cure.POWER, 1.0)
+    buses = buses_with([(Line.SCL_LOW, 0, 0.0, FOREVER, Recovery.POWER)])
+    buses.recover(0, Recovery.POWER, 1.0)
     assert buses.positioners.memory["boot"].tolist() == [2, 2, 2, 1]
     assert buses.alert_lines(2.0).tolist() == [0]
 
@@ -82,7 +92,7 @@ def test_a_robot_that_boots_is_not_there_yet():
 def test_a_line_that_sticks_at_the_last_acknowledge_leaves_a_robot_that_has_heard():
     one = bus_timing("1M").message_s(2, 0, False)
     for since, state in ((one - 0.5e-6, RobotState.STOPPED), (one / 2, RobotState.IDLE)):
-        buses = buses_with([(Line.SCL_LOW, 0, 1 + since, FOREVER, Cure.NOTHING)])
+        buses = buses_with([(Line.SCL_LOW, 0, 1 + since, FOREVER, Recovery.NOTHING)])
         buses.positioners.memory["state"] = RobotState.IDLE
         stop = encode_command(Opcode.STOP, TO[:1])
         assert buses.transfer(stop, 0, 1.0).ack.tolist() == [Ack.TIMED_OUT]
@@ -90,7 +100,7 @@ def test_a_line_that_sticks_at_the_last_acknowledge_leaves_a_robot_that_has_hear
 
 
 def test_who_talks_all_the_time_wins_every_arbitration():
-    buses = buses_with([(Line.BABBLE, 0, 0.0, 2.0, Cure.NOTHING)])
+    buses = buses_with([(Line.BABBLE, 0, 0.0, 2.0, Recovery.NOTHING)])
     replies = buses.transfer(CLEAR, 0, 1.0)
     assert replies.ack.tolist() == [Ack.LOST] * 3 + [Ack.OK]
     assert set(buses.transfer(CLEAR, 0, 2.0).ack) == {Ack.OK}
@@ -106,7 +116,7 @@ def test_a_slow_clock_takes_time_and_too_slow_a_clock_is_timed_out():
     replies = buses.transfer(CLEAR, 0, 2.5)
     assert replies.ack.tolist() == [Ack.OK, Ack.TIMED_OUT, Ack.NOT_SENT, Ack.OK]
     # nobody waits behind it: the others are served before it is tried again
-    link = Link(buses_with(stretches=[(0, 0.0, FOREVER, 30e-3)]), TO)
+    link = Transactions(buses_with(stretches=[(0, 0.0, FOREVER, 30e-3)]), TO)
     assert link.command(Opcode.CLEAR, np.arange(4), 0.0).tolist() == [Ack.NO_ADDRESS] + [Ack.OK] * 3
     assert link.failures.tolist() == [3, 0, 0, 0]
 
@@ -187,7 +197,7 @@ def test_who_hears_no_general_call_hears_its_own_address():
 
 def test_two_robots_at_one_address_talk_over_each_other_until_one_is_moved():
     buses = buses_with(events=[(1, 0.0, Event.MOVE_ADDRESS, 8)])
-    link = Link(buses, TO)
+    link = Transactions(buses, TO)
     assert not link.identities(np.array([0, 1]), 1.0).ok.any()
     move = encode_address(general_call([0]), [2], TO[1:2])
     assert buses.transfer(move, 0, 2.0).ack.tolist() == [Ack.OK]
@@ -233,7 +243,7 @@ def test_a_jammed_joint_stops_its_robot_and_pulls_the_alert_line():
 def test_robots_go_on_as_long_as_they_hear_beats():
     buses = buses_with()
     heard = moving(buses, silence=50)
-    beat = encode_command(Opcode.BEAT, general_call([0]))
+    beat = encode_command(Opcode.HEARTBEAT, general_call([0]))
     for k in range(10):
         buses.transfer(beat, 0, heard + 0.04 * (k + 1))
     robots = buses.positioners
@@ -247,7 +257,7 @@ def test_the_record_tells_true_motion_from_reports():
     buses = buses_with(events=[(1, 1.5, Event.POWER, 0)])
     robots = buses.positioners
     robots.memory["clock_ppm"] = [0, 0, 10_000, 0]
-    record = MotionRecord(robots, UNITS.quantum_rad)
+    record = TrueMotion(robots, UNITS.quantum_rad)
     heard = moving(buses)
     record.look()
     stop = encode_command(Opcode.STOP, TO[:1])
@@ -268,8 +278,8 @@ def test_the_record_tells_true_motion_from_reports():
 
 
 def test_a_bus_that_stays_stuck_is_given_up_and_nobody_waits_for_it():
-    buses = buses_with([(Line.SDA_LOW, 0, 0.0, FOREVER, Cure.POWER)])
-    link = Link(buses, TO)
+    buses = buses_with([(Line.SDA_LOW, 0, 0.0, FOREVER, Recovery.POWER)])
+    link = Transactions(buses, TO)
     acks = link.command(Opcode.CLEAR, np.arange(4), 0.0)
     assert acks.tolist() == [Ack.NO_ADDRESS] * 3 + [Ack.OK]
     assert link.given_up.tolist() == [True, False]
@@ -307,7 +317,7 @@ def test_the_alert_line_is_let_go_when_the_whole_status_has_been_read():
 
 def test_a_frame_without_data_asks_whether_somebody_is_there():
     buses = buses_with(events=[(1, 0.5, Event.POWER, 0), (2, 0.5, Event.DEAF, 1)])
-    calls = encode_command(Opcode.BEAT, general_call([0]))
+    calls = encode_command(Opcode.HEARTBEAT, general_call([0]))
     frames = calls.then(Frames.empty(TO))
     assert [frames.payload(k) for k in range(5)] == [calls.payload(0), b"", b"", b"", b""]
     replies = buses.transfer(frames, 0, 1.0)

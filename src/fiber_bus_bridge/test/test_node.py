@@ -19,14 +19,14 @@ from fiber_msgs_py import (
     targets,
     topics,
 )
-from fiber_node import Peer
+from fiber_node import RosClient
 
 pytestmark = pytest.mark.timeout(600)
 
 
 @pytest.fixture
 def rest(tmp_path):
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         yield Rest(peer, problem_file(tmp_path))
 
 
@@ -55,7 +55,7 @@ def test_orders_wait_for_start_and_are_carried_out_to_the_last_quantum(rest):
 
 def test_a_capture_is_written_of_each_plan(tmp_path):
     pytest.importorskip("vcd", reason="pyvcd is not installed: no captures")
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         rest = Rest(peer, problem_file(tmp_path), capture=str(tmp_path / "capture"))
         rest.ready(9)
         assert rest.call(topics.START).success
@@ -132,7 +132,7 @@ def test_newer_orders_replace_those_that_wait(rest):
 
 
 def test_a_stop_while_the_next_look_is_due_leaves_a_bridge_that_answers(tmp_path):
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         rest = Rest(peer, problem_file(tmp_path), time_scale=1.0)
         rest.ready(9)
         assert rest.call(topics.START).success
@@ -150,7 +150,7 @@ def test_a_stop_while_the_next_look_is_due_leaves_a_bridge_that_answers(tmp_path
 
 def test_settings_it_cannot_work_with_end_it(tmp_path):
     path = problem_file(tmp_path)
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         with pytest.raises(MessageError, match="time_scale -1.0"):
             peer.host(BridgeNode, problem=path, time_scale=-1.0)
         with pytest.raises(MessageError, match="attempts 0 is less than one"):

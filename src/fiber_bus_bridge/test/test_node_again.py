@@ -14,7 +14,7 @@ from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import PlanStamp, joint_states, layout, targets, topics
-from fiber_node import Peer
+from fiber_node import RosClient
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -89,7 +89,7 @@ def scene(tmp_path, monkeypatch):
         "simulated_buses",
         lambda *given: made.append(build(*given)) or made[-1],
     )
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         yield lambda **parameters: Scene(peer, path, made, **parameters)
 
 

@@ -15,7 +15,7 @@ from rest_of_graph import Rest, problem_file
 from fiber_bus_bridge import BridgeError
 from fiber_bus_bridge.node import BridgeNode
 from fiber_msgs_py import topics
-from fiber_node import Peer
+from fiber_node import RosClient
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -50,7 +50,7 @@ def test_the_node_on_devices():
 def test_devices_that_cannot_be_used_end_it(tmp_path, devices, problem, said):
     pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
     path = problem_file(tmp_path)
-    with Peer("rest") as peer, pytest.raises(BridgeError, match=said):
+    with RosClient("rest") as peer, pytest.raises(BridgeError, match=said):
         peer.host(BridgeNode, devices=devices, problem=path if problem else "")
 
 
@@ -67,7 +67,7 @@ class Disowned:
 def test_an_adapter_that_cannot_be_used_leaves_a_bridge_that_says_so(tmp_path, caplog, monkeypatch):
     pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
     monkeypatch.setattr("smbus2.SMBus", Disowned)
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         rest = Rest(peer, problem_file(tmp_path), devices=["/dev/i2c-0"])
         answer = rest.call(topics.CONFIGURE)
         assert answer.success and answer.message == "0 of 7 robots configured"

@@ -7,10 +7,10 @@ from rclpy.parameter import Parameter
 from rest_of_graph import COUNTS, PLANE, Rest, problem_file, turning
 
 from fiber_bus_bridge import BridgeError
-from fiber_bus_bridge.disabled import read_disabled, write_disabled
+from fiber_bus_bridge.disabled_list import read_disabled, write_disabled
 from fiber_core.outcomes import Outcome, Reason
 from fiber_msgs_py import diagnostics, layout, topics
-from fiber_node import Peer
+from fiber_node import RosClient
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -49,7 +49,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def peer():
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         yield peer
 
 

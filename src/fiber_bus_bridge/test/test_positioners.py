@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fiber_bus_bridge import SimulatedBuses, WireError
+from fiber_bus_bridge import WireError
 from fiber_bus_bridge.bus import Ack
-from fiber_bus_bridge.firmware import Positioners
+from fiber_bus_bridge.simulation import Positioners, SimulatedBuses
 from fiber_bus_bridge.wire import (
     STATUS_BYTES,
     Addresses,

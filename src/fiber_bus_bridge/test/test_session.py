@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from session_rig import Rig, ended_once
 
-from fiber_bus_bridge import (
-    SessionError,
-    SessionState,
-)
+from fiber_bus_bridge import SessionError, SessionState
 from fiber_bus_bridge.wire import Fault, RobotState
 from fiber_core import kinematics
 from fiber_core.clearance import Safety, certify

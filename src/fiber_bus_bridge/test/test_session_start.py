@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from session_rig import Rig, ended_once
 
-import fiber_bus_bridge.upload
-from fiber_bus_bridge.bus import Cure, Faults, Line
+import fiber_bus_bridge.loader
+from fiber_bus_bridge.bus import Recovery
+from fiber_bus_bridge.simulation import Faults, Line
 from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_command, decode_load
 from fiber_core.clearance import neighbour_pairs
 from fiber_core.outcomes import Outcome, Reason
@@ -61,7 +62,7 @@ def test_the_certificate_sees_bytes_not_intentions(monkeypatch):
         seen.append(motion)
         return hold(plane, motion, *arguments)
 
-    upload = fiber_bus_bridge.upload
+    upload = fiber_bus_bridge.loader
     encode, hold = upload.encode_load, upload.hold_until_safe
     monkeypatch.setattr(upload, "encode_load", tampered)
     monkeypatch.setattr(upload, "hold_until_safe", certified)
@@ -201,7 +202,7 @@ def test_a_bus_that_sticks_in_the_countdown_costs_the_other_bus_nobody():
     quiet.call("start")
     go_s = quiet.session.upload.go_s
     # before all on the other bus have been asked whether they count down
-    lines = ((Line.SCL_LOW, 0, go_s + 1e-4, np.inf, Cure.NOTHING),)
+    lines = ((Line.SCL_LOW, 0, go_s + 1e-4, np.inf, Recovery.NOTHING),)
     rig = Rig(220, on_bus=110, faults=Faults(lines=lines))
     motion = rig.ready()
     rig.call("start")

@@ -4,16 +4,10 @@ import numpy as np
 import pytest
 from session_rig import Rig, ended_once
 
-from fiber_bus_bridge import (
-    Session,
-    SessionConfig,
-    SessionError,
-    SessionState,
-    SimulatedBuses,
-)
-from fiber_bus_bridge.bus import Cure, Faults, Line
-from fiber_bus_bridge.firmware import Event
-from fiber_bus_bridge.resume import remaining_motion
+from fiber_bus_bridge import Session, SessionConfig, SessionError, SessionState
+from fiber_bus_bridge.bus import Recovery
+from fiber_bus_bridge.remaining_motion import remaining_motion
+from fiber_bus_bridge.simulation import Event, Faults, Line, SimulatedBuses
 from fiber_bus_bridge.wire import Fault, RobotState
 from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.outcomes import Outcome, Reason
@@ -241,7 +235,7 @@ def test_whoever_fails_all_stop_within_the_skew_that_is_certified(what, later_s)
 
 
 def test_a_bus_that_sticks_stops_with_the_others():
-    lines = ((Line.SCL_LOW, 1, 0.3, np.inf, Cure.NOTHING),)
+    lines = ((Line.SCL_LOW, 1, 0.3, np.inf, Recovery.NOTHING),)
     rig = Rig(config=SessionConfig(resumes=0), faults=Faults(lines=lines))
     rig.ready()
     rig.call("start")

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from fiber_bus_bridge import BridgeError, SimulationConfig, simulated_buses
-from fiber_bus_bridge.bus import FaultKind
-from fiber_bus_bridge.firmware import Event
+from fiber_bus_bridge import BridgeError
+from fiber_bus_bridge.simulation import Event, FaultKind, SimulationConfig, simulated_buses
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 

@@ -45,7 +45,7 @@ GOLDEN = {
     "CLEAR": "40 2f",
     "RESET": "50 5f",
     "IDENTIFY": "70 bf",
-    "BEAT, general call": "f1 80 88",
+    "HEARTBEAT, general call": "f1 80 88",
     "ADDRESS": "90 00 00 12 67 81 2d 09 73",
     "ADDRESS, general call": "f1 90 00 00 12 67 81 2d bb fc",
     "CONFIG": "62 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 1e a1 66 "
@@ -97,7 +97,7 @@ def test_golden_writes():
         "CLEAR": encode_command(Opcode.CLEAR, ROBOT),
         "RESET": encode_command(Opcode.RESET, ROBOT),
         "IDENTIFY": encode_command(Opcode.IDENTIFY, ROBOT),
-        "BEAT, general call": encode_command(Opcode.BEAT, general_call([3])),
+        "HEARTBEAT, general call": encode_command(Opcode.HEARTBEAT, general_call([3])),
         "ADDRESS": encode_address(ROBOT, [4711], NEXT),
         "ADDRESS, general call": encode_address(general_call([3]), [4711], NEXT),
         "CONFIG": encode_config(CONFIG, ROBOT),

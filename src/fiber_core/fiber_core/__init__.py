@@ -4,6 +4,7 @@ Lengths in mm, angles in rad counter-clockwise, times in s; phi = 0 is the stret
 Outlines, gaps and the certificate of clearance are in ``fiber_core.clearance``.
 """
 
+from fiber_core.assignment import Assignment, assign
 from fiber_core.errors import FiberError, FieldError, LayoutError, MotionError, TargetsError
 from fiber_core.fields import Field, random_field, random_problem
 from fiber_core.focal_plane import FocalPlane
@@ -13,7 +14,6 @@ from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import PRESETS, Preset, plane_from, preset
 from fiber_core.problem import Problem, load_plan, load_problem, save_plan, save_problem
 from fiber_core.tables import read_layout, read_obstacles, read_targets
-from fiber_core.targets import Assignment, assign
 from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = [

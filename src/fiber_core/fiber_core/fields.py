@@ -7,11 +7,11 @@ import numba as nb
 import numpy as np
 
 from fiber_core import kinematics
-from fiber_core.arrays import frozen_array
 from fiber_core.clearance import Safety, bodies_of, neighbour_pairs, pair_gap_below
 from fiber_core.errors import FieldError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
+from fiber_core.validation import frozen_array
 
 __all__ = ["Field", "random_field", "random_problem"]
 

@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from fiber_core.arrays import frozen_array
 from fiber_core.errors import LayoutError
+from fiber_core.validation import frozen_array
 
 __all__ = ["FocalPlane", "addresses_on"]
 

@@ -10,8 +10,8 @@ from functools import cached_property
 import numba as nb
 import numpy as np
 
-from fiber_core.arrays import frozen_array
 from fiber_core.errors import MotionError
+from fiber_core.validation import frozen_array
 
 __all__ = ["SampledMotion", "SegmentMotion"]
 

@@ -1,8 +1,13 @@
 """What can become of a robot in a plan, and why: the codes every stage shares."""
 
+from dataclasses import dataclass
 from enum import IntEnum
 
-__all__ = ["Outcome", "Reason"]
+import numpy as np
+
+from fiber_core.errors import FiberError
+
+__all__ = ["Outcome", "PlanOutcome", "Reason"]
 
 
 class Outcome(IntEnum):
@@ -19,7 +24,7 @@ class Reason(IntEnum):
     OK = 0
     NO_TARGET = 1  # nothing was asked of it
 
-    # the assignment was refused (fiber_core.targets)
+    # the assignment was refused (fiber_core.assignment)
     UNKNOWN_ROBOT = 10
     DUPLICATE = 11
     NOT_FINITE = 12
@@ -48,3 +53,42 @@ class Reason(IntEnum):
     STOPPED = 64
     OFF_TARGET = 65  # it ran its orders and its encoder is not where it was sent
     REFUSED = 66  # the robot itself refused the order
+
+
+@dataclass(frozen=True, eq=False)
+class PlanOutcome:
+    """How every robot of a plan ended.
+
+    Args:
+        stamp_ns: the stamp that names the plan [ns].
+        ids: robot ids, shape (n,).
+        outcome: Outcome of each, shape (n,).
+        reason: Reason of each, shape (n,).
+        error_mm: distance from fibre to target [mm], nan without a target, shape (n,).
+    """
+
+    stamp_ns: int
+    ids: np.ndarray
+    outcome: np.ndarray
+    reason: np.ndarray
+    error_mm: np.ndarray
+
+    def of(self, ids) -> "PlanOutcome":
+        """Return the outcomes of some robots, shape (k,), in that order.
+
+        Raises:
+            FiberError: the plan has no such robot; names the first.
+        """
+        ids = np.asarray(ids)
+        order = np.argsort(self.ids)
+        place = np.searchsorted(self.ids, ids, sorter=order)
+        rows = order[np.minimum(place, len(order) - 1)] if len(order) else place
+        unknown = np.ones(len(ids), bool) if not len(order) else self.ids[rows] != ids
+        if unknown.any():
+            raise FiberError(f"robot {ids[np.argmax(unknown)]} has no outcome in this plan")
+        columns = (self.ids, self.outcome, self.reason, self.error_mm)
+        return PlanOutcome(self.stamp_ns, *(column[rows] for column in columns))
+
+    def count(self, outcome: Outcome) -> int:
+        """Return the number of robots with an outcome."""
+        return int(np.count_nonzero(self.outcome == outcome))

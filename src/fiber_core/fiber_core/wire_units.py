@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiber_core.arrays import frozen_array
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
+from fiber_core.validation import frozen_array
 
 __all__ = ["WireMotion", "WireUnits"]
 

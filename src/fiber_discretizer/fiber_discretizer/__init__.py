@@ -1,12 +1,17 @@
 """From planned trajectories to certified orders in whole wire units."""
 
 from fiber_discretizer.discretize import Discretization, discretize
-from fiber_discretizer.linearize import LINEARIZERS, Polylines, UnknownOption, linearize
-from fiber_discretizer.margin import RULES, joint_margins, lever_arms_mm, tip_distances_mm
+from fiber_discretizer.fit.linearize import LINEARIZERS, Polylines, UnknownOption, linearize
+from fiber_discretizer.joint_corridors import joint_corridors
+from fiber_discretizer.makarem2014.margin import (
+    RULES,
+    joint_margins,
+    lever_arms_mm,
+    tip_distances_mm,
+)
 from fiber_discretizer.options import DiscretizeOptions
 from fiber_discretizer.quantize import Rounding, quantize
 from fiber_discretizer.segments import Segments
-from fiber_discretizer.sent_margins import sent_margins
 
 __all__ = [
     "LINEARIZERS",
@@ -18,10 +23,10 @@ __all__ = [
     "Segments",
     "UnknownOption",
     "discretize",
+    "joint_corridors",
     "joint_margins",
     "lever_arms_mm",
     "linearize",
     "quantize",
-    "sent_margins",
     "tip_distances_mm",
 ]

@@ -10,12 +10,12 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
-from fiber_discretizer.candidates import Candidates
-from fiber_discretizer.draft import Draft
-from fiber_discretizer.halves import share_by_halves
-from fiber_discretizer.intake import check_trajectory, starting_counts
+from fiber_discretizer.makarem2014.halves import share_by_halves
 from fiber_discretizer.options import DiscretizeOptions
-from fiber_discretizer.turns import take_turns
+from fiber_discretizer.sequential.candidates import Candidates
+from fiber_discretizer.sequential.segment_plan import Draft
+from fiber_discretizer.sequential.sequential import take_turns
+from fiber_discretizer.validate import check_trajectory, starting_counts
 
 __all__ = ["Discretization", "discretize"]
 

@@ -8,25 +8,25 @@ from fiber_core.errors import FiberError
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_discretizer.discretize import discretize
+from fiber_discretizer.joint_corridors import joint_corridors
 from fiber_discretizer.options import DiscretizeOptions
-from fiber_discretizer.sent_margins import sent_margins
 from fiber_msgs_py import (
     MessageError,
     PlanStamp,
     Stage,
+    corridors,
     held,
-    margins,
     segments,
     topics,
     trajectory,
 )
-from fiber_node import PlaneView, Reporter, declare_settings, run
+from fiber_node import PlaneCache, Reporter, declare_parameters_of, run
 
 __all__ = ["DiscretizerNode", "main"]
 
 
 class DiscretizerNode(Node):
-    """Turns each trajectory, of whatever planner, into orders that are proven safe.
+    """PollScheduler each trajectory, of whatever planner, into orders that are proven safe.
 
     Args:
         options: keyword arguments of rclpy.node.Node.
@@ -34,14 +34,14 @@ class DiscretizerNode(Node):
 
     def __init__(self, **options):
         super().__init__("discretizer", **options)
-        self._options = declare_settings(self, DiscretizeOptions)
-        self._safety = declare_settings(self, Safety, "safety")
+        self._options = declare_parameters_of(self, DiscretizeOptions)
+        self._safety = declare_parameters_of(self, Safety, "safety")
         self._stamp: PlanStamp | None = None
         self._report = Reporter(self, "discretizer")
-        self._view = PlaneView(self, self._report)
+        self._view = PlaneCache(self, self._report)
         self._held = topics.HELD_BY_DISCRETIZER.publisher(self)
         self._segments = topics.SEGMENTS.publisher(self)
-        self._margins = topics.MARGINS.publisher(self)
+        self._corridors = topics.CORRIDORS.publisher(self)
         topics.TRAJECTORY.subscription(self, self._on_trajectory)
 
     def _on_trajectory(self, message):
@@ -109,9 +109,9 @@ class DiscretizerNode(Node):
             f"{moving} robots move, {holds.sum()} held, {counts.sum()} segments, "
             f"least clearance {clearance} mm",
         )
-        if self._margins.get_subscription_count():  # they take longer than the rest
-            room = sent_margins(self._view.plane, done.wire.decoded(), self._safety)
-            self._margins.publish(margins.encode(ids, room, stamp))
+        if self._corridors.get_subscription_count():  # they take longer than the rest
+            room = joint_corridors(self._view.plane, done.wire.decoded(), self._safety)
+            self._corridors.publish(corridors.encode(ids, room, stamp))
 
 
 def main(args=None) -> int:

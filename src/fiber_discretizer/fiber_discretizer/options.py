@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from fiber_discretizer.linearize import LINEARIZERS, UnknownOption
-from fiber_discretizer.margin import RULES
+from fiber_discretizer.fit.linearize import LINEARIZERS, UnknownOption
+from fiber_discretizer.makarem2014.margin import RULES
 from fiber_discretizer.quantize import Rounding
 
 __all__ = ["SHARINGS", "DiscretizeOptions"]

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer.linearize import Polylines
+from fiber_discretizer.fit.linearize import Polylines
 from fiber_discretizer.segments import Segments
 
 __all__ = ["Rounding", "quantize"]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer.linearize import Polylines
+from fiber_discretizer.fit.linearize import Polylines
 
 __all__ = ["Segments"]
 

@@ -8,7 +8,8 @@ from fiber_core.errors import MotionError
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer import DiscretizeOptions, UnknownOption, discretize, halves, joint_margins
+from fiber_discretizer import DiscretizeOptions, UnknownOption, discretize, joint_margins
+from fiber_discretizer.makarem2014 import halves
 
 UNITS = WireUnits()
 SAFETY = Safety()

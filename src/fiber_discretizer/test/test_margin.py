@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from fiber_core import kinematics
 from fiber_core.clearance import gaps, neighbour_pairs, sampled_gaps
 from fiber_discretizer import joint_margins, lever_arms_mm, tip_distances_mm
-from fiber_discretizer.free_space import FreeSpace, free_space_mm
+from fiber_discretizer.makarem2014.free_space import FreeSpace, free_space_mm
 
 REQUIRED_MM = 0.1
 TRIANGLE = [[0.0, 0.0], [10.4, 0.0], [5.2, 9.0]]

@@ -12,16 +12,16 @@ from fiber_discretizer.node import DiscretizerNode
 from fiber_msgs_py import (
     PlanStamp,
     Stage,
+    corridors,
     diagnostics,
     held,
     joint_states,
     layout,
-    margins,
     segments,
     topics,
     trajectory,
 )
-from fiber_node import Peer
+from fiber_node import RosClient
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -81,7 +81,7 @@ class Rest:
 
 @pytest.fixture
 def rest():
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         yield Rest(peer)
 
 
@@ -98,15 +98,15 @@ def test_a_trajectory_becomes_certified_segments_that_end_where_it_ends(rest):
 def test_margins_are_made_for_whoever_listens(rest):
     rest.show_plane()
     rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(9)))
-    heard = rest.peer.hear(topics.MARGINS)
-    rest.peer.until(lambda: rest.peer.node.count_publishers("focal_plane/margins"), WAIT_S)
+    heard = rest.peer.hear(topics.CORRIDORS)
+    rest.peer.until(lambda: rest.peer.node.count_publishers("focal_plane/corridors"), WAIT_S)
     rest.segments.clear()
     rest.held.clear()
     _, motion = rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(10)))
-    rest.peer.until(lambda: heard, WAIT_S, "margins")
+    rest.peer.until(lambda: heard, WAIT_S, "corridors")
     # those of the first plan nobody wanted, so nobody made them
     assert [PlanStamp.of(message) for message in heard] == [PlanStamp(10)]
-    ids, room = margins.decode(heard[0])
+    ids, room = corridors.decode(heard[0])
     assert np.array_equal(ids, PLANE.ids)
     end = motion.decoded().end
     assert np.all(room.low[:, :, -1] <= end + 1e-6) and np.all(end <= room.high[:, :, -1] + 1e-6)

@@ -6,12 +6,12 @@ where one becomes the other is here.
 """
 
 from fiber_msgs_py import (
+    corridors,
     diagnostics,
     frames,
     held,
     joint_states,
     layout,
-    margins,
     outcome,
     progress,
     segments,
@@ -21,7 +21,6 @@ from fiber_msgs_py import (
 )
 from fiber_msgs_py.diagnostics import Level, Status
 from fiber_msgs_py.errors import MessageError
-from fiber_msgs_py.frames import FrameLog
 from fiber_msgs_py.held import Stage
 from fiber_msgs_py.progress import Progress
 from fiber_msgs_py.segments import SegmentTable
@@ -30,7 +29,6 @@ from fiber_msgs_py.topics import Service, Topic
 
 __all__ = [
     "FRAME_ID",
-    "FrameLog",
     "Level",
     "MessageError",
     "PlanStamp",
@@ -45,7 +43,7 @@ __all__ = [
     "held",
     "joint_states",
     "layout",
-    "margins",
+    "corridors",
     "outcome",
     "progress",
     "segments",

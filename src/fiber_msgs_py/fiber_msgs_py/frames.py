@@ -5,17 +5,15 @@ to whoever listens, and one batch is one message. Bytes are padded with zeros to
 longest frame of the batch.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
+from fiber_core.frame_log import FrameLog
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.stamps import PlanStamp
 from fiber_msgs_py.table import decode_table, encode_table
 
-__all__ = ["FrameLog", "decode", "encode"]
+__all__ = ["decode", "encode"]
 
 _COLUMNS = {
     "time": "<f8",
@@ -26,54 +24,6 @@ _COLUMNS = {
     "ack": "<u1",
     "length": "<u2",
 }
-
-
-@dataclass(frozen=True, eq=False)
-class FrameLog:
-    """Frames as they went over the buses: frame i is data[offsets[i] : offsets[i + 1]].
-
-    Args:
-        time_s: when its START was on the bus [s], shape (f,).
-        bus: bus number, shape (f,).
-        address: I2C address, shape (f,).
-        ten_bit: whether the address is in ten-bit form, shape (f,).
-        read: whether the bytes came from the robot, shape (f,).
-        ack: how it ended, 0 acknowledged, shape (f,).
-        offsets: first byte of each frame, shape (f + 1,), rising from 0.
-        data: all bytes after the address, shape (offsets[-1],), uint8.
-    """
-
-    time_s: np.ndarray
-    bus: np.ndarray
-    address: np.ndarray
-    ten_bit: np.ndarray
-    read: np.ndarray
-    ack: np.ndarray
-    offsets: np.ndarray
-    data: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.bus)
-
-    @classmethod
-    def joined(cls, logs: Iterable["FrameLog"]) -> "FrameLog":
-        """Return the frames of several logs as one, in their order."""
-        logs = list(logs)
-
-        def column(name, dtype):
-            return np.concatenate([np.zeros(0, dtype), *(getattr(log, name) for log in logs)])
-
-        lengths = np.concatenate([np.zeros(0, np.int64), *(np.diff(x.offsets) for x in logs)])
-        return cls(
-            time_s=column("time_s", float),
-            bus=column("bus", np.int64),
-            address=column("address", np.int64),
-            ten_bit=column("ten_bit", bool),
-            read=column("read", bool),
-            ack=column("ack", np.int64),
-            offsets=np.concatenate([[0], np.cumsum(lengths)]),
-            data=column("data", np.uint8),
-        )
 
 
 def encode(log: FrameLog, stamp: PlanStamp) -> PointCloud2:

@@ -20,7 +20,7 @@ __all__ = [
     "HOME",
     "JOINT_STATES",
     "LAYOUT",
-    "MARGINS",
+    "CORRIDORS",
     "NAMESPACE",
     "OUTCOME",
     "PROGRESS",
@@ -31,6 +31,9 @@ __all__ = [
     "TRAJECTORY",
     "Service",
     "Topic",
+    "VIEW_ARMS",
+    "VIEW_PLANE",
+    "VIEW_TARGETS",
 ]
 
 NAMESPACE = "focal_plane"
@@ -94,7 +97,7 @@ TRAJECTORY = _topic("trajectory", JointTrajectory, qos.LATEST)
 SEGMENTS = _topic("segments", PointCloud2, qos.LATEST)
 FRAMES = _topic("frames", PointCloud2, qos.STREAM)
 JOINT_STATES = _topic("joint_states", JointState, qos.LATEST)
-MARGINS = _topic("margins", PointCloud2, qos.LATEST)
+CORRIDORS = _topic("corridors", PointCloud2, qos.LATEST)
 OUTCOME = _topic("outcome", PointCloud2, qos.RESULTS)
 PROGRESS = _topic("progress", DiagnosticStatus, qos.STREAM)
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, qos.EVENTS)
@@ -103,6 +106,11 @@ DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, qos.EVENTS)
 # one topic of depth 1 would hide each other from a reader.
 HELD_BY_PLANNER = _topic("held/planner", PointCloud2, qos.LATEST)
 HELD_BY_DISCRETIZER = _topic("held/discretizer", PointCloud2, qos.LATEST)
+
+# What a live view draws: points along arms, centres, targets.
+VIEW_ARMS = _topic("view/arms", PointCloud2, qos.LATEST)
+VIEW_PLANE = _topic("view/plane", PointCloud2, qos.LATEST)
+VIEW_TARGETS = _topic("view/targets", PointCloud2, qos.LATEST)
 
 START = _service("start", Trigger)
 STOP = _service("stop", Trigger)

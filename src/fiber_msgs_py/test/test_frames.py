@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiber_msgs_py import FrameLog, MessageError, PlanStamp, frames
+from fiber_core.frame_log import FrameLog
+from fiber_msgs_py import MessageError, PlanStamp, frames
 
 FRAME = st.tuples(
     st.floats(0, 1e3),

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fiber_core.errors import FiberError
+from fiber_core.frame_log import FrameLog
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import (
-    FrameLog,
     MessageError,
     PlanStamp,
     Stage,

@@ -26,7 +26,7 @@ def test_late_joiners_get_the_plan():
         topics.LAYOUT,
         topics.TRAJECTORY,
         topics.SEGMENTS,
-        topics.MARGINS,
+        topics.CORRIDORS,
         topics.HELD_BY_PLANNER,
         topics.HELD_BY_DISCRETIZER,
     ):

@@ -1,9 +1,9 @@
 """What every node of the graph does alike: settings, reporting, following the plane, running."""
 
-from fiber_node.peer import Peer, WaitError
-from fiber_node.plane_view import PlaneView
+from fiber_node.parameters import declare_parameters_of
+from fiber_node.plane_cache import PlaneCache
 from fiber_node.reporter import Reporter
-from fiber_node.running import run
-from fiber_node.settings import declare_settings
+from fiber_node.ros_client import RosClient, WaitError
+from fiber_node.run_node import run
 
-__all__ = ["Peer", "PlaneView", "Reporter", "WaitError", "declare_settings", "run"]
+__all__ = ["RosClient", "PlaneCache", "Reporter", "WaitError", "declare_parameters_of", "run"]

@@ -24,7 +24,7 @@ from fiber_msgs_py import (
     targets,
     topics,
 )
-from fiber_node import PlaneView, Reporter, declare_settings, run
+from fiber_node import PlaneCache, Reporter, declare_parameters_of, run
 
 
 @dataclass(frozen=True)
@@ -70,16 +70,18 @@ def graph():
 
 def test_settings_are_declared_with_their_defaults(graph):
     node = graph("plain")
-    assert declare_settings(node, _Settings, "core") == _Settings()
+    assert declare_parameters_of(node, _Settings, "core") == _Settings()
     assert node.get_parameter("core.gain").value == 2.0
     assert node.get_parameter("core.horizon_s").value is None
     assert not node.has_parameter("core.table")
 
 
 def test_settings_take_what_was_set_and_refuse_what_the_core_refuses(graph):
-    assert declare_settings(graph("set", gain=3.0, horizon_s=9.5), _Settings) == _Settings(3.0, 9.5)
+    assert declare_parameters_of(graph("set", gain=3.0, horizon_s=9.5), _Settings) == _Settings(
+        3.0, 9.5
+    )
     with pytest.raises(FiberError, match="gain is -1.0"):
-        declare_settings(graph("wrong", gain=-1.0), _Settings)
+        declare_parameters_of(graph("wrong", gain=-1.0), _Settings)
 
 
 def test_a_refusal_reaches_the_diagnostics_at_once(graph):
@@ -109,7 +111,7 @@ def test_progress_names_stage_and_plan(graph):
 
 def test_the_view_is_complete_only_with_joint_states_of_the_same_robots(graph):
     plane, node, source = preset("desi", robots=7), graph("view"), graph("source")
-    view = PlaneView(node, Reporter(node, "planner"))
+    view = PlaneCache(node, Reporter(node, "planner"))
     with pytest.raises(MessageError, match="layout: not heard"):
         _ = view.plane
     layouts, states = topics.LAYOUT.publisher(source), topics.JOINT_STATES.publisher(source)
@@ -129,7 +131,7 @@ def test_the_view_is_complete_only_with_joint_states_of_the_same_robots(graph):
 
 def test_work_on_a_later_attempt_waits_for_a_plane_as_new_as_its_targets_say(graph):
     plane, node, source = preset("desi", robots=7), graph("view"), graph("source")
-    view = PlaneView(node, Reporter(node, "planner"))
+    view = PlaneCache(node, Reporter(node, "planner"))
     layouts, states, asks = (
         topic.publisher(source) for topic in (topics.LAYOUT, topics.JOINT_STATES, topics.TARGETS)
     )
@@ -171,7 +173,7 @@ def test_work_on_a_later_attempt_waits_for_a_plane_as_new_as_its_targets_say(gra
 def test_a_malformed_layout_is_refused_and_the_old_one_stays(graph):
     plane, node, source = preset("desi", robots=7), graph("view"), graph("source")
     report = Reporter(node, "planner")
-    view = PlaneView(node, report)
+    view = PlaneCache(node, report)
     layouts = topics.LAYOUT.publisher(source)
     good = layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(1))
     layouts.publish(good)

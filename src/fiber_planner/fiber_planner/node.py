@@ -6,10 +6,10 @@ import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
+from fiber_core.assignment import assign
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
-from fiber_core.targets import assign
 from fiber_msgs_py import (
     PlanStamp,
     Stage,
@@ -18,7 +18,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
-from fiber_node import PlaneView, Reporter, declare_settings, run
+from fiber_node import PlaneCache, Reporter, declare_parameters_of, run
 from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
 
 __all__ = ["PlannerNode", "main"]
@@ -35,12 +35,14 @@ class PlannerNode(Node):
         super().__init__("planner", **options)
         about = ParameterDescriptor(description=f"one of {', '.join(planners())}")
         name = self.declare_parameter("planner", DEFAULT_PLANNER, about).value
-        settings = {each: declare_settings(self, parameters_of(each), each) for each in planners()}
+        settings = {
+            each: declare_parameters_of(self, parameters_of(each), each) for each in planners()
+        }
         chosen = dataclasses.asdict(settings[name]) if name in settings else {}
         self._planner = make_planner(name, **chosen)
         self._stamp: PlanStamp | None = None
         self._report = Reporter(self, "planner")
-        self._view = PlaneView(self, self._report)
+        self._view = PlaneCache(self, self._report)
         self._held = topics.HELD_BY_PLANNER.publisher(self)
         self._trajectory = topics.TRAJECTORY.publisher(self)
         topics.TARGETS.subscription(self, self._on_targets)

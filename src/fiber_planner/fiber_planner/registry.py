@@ -12,7 +12,7 @@ from fiber_planner.dnf import (
     DnfPriorityPlanner,
 )
 from fiber_planner.errors import PlannerError
-from fiber_planner.protocol import Planner
+from fiber_planner.interface import Planner
 
 __all__ = ["DEFAULT_PLANNER", "make_planner", "parameters_of", "planners"]
 

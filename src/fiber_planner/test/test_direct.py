@@ -11,11 +11,11 @@ import pytest
 from fiber_core import kinematics
 from fiber_core.clearance import certify, gaps, neighbour_pairs
 from fiber_core.fields import random_problem
+from fiber_core.metrics import lower_bound_s
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Reason
 from fiber_core.presets import PRESETS, plane_from, preset
 from fiber_core.problem import Problem
-from fiber_core.report import lower_bound_s
 from fiber_core.tables import read_layout
 from fiber_core.wire_units import WireUnits
 from fiber_planner import PlannerError, make_planner

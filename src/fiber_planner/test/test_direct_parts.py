@@ -11,16 +11,22 @@ from fiber_core.motion import SampledMotion
 from fiber_core.presets import PRESETS, plane_from, preset
 from fiber_core.problem import Problem
 from fiber_planner.direct import DirectParameters, reachable, straight_pieces
-from fiber_planner.direct.crowd import crowd_of, place_keys
-from fiber_planner.direct.draft import Draft, alter, measure
-from fiber_planner.direct.draws import fold_profile, next_uniform, seeded, via_profile, window
-from fiber_planner.direct.first_draft import choose_ends, straight_draft
-from fiber_planner.direct.grid import TimeGrid, time_grid
-from fiber_planner.direct.penetration import _DEEPEST, penetration
+from fiber_planner.direct.certify_changed import missing_mm
+from fiber_planner.direct.collision_cost import _DEEPEST, penetration
+from fiber_planner.direct.initial_plan import choose_ends, straight_draft
+from fiber_planner.direct.local_search import go_straight
 from fiber_planner.direct.pieces import pieces_of
-from fiber_planner.direct.proof import missing_mm
-from fiber_planner.direct.repair import go_straight
-from fiber_planner.direct.simplify import simplify
+from fiber_planner.direct.plan_state import Draft, alter, measure
+from fiber_planner.direct.profile_sampling import (
+    fold_profile,
+    next_uniform,
+    seeded,
+    via_profile,
+    window,
+)
+from fiber_planner.direct.scene import place_keys, scene_of
+from fiber_planner.direct.shortcut import simplify
+from fiber_planner.direct.time_grid import TimeGrid, time_grid
 
 _STEPS = 24
 
@@ -74,7 +80,7 @@ def test_penetration_agrees_with_dense_sampling(name):
     rng = np.random.default_rng(1)
     facing = np.array([[0.0, 0.4], [np.pi, 0.4]])
     plane = plane_from(PRESETS[name], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
-    crowd = crowd_of(Problem(plane, facing, np.full((2, 2), np.nan)))
+    crowd = scene_of(Problem(plane, facing, np.full((2, 2), np.nan)))
     required, seen = 0.1, 0
     for _ in range(150):
         a, b = facing[:, :, None] + np.cumsum(rng.normal(0, 0.15, (2, 2, _STEPS + 1)), 2)
@@ -198,7 +204,7 @@ def _draft(crowd, q, required):
 def test_a_detour_nobody_needs_becomes_a_line_and_one_that_is_needed_stays():
     ahead = np.array([[0.8, 0.0], [np.pi, 0.0]])
     plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
-    crowd = crowd_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
+    crowd = scene_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
     time = np.arange(_STEPS + 1)
     q = np.repeat(ahead[:, :, None], _STEPS + 1, axis=2)
     q[0, 0] = np.interp(time, [0, 16, _STEPS], [0.8, 0.8, -0.5])
@@ -225,7 +231,7 @@ def test_a_detour_nobody_needs_becomes_a_line_and_one_that_is_needed_stays():
 
 def test_who_goes_straight_keeps_its_ends_and_nobody_else_changes():
     plane = plane_from(PRESETS["desi"], np.arange(3), [[0.0, 0.0], [10.4, 0.0], [40.0, 0.0]])
-    crowd = crowd_of(Problem(plane, np.zeros((3, 2)), np.full((3, 2), np.nan)))
+    crowd = scene_of(Problem(plane, np.zeros((3, 2)), np.full((3, 2), np.nan)))
     q = np.random.default_rng(0).uniform(0.0, 1.0, (3, 2, _STEPS + 1))
     draft = _draft(crowd, q.copy(), 0.1)
     draft.choice[1] = -1  # may end anywhere
@@ -241,7 +247,7 @@ def test_who_goes_straight_keeps_its_ends_and_nobody_else_changes():
 def test_who_had_to_wait_is_tried_again_once_the_other_has_changed():
     plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
     ahead = np.array([[0.8, 0.0], [np.pi, 0.0]])
-    crowd = crowd_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
+    crowd = scene_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
     time = np.arange(_STEPS + 1)
     q = np.repeat(ahead[:, :, None], _STEPS + 1, axis=2)
     q[0, 0] = np.interp(time, [0, 16, _STEPS], [0.8, 0.8, -0.5])  # waits for robot 1
@@ -262,7 +268,7 @@ def test_who_had_to_wait_is_tried_again_once_the_other_has_changed():
 def test_what_is_missing_is_the_same_whether_all_or_only_the_changed_are_looked_at(name):
     parameters, rng = DirectParameters(), np.random.default_rng(3)
     problem = random_problem(preset(name, 200), rng)
-    crowd = crowd_of(problem)
+    crowd = scene_of(problem)
     ends = choose_ends(problem, crowd, parameters)
     grid = time_grid(ends.alone_s, 1e-3, parameters.intervals)
     draft, tangled = straight_draft(problem, crowd, parameters, ends, grid)

@@ -11,10 +11,10 @@ from fiber_core import kinematics
 from fiber_core.clearance import neighbour_pairs, sampled_gaps
 from fiber_core.presets import preset
 from fiber_planner.dnf import DnfParameters
-from fiber_planner.dnf.arms import ArmNeighbours
-from fiber_planner.dnf.law import Law, Swarm, attraction, repulsion
-from fiber_planner.dnf.step import longest_step, places
-from fiber_planner.dnf.tips import SHARE, TipNeighbours
+from fiber_planner.dnf.arm_repulsion import ArmNeighbours
+from fiber_planner.dnf.integrator import longest_step, places
+from fiber_planner.dnf.navigation_function import Law, Swarm, attraction, repulsion
+from fiber_planner.dnf.tip_repulsion import SHARE, TipNeighbours
 
 SMALL = 1e-6  # [rad] step of the finite differences
 

@@ -9,10 +9,10 @@ from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner import PlannerError, make_planner
 from fiber_planner.dnf import DnfParameters, DnfPriorityParameters
-from fiber_planner.dnf.arms import ArmNeighbours
-from fiber_planner.dnf.law import Law, Swarm
+from fiber_planner.dnf.arm_repulsion import ArmNeighbours
+from fiber_planner.dnf.navigation_function import Law, Swarm
 from fiber_planner.dnf.priority import FREE, GOING, YIELDING, Priorities
-from fiber_planner.dnf.tips import TipNeighbours
+from fiber_planner.dnf.tip_repulsion import TipNeighbours
 
 NOTHING = (np.nan, np.nan)
 

@@ -19,7 +19,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
-from fiber_node import Peer
+from fiber_node import RosClient
 from fiber_planner import PlannerError, parameters_of
 from fiber_planner.node import PlannerNode
 
@@ -65,7 +65,7 @@ class Rest:
 
 @pytest.fixture
 def rest():
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         yield Rest(peer)
 
 
@@ -123,7 +123,7 @@ def test_an_older_table_is_dropped_and_says_so(rest):
 
 
 def test_it_declares_the_parameters_of_every_planner_and_uses_those_of_the_one_chosen():
-    with Peer("rest") as peer:
+    with RosClient("rest") as peer:
         node = peer.host(PlannerNode, planner="direct", direct__seed=4)
         assert node.get_parameter("direct.seed").value == 4
         assert node._planner.parameters == parameters_of("direct")(seed=4)

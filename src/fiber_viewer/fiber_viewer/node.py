@@ -9,28 +9,24 @@ import time
 import numpy as np
 from geometry_msgs.msg import Point
 from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fiber_core.errors import FiberError
 from fiber_msgs_py import FRAME_ID, PlanStamp, joint_states, layout, outcome, qos, targets, topics
-from fiber_msgs_py.table import encode_table
-from fiber_node import Reporter, run
-from fiber_viewer.clouds import (
+from fiber_msgs_py.point_clouds import (
     ViewState,
     arms_cloud,
     plane_cloud,
     points_cloud,
     view_states,
 )
+from fiber_msgs_py.table import encode_table
+from fiber_node import Reporter, run
 from fiber_viewer.outlines import outlines
 
-__all__ = ["ARMS", "PLANE", "TARGETS", "WATCHED", "ViewerNode", "main"]
+__all__ = ["WATCHED", "ViewerNode", "main"]
 
-ARMS = topics.Topic(f"{topics.NAMESPACE}/view/arms", PointCloud2, qos.LATEST)
-PLANE = topics.Topic(f"{topics.NAMESPACE}/view/plane", PointCloud2, qos.LATEST)
-TARGETS = topics.Topic(f"{topics.NAMESPACE}/view/targets", PointCloud2, qos.LATEST)
 WATCHED = topics.Topic(f"{topics.NAMESPACE}/view/watched", MarkerArray, qos.LATEST)
 
 _LONGEST_S = 0.15  # arms are drawn where their speed takes them for this long after a reading
@@ -55,8 +51,11 @@ class ViewerNode(Node):
         self._heard_s = 0.0
         self._report = Reporter(self, "viewer")
         self._report.counters["pictures"] = 0
-        self._arms, self._watched = ARMS.publisher(self), WATCHED.publisher(self)
-        self._plane_points, self._targets = PLANE.publisher(self), TARGETS.publisher(self)
+        self._arms, self._watched = topics.VIEW_ARMS.publisher(self), WATCHED.publisher(self)
+        self._plane_points, self._targets = (
+            topics.VIEW_PLANE.publisher(self),
+            topics.VIEW_TARGETS.publisher(self),
+        )
         topics.LAYOUT.subscription(self, self._on_layout)
         topics.TARGETS.subscription(self, self._on_targets)
         topics.OUTCOME.subscription(self, self._on_outcome)

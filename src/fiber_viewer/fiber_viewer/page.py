@@ -8,14 +8,14 @@ import sys
 from pathlib import Path
 
 from fiber_core.errors import FiberError
-from fiber_viewer.recording_file import load_recording
+from fiber_recording.recording_file import load_recording
 
 __all__ = ["SCRIPTS", "main", "write_player"]
 
 _SOURCES = Path(__file__).parent / "player"
 # in the order in which they may refer to each other
 SCRIPTS = (
-    "npz", "kinematics", "legs", "clearance", "recording", "theme", "camera", "drawing", "plane",
+    "npz", "kinematics", "phases", "clearance", "recording", "theme", "camera", "drawing", "plane",
     "neighbourhood", "axes", "profiles", "buses", "timeline", "headline", "lists", "address",
     "keys", "app",
 )  # fmt: skip

@@ -5,20 +5,20 @@ import pytest
 
 from fiber_core import kinematics
 from fiber_core.clearance import Safety, certify
-from fiber_core.margins import JointMargins
+from fiber_core.corridor import JointCorridors
+from fiber_core.metrics import plan_metrics
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
-from fiber_core.report import plan_report
 from fiber_core.wire_units import WireMotion, WireUnits
-from fiber_viewer import (
+from fiber_recording import (
     SOFTWARE,
     BusLoad,
     EventKind,
     Events,
-    Leg,
     Measured,
+    Phase,
     Recording,
     closest_approaches,
     counts_at,
@@ -40,8 +40,8 @@ def stopped(motion, rng):
     stop_us, stop = np.full(n, -1), np.zeros((n, 2), dtype=int)
     stop_us[rows] = STOP_US
     stop_us[FAILED] = 211_000  # by itself
-    stop[rows] = counts_at([Leg.whole(motion)], rows, stop_us[rows]) + rng.integers(-3, 4)
-    first = Leg(motion, 0, stop_us, stop)
+    stop[rows] = counts_at([Phase.whole(motion)], rows, stop_us[rows]) + rng.integers(-3, 4)
+    first = Phase(motion, 0, stop_us, stop)
     passed, lengths = STOP_US // tick_us, np.zeros((n, 2), dtype=int)
     ticks, velocity = [], []
     for row in rows[rows != FAILED]:
@@ -53,7 +53,7 @@ def stopped(motion, rng):
             lengths[row, joint] = (left > 0).sum()
     offsets = np.concatenate([[0], np.cumsum(lengths)])
     again = WireMotion(motion.units, first.end, offsets, ticks, velocity)
-    return first, Leg.whole(again, ON_US)
+    return first, Phase.whole(again, ON_US)
 
 
 def margins_of(motion, rng):
@@ -64,7 +64,7 @@ def margins_of(motion, rng):
         [np.stack([decoded(t)[row] for t in np.linspace(0, lasts[row], 7)], axis=-1)
          for row in range(decoded.n)]
     )  # fmt: skip
-    return JointMargins(
+    return JointCorridors(
         lasts, sent - rng.uniform(0.01, 1, sent.shape), sent + rng.uniform(0.01, 1, sent.shape)
     )
 
@@ -82,8 +82,8 @@ def random_recording(seed: int, name: str = "desi", goes_wrong: bool = False) ->
     ticks = rng.integers(1, 200, offsets[-1])
     velocity = rng.integers(-500, 500, offsets[-1])
     motion = WireMotion(units, start, offsets, ticks, velocity)
-    legs = stopped(motion, rng) if goes_wrong else (Leg.whole(motion),)
-    decoded = executed(legs)
+    phases = stopped(motion, rng) if goes_wrong else (Phase.whole(motion),)
+    decoded = executed(phases)
     targets = kinematics.forward(plane, decoded.end)[1]
     targets[3] = np.nan
     problem = Problem(plane, decoded.start, targets)
@@ -96,17 +96,17 @@ def random_recording(seed: int, name: str = "desi", goes_wrong: bool = False) ->
     row = np.repeat(np.flatnonzero(started), 6)
     time_us = np.tile(rng.integers(0, 3_000_000, 6), int(started.sum())) + np.arange(len(row))
     off = rng.integers(-90, 90, (len(row), 2))
-    counts = counts_at(legs, row, time_us) + off
+    counts = counts_at(phases, row, time_us) + off
     safety = Safety()
     certificate = certify(plane, decoded, safety)
-    report = plan_report(problem, decoded, certificate, outcome, reason)
+    report = plan_metrics(problem, decoded, certificate, outcome, reason)
     return Recording(
         problem=problem,
         units=units,
-        legs=legs,
+        phases=phases,
         started=started,
         planned=planned,
-        margins=margins_of(motion, rng),
+        corridors=margins_of(motion, rng),
         measured=Measured(row, time_us, counts),
         load=BusLoad(
             [0], -0.02, 0.005, rng.integers(0, 9, (1, 300)), rng.integers(0, 99, (1, 300))

@@ -6,7 +6,7 @@ import pytest
 from fiber_core.clearance import Safety, certify, gaps, neighbour_pairs
 from fiber_core.motion import SegmentMotion
 from fiber_core.presets import preset
-from fiber_viewer import closest_approaches
+from fiber_recording import closest_approaches
 
 
 def test_every_pair_is_told_once_nearest_first(recording):

@@ -13,7 +13,7 @@ from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem, save_plan, save_problem
-from fiber_viewer import draw, figures
+from fiber_viewer import figures
 from fiber_viewer.snapshot import main
 
 
@@ -148,7 +148,7 @@ def test_velocities_are_steps_of_the_segments_and_slopes_of_the_plan(recording):
 def test_positions_are_curve_band_segments_and_readings(request, name):
     recording = request.getfixturevalue(name)
     row = int(recording.order_segments[0].sum(axis=1).argmax())
-    planned, margins, leg = recording.planned, recording.margins, recording.legs[0]
+    planned, corridors, phase = recording.planned, recording.corridors, recording.phases[0]
     for joint, axes in enumerate(figures.positions(recording, [row]).axes):
         np.testing.assert_allclose(
             _line(axes, "planned").get_ydata(), np.rad2deg(planned.angles[row, joint])
@@ -162,17 +162,17 @@ def test_positions_are_curve_band_segments_and_readings(request, name):
         np.testing.assert_allclose(read.get_ydata(), np.rad2deg(recording.units.to_angles(counts)))
         (band,) = (c for c in axes.collections if c.get_label() == "margin")
         edge = band.get_paths()[0].vertices
-        ends = 1e-6 * leg.stop_us[row] if leg.stopped[row] else margins.lasts_s[row]
+        ends = 1e-6 * phase.stop_us[row] if phase.stopped[row] else corridors.lasts_s[row]
         assert edge[:, 0].max() == pytest.approx(ends)
-        for k, t in enumerate(margins.times_s(row)):
+        for k, t in enumerate(corridors.times_s(row)):
             if t < ends:
                 drawn = edge[np.isclose(edge[:, 0], t), 1]
-                walls = np.rad2deg([margins.low[row, joint, k], margins.high[row, joint, k]])
+                walls = np.rad2deg([corridors.low[row, joint, k], corridors.high[row, joint, k]])
                 np.testing.assert_allclose([drawn.min(), drawn.max()], walls)
 
 
 def test_without_a_margin_there_is_no_band(recording):
-    axes = figures.positions(replace(recording, margins=None), [6]).axes[0]
+    axes = figures.positions(replace(recording, corridors=None), [6]).axes[0]
     assert not axes.collections
 
 
@@ -209,8 +209,8 @@ def test_robots_moving_go_down_to_none_at_the_makespan(recording):
 def test_nobody_moves_while_all_are_stopped(resumed):
     (axes,) = figures.makespan(resumed).axes
     values, edges, _ = next(p for p in axes.patches if hasattr(p, "get_data")).get_data()
-    again = resumed.legs[1].motion.decoded().counts.any(axis=1).sum()
-    lasts = np.delete(resumed.legs[0].motion.decoded().durations.max(axis=1), 11)  # it had failed
+    again = resumed.phases[1].motion.decoded().counts.any(axis=1).sum()
+    lasts = np.delete(resumed.phases[0].motion.decoded().durations.max(axis=1), 11)  # it had failed
     for t, moving in ((0.25, (lasts > 0.25).sum()), (0.4, 0), (0.456, again)):
         assert values[np.searchsorted(edges, t, side="right") - 1] == moving
 
@@ -236,12 +236,12 @@ def test_every_byte_is_in_the_figure_of_the_buses(recording):
 def test_the_command_draws_what_it_is_asked(recording_file, tmp_path, capsys):
     out = tmp_path / "figures"
     names = ["conflict", "segments"]
-    assert draw.main([str(recording_file), "-o", str(out), "--only", ",".join(names)]) == 0
+    assert command.main([str(recording_file), "-o", str(out), "--only", ",".join(names)]) == 0
     for name in names:
         assert (out / f"{name}.pdf").read_bytes().startswith(b"%PDF")
         assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     assert len(list(out.iterdir())) == 4
-    assert draw.main([str(recording_file), "-o", str(out), "--robots", "999"]) == 1
+    assert command.main([str(recording_file), "-o", str(out), "--robots", "999"]) == 1
     assert "999" in capsys.readouterr().err
     with pytest.raises(SystemExit):
-        draw.main([str(recording_file), "--only", "nothing"])
+        command.main([str(recording_file), "--only", "nothing"])

@@ -10,8 +10,8 @@ from fiber_core.outcomes import Outcome
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import FRAME_ID, PlanStamp, joint_states, layout, outcome, targets, topics
-from fiber_node import Peer
-from fiber_viewer.clouds import POINTS, ViewState, arms_cloud, plane_cloud, view_states
+from fiber_msgs_py.point_clouds import POINTS, ViewState, arms_cloud, plane_cloud, view_states
+from fiber_node import RosClient
 from fiber_viewer.node import ARMS, PLANE, TARGETS, WATCHED, ViewerNode
 from fiber_viewer.outlines import outlines
 
@@ -96,7 +96,7 @@ class Scene:
 
 @pytest.fixture
 def scene(plane, new_domain):
-    with Peer("scene", new_domain()) as peer:
+    with RosClient("scene", new_domain()) as peer:
         yield Scene(peer, plane)
 
 

@@ -16,7 +16,7 @@ from fiber_core import kinematics
 from fiber_core.clearance import gaps, neighbour_pairs
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
-from fiber_viewer import load_recording, save_recording
+from fiber_recording import load_recording, save_recording
 from fiber_viewer.page import SCRIPTS, script
 
 PLAYER = Path(fiber_viewer.__file__).parent / "player"
@@ -35,7 +35,7 @@ def node(tmp_path):
         imports = "".join(
             f"import * as {name} from {json.dumps((PLAYER / f'{name}.js').as_uri())};\n"
             for name in ("recording", "kinematics", "clearance", "neighbourhood", "profiles")
-            + ("address", "headline", "axes", "legs")
+            + ("address", "headline", "axes", "phases")
         )
         (tmp_path / "run.mjs").write_text(
             imports.replace("* as recording", "* as opened")
@@ -63,7 +63,7 @@ def drawn_times(recording, rng):
     motion = recording.decoded
     ends = [motion.duration_s[a:b].sum() for a, b in zip(motion.offsets[:-1], motion.offsets[1:])]
     # sums of stops and of rests have a last digit of their own
-    ends = np.array(ends) + (1e-9 if len(recording.legs) > 1 else 0.0)
+    ends = np.array(ends) + (1e-9 if len(recording.phases) > 1 else 0.0)
     return np.concatenate([rng.uniform(-0.2, 1.1 * motion.makespan_s, DRAWS), ends, [0.0]])
 
 
@@ -220,7 +220,7 @@ def test_the_page_reads_what_python_wrote(node, recording, recording_file):
 
 
 def test_states_follow_stop_and_second_start(node, resumed, resumed_file):
-    first, again = resumed.legs
+    first, again = resumed.phases
     stop_s, on_s = 300_300e-6, 455_001e-6
     times = [0.1, 0.2, 0.212, stop_s - 1e-3, stop_s + 1e-3, on_s - 1e-3, on_s + 1e-3, 9.0]
     told = node(
@@ -230,7 +230,7 @@ def test_states_follow_stop_and_second_start(node, resumed, resumed_file):
         const all = (t) => Array.from(plane.ids, (_, row) => opened.stateAt(recording, row, t));
         answer = {
           states: asked.times.map(all),
-          pauses: legs.pausesOf(motion),
+          pauses: phases.pausesOf(motion),
         };
         """,
         times=times,
@@ -250,7 +250,7 @@ def test_states_follow_stop_and_second_start(node, resumed, resumed_file):
 @pytest.mark.parametrize("name", ["recording", "resumed"])
 def test_the_margin_is_drawn_as_it_was_told_and_ends_at_a_stop(node, request, name):
     recording, file = (request.getfixturevalue(n) for n in (name, f"{name}_file"))
-    margins, rows = recording.margins, [0, 7, 11, 30]
+    corridors, rows = recording.corridors, [0, 7, 11, 30]
     told = node(
         file,
         """
@@ -259,15 +259,15 @@ def test_the_margin_is_drawn_as_it_was_told_and_ends_at_a_stop(node, request, na
         """,
         rows=rows,
     )
-    first = recording.legs[0]
+    first = recording.phases[0]
     for row, joints in zip(rows, told):
         for joint, band in enumerate(joints):
             time_s, low, high = np.reshape(band, (-1, 3)).T
             until = 1e-6 * first.stop_us[row] if first.stopped[row] else np.inf
-            ends = min(until, margins.lasts_s[row])
+            ends = min(until, corridors.lasts_s[row])
             assert time_s[-1] == pytest.approx(ends) and (np.diff(time_s) > 0).all()
-            for drawn, wall in ((low, margins.low), (high, margins.high)):
-                exact = np.interp(time_s, margins.times_s(row), wall[row, joint])
+            for drawn, wall in ((low, corridors.low), (high, corridors.high)):
+                exact = np.interp(time_s, corridors.times_s(row), wall[row, joint])
                 np.testing.assert_allclose(np.deg2rad(drawn), exact, atol=1.1e-3)
 
 
@@ -339,14 +339,14 @@ def test_presets_with_and_without_theta_outlines_are_both_tested():
 
 def test_robots_that_fail_together_are_one_fault_at_the_instant_they_stood(node, resumed, tmp_path):
     rows = np.arange(len(resumed.outcome))
-    together = (rows < 9) & resumed.legs[0].stopped
+    together = (rows < 9) & resumed.phases[0].stopped
     bad = together | (rows == 11)  # that one stopped by itself
     names = vars(resumed.events)
     failed = replace(
         resumed,
         outcome=np.where(bad, Outcome.FAILED, Outcome.REACHED),
         reason=np.where(bad, Reason.NOT_ACKNOWLEDGED, Reason.OK),
-        legs=(resumed.legs[0],),  # nobody goes on
+        phases=(resumed.phases[0],),  # nobody goes on
         events=replace(resumed.events, **{n: getattr(resumed.events, n)[:1] for n in names}),
     )
     save_recording(tmp_path / "failed.npz", failed)

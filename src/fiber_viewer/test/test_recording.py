@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 
 from fiber_core.problem import load_problem
-from fiber_viewer import (
-    Recording,
-    RecordingError,
-    counts_at,
-    load_recording,
-    save_recording,
-)
-from fiber_viewer.recording_file import VERSION
+from fiber_recording import Recording, RecordingError, counts_at, load_recording, save_recording
+from fiber_recording.recording_file import VERSION
 
 DATA = Path(__file__).parent / "data"
 
@@ -33,7 +27,7 @@ def same(one, two, name=""):
     if isinstance(one, tuple) and len(one) and is_dataclass(one[0]):
         assert len(one) == len(two)
         return sum(same(a, b, f"{name}[{k}]") for k, (a, b) in enumerate(zip(one, two)))
-    if name.startswith(".margins"):  # rounded inwards to a milliradian
+    if name.startswith(".corridors"):  # rounded inwards to a milliradian
         inward = {"low": two - one, "high": one - two}.get(name.split(".")[-1], np.zeros(1))
         assert -1e-7 < inward.min() and inward.max() < 1.001e-3, name
         return 1
@@ -48,7 +42,7 @@ def same(one, two, name=""):
 def test_everything_comes_back(request, name):
     recording, recording_file = (request.getfixturevalue(n) for n in (name, f"{name}_file"))
     assert same(recording, load_recording(recording_file)) > 44
-    assert len(recording.legs) == 1 + (name == "resumed")
+    assert len(recording.phases) == 1 + (name == "resumed")
     read = load_recording(recording_file)
     for name in ("start", "ticks", "velocity"):
         np.testing.assert_array_equal(getattr(read.motion, name), getattr(recording.motion, name))
@@ -58,8 +52,8 @@ def test_everything_comes_back(request, name):
 
 def test_without_planned_curves_there_are_none(recording, tmp_path):
     path = tmp_path / "no_curves.npz"
-    save_recording(path, replace(recording, planned=None, margins=None))
-    assert load_recording(path).planned is None and load_recording(path).margins is None
+    save_recording(path, replace(recording, planned=None, corridors=None))
+    assert load_recording(path).planned is None and load_recording(path).corridors is None
 
 
 def test_a_recording_is_a_problem_too(recording, recording_file):
@@ -81,11 +75,11 @@ def test_orders_in_whole_numbers_are_the_motion(recording):
     motion, rng = recording.decoded, np.random.default_rng(0)
     row = rng.integers(0, len(recording.outcome), 400)
     time_us = rng.integers(-100_000, 4_000_000, 400)
-    counts = counts_at(recording.legs, row, time_us)
+    counts = counts_at(recording.phases, row, time_us)
     exact = np.array([motion(t)[r] for r, t in zip(row, time_us * 1e-6)])
     off = recording.units.to_angles(counts) - exact
     assert np.abs(off).max() < 1.001 * 5 * recording.units.quantum_rad  # floored in each segment
-    ends = counts_at(recording.legs, np.arange(len(motion.start)), np.full(motion.n, 10**9))
+    ends = counts_at(recording.phases, np.arange(len(motion.start)), np.full(motion.n, 10**9))
     np.testing.assert_array_equal(ends, recording.motion.end)
 
 

@@ -1,10 +1,9 @@
-"""The buses: who hangs where, how long a message takes, and who carries it."""
+"""The buses: topology, timing, and the backends that carry messages on real hardware."""
 
 from fiber_bus_bridge.bus.backend import Ack, BusBackend, Exchange, Replies
 from fiber_bus_bridge.bus.counters import BusCounters
-from fiber_bus_bridge.bus.faults import Cure, FaultKind, Faults, Line, draw_faults
 from fiber_bus_bridge.bus.linux import LinuxBuses
-from fiber_bus_bridge.bus.simulated import SimulatedBuses
+from fiber_bus_bridge.bus.recovery import Recovery
 from fiber_bus_bridge.bus.timing import BUS_TIMINGS, BusTiming, bus_timing
 from fiber_bus_bridge.bus.topology import TOPOLOGIES, Topology, addresses_of
 
@@ -15,16 +14,11 @@ __all__ = [
     "BusBackend",
     "BusCounters",
     "BusTiming",
-    "Cure",
+    "Recovery",
     "Exchange",
-    "FaultKind",
-    "Faults",
-    "Line",
     "LinuxBuses",
     "Replies",
-    "SimulatedBuses",
     "Topology",
     "addresses_of",
     "bus_timing",
-    "draw_faults",
 ]

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fiber_bus_bridge.bus.faults import Cure
+from fiber_bus_bridge.bus.recovery import Recovery
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire import Frames
 
@@ -82,7 +82,7 @@ class BusBackend(Protocol):
         """
         ...
 
-    def recover(self, bus: int, cure: Cure, t: float) -> tuple[float, bool]:
+    def recover(self, bus: int, cure: Recovery, t: float) -> tuple[float, bool]:
         """Try to free the lines of a bus, not before time t [s].
 
         Returns:

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from fiber_bus_bridge.bus.backend import Ack, Replies
-from fiber_bus_bridge.bus.faults import Cure
+from fiber_bus_bridge.bus.recovery import Recovery
 from fiber_bus_bridge.errors import TopologyError
 from fiber_bus_bridge.wire import CALL_PREFIX, Frames, Opcode
 
@@ -99,15 +99,17 @@ class LinuxBuses:
             one.result()
         return replies
 
-    def recover(self, bus: int, cure: Cure, t: float) -> tuple[float, bool]:
+    def recover(self, bus: int, cure: Recovery, t: float) -> tuple[float, bool]:
         """Try to free the lines of a bus; see BusBackend.recover.
 
         A driver frees the lines itself, if it can, when it finds them stuck: after CLOCKS it
         is worth another try, a RESET of the branch cannot be asked of the kernel.
         """
-        if cure == Cure.POWER and self._power is not None:
+        if cure == Recovery.POWER and self._power is not None:
             self._power(bus)
-        return self._clock(), cure == Cure.CLOCKS or (cure == Cure.POWER and bool(self._power))
+        return self._clock(), cure == Recovery.CLOCKS or (
+            cure == Recovery.POWER and bool(self._power)
+        )
 
     def alert_lines(self, t: float) -> np.ndarray:
         """Return no bus: there is no alert line."""

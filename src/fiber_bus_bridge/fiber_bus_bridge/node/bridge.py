@@ -9,22 +9,22 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fiber_bus_bridge.attempts import Attempts
 from fiber_bus_bridge.bus import bus_timing
 from fiber_bus_bridge.capture import Tap
 from fiber_bus_bridge.errors import SessionError
+from fiber_bus_bridge.node.disabled_parameter import declare_availability, follow_operators
 from fiber_bus_bridge.node.hardware import device_hardware, simulated_hardware
-from fiber_bus_bridge.node.notes import PlanNotes
-from fiber_bus_bridge.node.operators import declare_roster, follow_operators
-from fiber_bus_bridge.node.telling import Telling
+from fiber_bus_bridge.node.plan_inputs import PlanInputs
+from fiber_bus_bridge.node.publishers import Publishers
+from fiber_bus_bridge.replanning import Replanning
 from fiber_bus_bridge.session import Session, SessionState
 from fiber_bus_bridge.session_config import SessionConfig
-from fiber_bus_bridge.simulation import SimulationConfig
+from fiber_bus_bridge.simulation.config import SimulationConfig
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Outcome
 from fiber_msgs_py import MessageError, PlanStamp, targets, topics
-from fiber_node import Reporter, declare_settings, run
+from fiber_node import Reporter, declare_parameters_of, run
 
 __all__ = ["BridgeNode", "main"]
 
@@ -44,8 +44,8 @@ class BridgeNode(Node):
 
     def __init__(self, **options):
         super().__init__("bridge", **options)
-        simulation = declare_settings(self, SimulationConfig)
-        safety = declare_settings(self, Safety, "safety")
+        simulation = declare_parameters_of(self, SimulationConfig)
+        safety = declare_parameters_of(self, Safety, "safety")
         scale = self._positive("time_scale", 1.0)
         self._most = self._positive("attempts", 2, "is less than one", least=1)
         self._patience_s = self._positive("attempt_timeout_s", 60.0)
@@ -66,20 +66,20 @@ class BridgeNode(Node):
         if self._capture:
             buses = Tap(buses, bus_timing(simulation.clock))
         self._buses = buses
-        config = declare_settings(self, SessionConfig, "session")
+        config = declare_parameters_of(self, SessionConfig, "session")
         self._session = Session(plane, self._units, safety, buses, hardware.start, config)
         self._lock, self._halt = threading.Lock(), threading.Event()
         self._time_s = self._due_s = 0.0
         self._stamp: PlanStamp | None = None
-        self._notes = PlanNotes(plane)
-        self._attempts = Attempts(np.full((plane.n, 2), np.nan), 1)
+        self._notes = PlanInputs(plane)
+        self._attempts = Replanning(np.full((plane.n, 2), np.nan), 1)
         self._ordered = np.zeros(plane.n, dtype=bool)  # robots with orders in this attempt
         self._again: PlanStamp | None = None  # the attempt whose orders are waited for
         self._again_until_s = 0.0
-        self._roster = declare_roster(self, plane)
+        self._roster = declare_availability(self, plane)
         self._session.enable(self._roster.enabled)
 
-        self._tell = Telling(self, self._session, self._roster)
+        self._tell = Publishers(self, self._session, self._roster)
         self._report = Reporter(self, "bridge", self._tell.statuses)
         self._targets = topics.TARGETS.publisher(self)
         topics.TARGETS.subscription(self, self._on_targets)
@@ -154,7 +154,7 @@ class BridgeNode(Node):
             self._attempt_ends(replaced, last=True)
         if not again:
             unasked = np.full((self._session.plane.n, 2), np.nan)
-            self._attempts = Attempts(*((unasked, 1) if asked is None else (asked, self._most)))
+            self._attempts = Replanning(*((unasked, 1) if asked is None else (asked, self._most)))
         self._stamp, self._again = stamp, None
         self._ordered = np.diff(motion.offsets).reshape(-1, 2).any(axis=1)
         self._report.done(stamp, f"ready: orders for {self._ordered.sum()} robots")
@@ -242,7 +242,7 @@ class BridgeNode(Node):
         self._give_up_attempt("the robots go home")
         self._session.home(self._now_s(), self._may_go)
         self._stamp = PlanStamp(self._tell.now_ns())
-        self._attempts = Attempts(np.full((self._session.plane.n, 2), np.nan), 1)
+        self._attempts = Replanning(np.full((self._session.plane.n, 2), np.nan), 1)
         return self._under_way()
 
     def _may_go(self):

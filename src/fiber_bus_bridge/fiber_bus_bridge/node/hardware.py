@@ -9,7 +9,7 @@ import numpy as np
 from fiber_bus_bridge.bus import BusBackend
 from fiber_bus_bridge.bus.linux import LinuxBuses
 from fiber_bus_bridge.errors import BridgeError
-from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
+from fiber_bus_bridge.simulation.config import SimulationConfig, simulated_buses, simulated_plane
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 

@@ -30,7 +30,7 @@ class Opcode(IntEnum):
     RESET = 5  # reboot
     CONFIG = 6  # units, limits, speeds, watchdog
     IDENTIFY = 7  # answer the read that follows with the identity
-    BEAT = 8  # the controller is there: moving robots may go on
+    HEARTBEAT = 8  # the controller is there: moving robots may go on
     ADDRESS = 9  # the robot of this serial number listens elsewhere from now on
 
 
@@ -73,7 +73,7 @@ class Fault(IntEnum):
     WATCHDOG = 32  # an order waited too long for its GO
     MEMORY = 33  # the stored order is no longer what was accepted
     STALL = 34  # a joint does not follow
-    SILENCE = 35  # no BEAT for too long while moving
+    SILENCE = 35  # no HEARTBEAT for too long while moving
 
 
 class Alert(IntFlag):
@@ -86,4 +86,4 @@ class Alert(IntFlag):
     LAPSED = 2  # it dropped an order that was never started
     REBOOTED = 4  # it lost its configuration
     STALLED = 8  # a joint does not follow: both were stopped
-    SILENT = 16  # it heard no BEAT and stopped itself
+    SILENT = 16  # it heard no HEARTBEAT and stopped itself

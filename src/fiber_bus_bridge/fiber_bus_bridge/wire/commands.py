@@ -28,7 +28,7 @@ __all__ = [
 
 _GO, _CONFIG, _ADDRESS = int(Opcode.GO), int(Opcode.CONFIG), int(Opcode.ADDRESS)
 _SHORT = tuple(
-    int(o) for o in (Opcode.STOP, Opcode.CLEAR, Opcode.RESET, Opcode.IDENTIFY, Opcode.BEAT)
+    int(o) for o in (Opcode.STOP, Opcode.CLEAR, Opcode.RESET, Opcode.IDENTIFY, Opcode.HEARTBEAT)
 )
 _NONE = int(Fault.NONE)
 _BAD_LENGTH = int(Fault.BAD_LENGTH)
@@ -72,7 +72,7 @@ class Configuration:
         limits: joint ranges [quanta], shape (f, 2, 2): robot, joint, (low, high).
         speed: highest joint speeds [velocity units], shape (f, 2).
         watchdog_ms: how long an order may wait for its GO [ms], 0 for ever.
-        silence_ms: how long a moving robot goes on without a BEAT [ms], 0 for ever.
+        silence_ms: how long a moving robot goes on without a HEARTBEAT [ms], 0 for ever.
     """
 
     units: WireUnits
@@ -83,7 +83,7 @@ class Configuration:
 
 
 def encode_command(opcode: Opcode, to: Addresses, sequence=0, countdown=0) -> Frames:
-    """Write the same command to each target: GO, STOP, CLEAR, RESET, IDENTIFY or BEAT.
+    """Write the same command to each target: GO, STOP, CLEAR, RESET, IDENTIFY or HEARTBEAT.
 
     GO makes robots move and ends with a CRC-16, the others with a packet error code.
     To address 0, the general call, the frame begins with CALL_PREFIX.

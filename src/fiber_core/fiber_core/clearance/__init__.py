@@ -1,6 +1,5 @@
 """Outlines, gaps between them, and the certificate that they stay apart at every instant."""
 
-from fiber_core.clearance.bodies import Bodies, bodies_of
 from fiber_core.clearance.certificate import (
     Certificate,
     certified_pairs,
@@ -8,10 +7,11 @@ from fiber_core.clearance.certificate import (
     smallest_gaps,
     unproven,
 )
-from fiber_core.clearance.hold import hold_until_safe
+from fiber_core.clearance.collision_bodies import Bodies, bodies_of
+from fiber_core.clearance.distance import gaps, pair_gap, pair_gap_below, posed_gap, sampled_gaps
+from fiber_core.clearance.hold_unsafe import hold_until_safe
 from fiber_core.clearance.neighbours import neighbour_pairs
-from fiber_core.clearance.pair_gaps import gaps, pair_gap, pair_gap_below, posed_gap, sampled_gaps
-from fiber_core.clearance.profiles import Profiles, profiles_of
+from fiber_core.clearance.piecewise import Profiles, profiles_of
 from fiber_core.clearance.safety import Safety, levers_of, point_speeds
 
 __all__ = [

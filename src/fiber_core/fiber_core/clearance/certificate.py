@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiber_core.clearance.bodies import Bodies, bodies_of
-from fiber_core.clearance.minimum import FINEST_MM, Minima, minimum_gaps
+from fiber_core.clearance.collision_bodies import Bodies, bodies_of
+from fiber_core.clearance.minimum_distance import FINEST_MM, Minima, minimum_gaps
 from fiber_core.clearance.neighbours import neighbour_pairs
-from fiber_core.clearance.profiles import Profiles, profiles_of
+from fiber_core.clearance.piecewise import Profiles, profiles_of
 from fiber_core.clearance.safety import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiber_core.clearance.pair_gaps import gaps
+from fiber_core.clearance.distance import gaps
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 

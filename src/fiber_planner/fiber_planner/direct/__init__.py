@@ -3,6 +3,6 @@
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.pieces import straight_pieces
 from fiber_planner.direct.planner import DirectPlanner
-from fiber_planner.direct.reach import reachable
+from fiber_planner.direct.reachability import reachable
 
 __all__ = ["DirectParameters", "DirectPlanner", "reachable", "straight_pieces"]

@@ -11,7 +11,7 @@ from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.search import Search
-from fiber_planner.protocol import PlannedMotion, Progress
+from fiber_planner.interface import PlannedMotion, Progress
 
 __all__ = ["DirectPlanner"]
 

@@ -9,15 +9,15 @@ import numpy as np
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
-from fiber_planner.direct.crowd import crowd_of
-from fiber_planner.direct.draft import count_conflicts, measure, measure_some
-from fiber_planner.direct.first_draft import choose_ends, straight_draft
-from fiber_planner.direct.grid import time_grid
+from fiber_planner.direct.certify_changed import missing_mm
+from fiber_planner.direct.initial_plan import choose_ends, straight_draft
+from fiber_planner.direct.local_search import add_weight, fold_first, go_straight, restore, sweep
 from fiber_planner.direct.parameters import DirectParameters
-from fiber_planner.direct.proof import missing_mm
-from fiber_planner.direct.repair import add_weight, fold_first, go_straight, restore, sweep
-from fiber_planner.direct.simplify import simplify
-from fiber_planner.protocol import Progress
+from fiber_planner.direct.plan_state import count_conflicts, measure, measure_some
+from fiber_planner.direct.scene import scene_of
+from fiber_planner.direct.shortcut import simplify
+from fiber_planner.direct.time_grid import time_grid
+from fiber_planner.interface import Progress
 
 __all__ = ["Found", "Search"]
 
@@ -84,7 +84,7 @@ class Search:
         self._problem, self._parameters = problem, parameters
         self._progress, self._clock = progress, clock
         self._end_s = clock() + parameters.budget_s
-        self._crowd = crowd_of(problem, parameters.seed)
+        self._crowd = scene_of(problem, parameters.seed)
         self._ends = choose_ends(problem, self._crowd, parameters)
         self._reason, self._alone_s = self._ends.reason, self._ends.alone_s
         self._tick_s = WireUnits.for_plane(problem.plane).tick_s

@@ -6,14 +6,14 @@ from fiber_core import kinematics
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
-from fiber_planner.dnf.arms import ArmNeighbours
-from fiber_planner.dnf.law import Law, Swarm
+from fiber_planner.dnf.arm_repulsion import ArmNeighbours
+from fiber_planner.dnf.integrator import places, turned, turns
+from fiber_planner.dnf.navigation_function import Law, Swarm
 from fiber_planner.dnf.parameters import DnfParameters, DnfPriorityParameters
 from fiber_planner.dnf.priority import Equals, Priorities
-from fiber_planner.dnf.step import places, turned, turns
-from fiber_planner.dnf.tips import TipNeighbours
-from fiber_planner.goals import choose_goals, travel_s
-from fiber_planner.protocol import PlannedMotion, Progress
+from fiber_planner.dnf.tip_repulsion import TipNeighbours
+from fiber_planner.goal_selection import choose_goals, travel_s
+from fiber_planner.interface import PlannedMotion, Progress
 
 __all__ = ["DnfArmsPlanner", "DnfArmsPriorityPlanner", "DnfPlanner", "DnfPriorityPlanner"]
 

@@ -30,7 +30,7 @@ at once from the step before, so neither the order nor the numbers of the robots
 import numba as nb
 import numpy as np
 
-from fiber_planner.dnf.law import Swarm
+from fiber_planner.dnf.navigation_function import Swarm
 
 __all__ = ["FREE", "GOING", "YIELDING", "Equals", "Priorities"]
 

@@ -1,9 +1,9 @@
 """Figures of a reconfiguration, for papers and for the night log; each returns a Figure."""
 
 from fiber_viewer.figures.conflict import conflict, conflict_rows
-from fiber_viewer.figures.night import bus_load, clearances, makespan, segments
 from fiber_viewer.figures.plane import before_and_after, outcomes, plane
 from fiber_viewer.figures.profiles import positions, velocities
+from fiber_viewer.figures.statistics import bus_load, clearances, makespan, segments
 
 __all__ = [
     "before_and_after",

@@ -6,10 +6,10 @@ from matplotlib.patches import Polygon
 
 from fiber_core import kinematics
 from fiber_core.clearance import gaps
+from fiber_recording.recording import Recording
 from fiber_viewer.figures.plane import draw_discs
 from fiber_viewer.figures.style import PLANNED
 from fiber_viewer.outlines import outlines
-from fiber_viewer.recording import Recording
 
 __all__ = ["conflict", "conflict_rows", "moments_around"]
 

@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 from fiber_core import kinematics
 from fiber_core.motion import SegmentMotion
 from fiber_core.problem import Problem
+from fiber_recording.recording import Recording
 from fiber_viewer.figures.style import COLORS, states_of
-from fiber_viewer.recording import Recording
 
 __all__ = ["before_and_after", "draw_discs", "outcomes", "plane"]
 

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from fiber_recording.recording import Recording
 from fiber_viewer.figures.style import JOINTS, PLANNED, STOPPED
-from fiber_viewer.recording import Recording
 
 __all__ = ["positions", "velocities"]
 
@@ -105,12 +105,12 @@ def _margin(recording, row, joint, axes):
     curves = np.concatenate([line.get_ydata() for line in axes.lines])
     low, high = curves.min(), curves.max()
     below = above = 0.0
-    margins = recording.margins
-    if margins is not None and margins.lasts_s[row] > 0:
-        time_s, until_s = margins.times_s(row), recording.active_s[0, row, 1]
+    corridors = recording.corridors
+    if corridors is not None and corridors.lasts_s[row] > 0:
+        time_s, until_s = corridors.times_s(row), recording.active_s[0, row, 1]
         shown = np.append(time_s[time_s < until_s], min(until_s, time_s[-1]))
         walls = np.rad2deg(
-            [np.interp(shown, time_s, w[row, joint]) for w in (margins.low, margins.high)]
+            [np.interp(shown, time_s, w[row, joint]) for w in (corridors.low, corridors.high)]
         )
         axes.fill_between(shown, *walls, color=PLANNED, alpha=0.22, lw=0, label="margin")
         for wall in walls:

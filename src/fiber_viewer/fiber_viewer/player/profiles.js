@@ -1,6 +1,6 @@
 // Panels 4 and 5: velocities and positions of both motors of the watched robot.
 import { angleAt, velocityAt } from "./kinematics.js";
-import { pausesOf } from "./legs.js";
+import { pausesOf } from "./phases.js";
 import { Axes } from "./axes.js";
 import { cleared, colors, write } from "./theme.js";
 
@@ -59,7 +59,7 @@ export function marginBand(recording, row, joint) {
   const { margins, motion } = recording, band = [];
   if (!margins || !(margins.lasts[row] > 0)) return band;
   const { count, low, high } = margins, first = (2 * row + joint) * count;
-  const until = motion.legs[0].stop === null ? Infinity : motion.active.ends[row];
+  const until = motion.phases[0].stop === null ? Infinity : motion.active.ends[row];
   for (let k = 0; k < count; k++) {
     const time = (k / (count - 1)) * margins.lasts[row];
     const [l, h] = [low[first + k] / DEGREE, high[first + k] / DEGREE];

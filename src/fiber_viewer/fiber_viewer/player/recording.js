@@ -1,6 +1,6 @@
 // A recording opened: plain typed arrays by name. docs/recording.md describes the file.
 import { readNpz } from "./npz.js";
-import { motionOf } from "./legs.js";
+import { motionOf } from "./phases.js";
 
 const NEWEST_VERSION = 2;
 const MICRORADIAN = 1e-6, MILLIRADIAN = 1e-3;
@@ -139,11 +139,11 @@ export function stateAt(recording, row, t) {
   const { plane, motion, started, outcome, reason } = recording;
   if (!plane.enabled[row]) return DISABLED;
   if (started[row]) {
-    const { active, legs } = motion, n = plane.n;
-    for (let leg = 0, before = false; leg < legs.length; leg++) {
-      const ends = active.ends[leg * n + row];
-      if (Number.isNaN(ends)) continue; // not in this leg
-      if (before && t < legs[leg].begin) return STOPPED;
+    const { active, phases } = motion, n = plane.n;
+    for (let phase = 0, before = false; phase < phases.length; phase++) {
+      const ends = active.ends[phase * n + row];
+      if (Number.isNaN(ends)) continue; // not in this phase
+      if (before && t < phases[phase].begin) return STOPPED;
       if (t < ends) return MOVING;
       before = true;
     }
@@ -181,11 +181,11 @@ export function eventText(recording, { kind, detail }) {
 
 /** Returns when all were stopped and when some went on: [{time, what}, ...]. */
 export function stopsOf(recording) {
-  const { motion, plane } = recording, { legs, active } = motion;
-  return legs.flatMap(({ begin, stop }, leg) => {
-    const ends = active.ends.subarray(leg * plane.n, (leg + 1) * plane.n);
+  const { motion, plane } = recording, { phases, active } = motion;
+  return phases.flatMap(({ begin, stop }, phase) => {
+    const ends = active.ends.subarray(phase * plane.n, (phase + 1) * plane.n);
     const moving = ends.reduce((count, end) => count + !Number.isNaN(end), 0);
-    const told = leg ? [{ time: begin, what: `${moving} robots go on` }] : [];
+    const told = phase ? [{ time: begin, what: `${moving} robots go on` }] : [];
     return stop === null ? told : [...told, { time: stop, what: "all are stopped" }];
   });
 }
@@ -215,6 +215,6 @@ export function faultsOf(recording) {
 
 // When a robot last moved; without any motion, the end.
 function stoodSince({ motion, plane, end }, row) {
-  const ends = motion.legs.map((_, leg) => motion.active.ends[leg * plane.n + row]);
+  const ends = motion.phases.map((_, phase) => motion.active.ends[phase * plane.n + row]);
   return ends.filter((time) => !Number.isNaN(time)).at(-1) ?? end;
 }

@@ -1,6 +1,6 @@
 // The line at the bottom: how many robots move, closest approaches, faults, and the time.
 import { MOVING, faultsOf, stateAt } from "./recording.js";
-import { pausesOf } from "./legs.js";
+import { pausesOf } from "./phases.js";
 import { cleared, colors, write } from "./theme.js";
 import { disc, line } from "./drawing.js";
 

@@ -1,0 +1,31 @@
+"""The simulated plant: positioners, their buses, noise and faults.
+
+It speaks the wire format and nothing else; nothing that drives real buses imports it.
+"""
+
+from fiber_bus_bridge.simulation.buses import SimulatedBuses
+from fiber_bus_bridge.simulation.config import (
+    SimulationConfig,
+    simulated_buses,
+    simulated_plane,
+)
+from fiber_bus_bridge.simulation.events import EVENT, Event
+from fiber_bus_bridge.simulation.faults import FaultKind, Faults, Line, draw_faults
+from fiber_bus_bridge.simulation.positioners import Positioners
+from fiber_bus_bridge.simulation.true_motion import Runs, TrueMotion
+
+__all__ = [
+    "EVENT",
+    "Event",
+    "FaultKind",
+    "Faults",
+    "Line",
+    "Positioners",
+    "Runs",
+    "SimulatedBuses",
+    "SimulationConfig",
+    "TrueMotion",
+    "draw_faults",
+    "simulated_buses",
+    "simulated_plane",
+]

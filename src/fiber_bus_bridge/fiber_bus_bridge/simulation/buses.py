@@ -1,0 +1,208 @@
+"""Buses that exist only in simulated time, with simulated positioners on them."""
+
+import numpy as np
+from numba import njit
+
+from fiber_bus_bridge.bus.backend import Ack, Replies
+from fiber_bus_bridge.bus.recovery import Recovery
+from fiber_bus_bridge.bus.timing import BusTiming, bus_timing
+from fiber_bus_bridge.simulation.faults import Faults
+from fiber_bus_bridge.simulation.lines import BusLines, take_in_turn
+from fiber_bus_bridge.simulation.noise import Heard, add_noise
+from fiber_bus_bridge.simulation.positioners import Positioners
+from fiber_bus_bridge.wire import Addresses, Frames
+
+__all__ = ["SimulatedBuses"]
+
+# plain numbers: members of an enumeration are slow to look up batch by batch
+_OK, _NO_ADDRESS, _REFUSED = int(Ack.OK), int(Ack.NO_ADDRESS), int(Ack.REFUSED)
+_NO_BUS = np.zeros(0, dtype=np.int64)
+_KEYS_PER_BUS = 4096  # general call, then 128 seven-bit and 1024 ten-bit addresses
+
+
+class SimulatedBuses:
+    """A set of I2C buses running in parallel in simulated time.
+
+    Each bus carries its frames one after the other and keeps its own time; a frame takes
+    what the standard's formula says. A target that is not powered does not acknowledge
+    its address, one that refuses what it was sent does not acknowledge the last byte. A
+    general call is acknowledged when anybody does (wired AND), and bytes read from several
+    targets at one address are the AND of theirs. In High-speed mode each batch begins with
+    the master code, and its messages are joined by repeated START.
+
+    Bits are read wrong, lines stick, clocks are stretched and arbitration is lost as the
+    faults say.
+
+    Not modelled: bits that only one listener reads wrong, wrong START or STOP, arbitration
+    bit by bit, levels, rise times and wire delays, start byte, device identification, and
+    acknowledges of single bytes: a target judges the whole frame. Half-matched ten-bit
+    addresses cost both address bytes. A line that sticks in the middle of a message costs it
+    whole. Whether an address is answered is judged for the time a frame takes when its batch
+    begins, for what it does when the frame is there.
+
+    Args:
+        positioners: the robots on the buses.
+        timing: clock and times of every bus.
+        faults: what goes wrong; nothing by default.
+        rng: where bit errors come from.
+    """
+
+    def __init__(
+        self,
+        positioners: Positioners,
+        timing: BusTiming | None = None,
+        faults: Faults | None = None,
+        rng: np.random.Generator | None = None,
+    ):
+        self.positioners = positioners
+        self.timing = timing or bus_timing("1M")
+        self._faults = faults or Faults()
+        self._rng = rng or np.random.default_rng(0)
+        positioners.schedule(self._faults.events)
+        self._buses = np.unique(positioners.bus)
+        self._free_s = np.full(len(self._buses), -np.inf)
+        self._lines = [
+            BusLines(
+                at, self._free_s, bus, self._faults,
+                np.flatnonzero(positioners.bus == bus), 1.0 / self.timing.clock_hz,
+            )
+            for at, bus in enumerate(self._buses.tolist())
+        ]  # fmt: skip
+        self._troubled_s = np.array([line.troubled_from_s for line in self._lines])
+        self._address_book(positioners.addresses)
+
+    def _address_book(self, addresses):
+        self._addresses = addresses
+        keys = self._at(addresses.bus) * _KEYS_PER_BUS + addresses.ten_bit * 1024
+        keys += addresses.address
+        self._order = np.argsort(keys, kind="stable")
+        self._sorted_keys = keys[self._order]
+
+    def _at(self, buses):
+        """Places of buses among all, -1 for those nobody hangs on."""
+        at = np.searchsorted(self._buses, buses)
+        return np.where(self._buses[np.minimum(at, len(self._buses) - 1)] == buses, at, -1)
+
+    def transfer(self, frames: Frames, read_bytes, not_before_s) -> Replies:
+        """Carry a batch of messages; see BusBackend.transfer."""
+        f = len(frames)
+        read = np.broadcast_to(np.asarray(read_bytes, dtype=np.int64), (f,))
+        offsets = np.concatenate([[0], np.cumsum(read)])
+        not_before = np.broadcast_to(np.asarray(not_before_s, dtype=float), (f,))
+        if f == 0:
+            nothing = np.zeros(0)
+            return Replies(nothing.astype(np.int64), nothing, nothing, offsets, _no_bytes())
+        at = self._at(frames.to.bus)
+        self._bring_up(at, not_before)
+        low, high, answered = self._listeners(at, frames.to)
+        lasts = self.timing.message_s(
+            np.where(answered, frames.lengths, 0), np.where(answered, read, 0), frames.to.ten_bit
+        )
+        start_s, end_s, fate, reaches = self._schedule(at, lasts, not_before, low, high)
+
+        heard = Heard.clean(frames, offsets)
+        rate = self._error_rate(frames.to.bus, start_s)
+        if rate is not None:
+            add_noise(heard, frames, offsets, rate, self._rng)
+            low, high, _ = self._listeners(
+                at, Addresses(frames.to.bus, heard.address, heard.ten_bit)
+            )
+        heard.reads[heard.turned | heard.cut | (fate != _OK)] = False
+        high = np.where(reaches & ~heard.lost, high, low)
+        there, accepted, data = self.positioners.exchange(
+            self._order, low, high, heard, offsets, start_s, end_s
+        )
+        taken = (accepted ^ heard.turned) & ~heard.cut
+        ack = np.where(there, np.where(taken, _OK, _REFUSED), _NO_ADDRESS)
+        ack = np.where(fate == _OK, ack, fate)
+        return Replies(ack, start_s, end_s, offsets, data ^ heard.wrong)
+
+    def recover(self, bus: int, cure: Recovery, t: float) -> tuple[float, bool]:
+        """Try to free the lines of a bus; see BusBackend.recover."""
+        end_s, free = self._line(bus).recover(cure, t)
+        if cure == Recovery.POWER:
+            rows = np.flatnonzero(self.positioners.bus == bus)
+            self.positioners.power(rows, False, t)
+            self.positioners.power(rows, True, end_s)
+        return end_s, free
+
+    def alert_lines(self, t: float) -> np.ndarray:
+        """Return the buses whose alert line is low; see BusBackend.alert_lines."""
+        alerting = self.positioners.alerting(t)
+        return np.unique(self.positioners.bus[alerting]) if alerting.any() else _NO_BUS
+
+    def _line(self, bus):
+        return self._lines[int(np.searchsorted(self._buses, bus))]
+
+    def _bring_up(self, at, not_before):
+        """Let happen what befalls robots until the first message begins."""
+        if len(self._faults.events) == 0:
+            return
+        free_s = self._free_s[at].min()
+        self.positioners.bring_up(max(not_before.min(), free_s))
+        if not np.array_equal(self.positioners.memory["address"], self._addresses.address):
+            self._address_book(self.positioners.addresses)
+
+    def _listeners(self, at, to):
+        """Range of the robots, in the sorted order, that listen to each frame, and if any does."""
+        low, high = np.zeros((2, len(at)), dtype=np.int64)
+        answered = np.zeros(len(at), dtype=bool)
+        _listeners(
+            self.positioners.memory, self._order, self._sorted_keys,
+            at, to.address, to.ten_bit, low, high, answered,
+        )  # fmt: skip
+        return low, high, answered
+
+    def _schedule(self, at, lasts, not_before, low, high):
+        """Start, end, what the lines allow and who is reached, of each frame."""
+        start = not_before.copy()
+        end = np.where(at < 0, start + lasts, start)
+        fate, reaches = np.full(len(lasts), _OK), np.ones(len(lasts), dtype=bool)
+        if self.timing.entry_s:
+            lasts[np.unique(at, return_index=True)[1]] += self.timing.entry_s
+        quiet = at
+        if np.isfinite(self._troubled_s).any():
+            # no message of this batch lasts beyond this time
+            last = np.maximum(self._free_s, not_before.max(initial=-np.inf)) + lasts.sum()
+            troubled = self._troubled_s < last
+            quiet = np.where(troubled[at], -1, at)
+        take_in_turn(quiet, lasts, not_before, self._free_s, start, end)
+        for one in np.unique(at[quiet < at]):
+            rows = np.flatnonzero(at == one)
+
+            def listeners(i, rows=rows):
+                return self._order[low[rows[i]] : high[rows[i]]]
+
+            found = self._lines[one].take(lasts[rows], not_before[rows], listeners)
+            start[rows], end[rows], fate[rows], reaches[rows] = found
+            self._troubled_s[one] = self._lines[one].troubled_from_s
+        return start, end, fate, reaches
+
+    def _error_rate(self, buses, start_s):
+        """Chance that a bit of each frame is read wrong, shape (f,); None on a quiet wire."""
+        if not self._faults.noise:
+            return None
+        rate = np.zeros(len(buses))
+        for bus, since, until, level in self._faults.noise:
+            rate[(buses == bus) & (start_s >= since) & (start_s < until)] = level
+        return rate if rate.any() else None
+
+
+def _no_bytes():
+    return np.zeros(0, dtype=np.uint8)
+
+
+@njit(cache=True)
+def _listeners(m, order, keys, at, address, ten_bit, low, high, answered):
+    for f in range(len(at)):
+        if at[f] < 0:
+            continue
+        key = at[f] * _KEYS_PER_BUS + ten_bit[f] * 1024 + address[f]
+        called = address[f] == 0 and not ten_bit[f]
+        low[f] = np.searchsorted(keys, key)
+        high[f] = np.searchsorted(keys, key + (_KEYS_PER_BUS if called else 1))
+        for k in range(low[f], high[f]):
+            r = m[order[k]]
+            if r.powered and not r.deaf:
+                answered[f] = True
+                break

@@ -1,0 +1,189 @@
+"""How a positioner runs its stored order: whole numbers on its own clock."""
+
+import numpy as np
+from numba import njit
+
+from fiber_bus_bridge.simulation.memory import NOTHING
+from fiber_bus_bridge.wire.codes import Alert, Fault, RobotState
+from fiber_bus_bridge.wire.frames import frame_crc
+from fiber_bus_bridge.wire.orders import order_fault, read_segment, segment_counts
+
+__all__ = ["encoder", "halt", "order_refusal", "reboot", "settle", "start_order", "stored_crc"]
+
+_UNCONFIGURED = int(RobotState.UNCONFIGURED)
+_LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
+_DONE, _FAULT = int(RobotState.DONE), int(RobotState.FAULT)
+_NONE, _OVER_SPEED = int(Fault.NONE), int(Fault.OVER_SPEED)
+_OUTSIDE_LIMITS = int(Fault.OUTSIDE_LIMITS)
+_WATCHDOG, _MEMORY = int(Fault.WATCHDOG), int(Fault.MEMORY)
+_STALL, _SILENCE = int(Fault.STALL), int(Fault.SILENCE)
+_LAPSED, _REBOOTED = int(Alert.LAPSED), int(Alert.REBOOTED)
+_STALLED, _SILENT = int(Alert.STALLED), int(Alert.SILENT)
+
+
+@njit(cache=True)
+def _ticks_run(r, t):
+    """Ticks of its own clock since the motion began, with the fraction."""
+    return (t - r.started_s) * (1e6 + r.clock_ppm) / r.tick_us
+
+
+@njit(cache=True)
+def _length(r, joint):
+    """Ticks the order of one joint takes."""
+    total = 0
+    for k in range(r.counts[joint]):
+        total += r.ticks[joint, k]
+    return total
+
+
+@njit(cache=True)
+def encoder(r, joint, t):
+    """Return where a joint is at time t [quanta]: exact at whole ticks, nearest in between."""
+    position = r.position[joint]
+    run = _ticks_run(r, t) if r.state == _MOVING else 0.0
+    if run <= 0.0:
+        return position
+    left = np.int64(np.floor(run))
+    fraction = run - left
+    for k in range(r.counts[joint]):
+        whole = min(left, r.ticks[joint, k])
+        position += whole * r.velocity[joint, k]
+        if whole < r.ticks[joint, k]:
+            return position + np.int64(np.rint(fraction * r.velocity[joint, k]))
+        left -= whole
+    return position
+
+
+@njit(cache=True)
+def halt(r, t):
+    """Freeze a robot where it is at time t and forget the order; the caller sets its state."""
+    theta, phi = encoder(r, 0, t), encoder(r, 1, t)
+    r.position[0], r.position[1] = theta, phi
+    r.order_length = 0
+    if r.state == _MOVING:
+        r.halted_s = t
+
+
+@njit(cache=True)
+def _stall_s(r):
+    """When a jammed joint is first told to turn [s]."""
+    first = np.inf
+    for joint in range(2):
+        begin = r.started_s
+        for k in range(r.counts[joint]):
+            end = begin + r.ticks[joint, k] * r.tick_us / (1e6 + r.clock_ppm)
+            if r.velocity[joint, k] != 0 and end > r.jam_s[joint]:
+                first = min(first, max(begin, r.jam_s[joint]))
+                break
+            begin = end
+    return first
+
+
+@njit(cache=True)
+def settle(r, t):
+    """Bring a robot up to time t: motions end or are broken off, orders nobody starts lapse."""
+    if r.state == _MOVING:
+        ticks = max(_length(r, 0), _length(r, 1))
+        done = r.started_s + ticks * r.tick_us / (1e6 + r.clock_ppm)
+        silent = r.beat_s + r.silence_s if r.silence_s > 0.0 else np.inf
+        stall = _stall_s(r)
+        # whichever comes first ends the motion
+        if done <= min(t, silent, stall):
+            # exactly where the order ends: no time is rounded
+            for joint in range(2):
+                for k in range(r.counts[joint]):
+                    r.position[joint] += r.ticks[joint, k] * r.velocity[joint, k]
+            r.order_length = 0
+            r.halted_s = done
+            r.state = _DONE
+        elif stall <= min(t, silent):
+            # the drive checks that its joints follow, and stops both at once
+            halt(r, stall)
+            r.state, r.fault = _FAULT, _STALL
+            r.alerts |= _STALLED
+            r.alert_s = stall
+        elif silent <= t:
+            halt(r, silent)
+            r.state, r.fault = _FAULT, _SILENCE
+            r.alerts |= _SILENT
+            r.alert_s = silent
+    elif r.state == _LOADED and 0.0 < r.watchdog_s < t - r.loaded_s:
+        r.order_length = 0
+        r.state = _FAULT
+        r.fault = _WATCHDOG
+        r.alerts |= _LAPSED
+
+
+@njit(cache=True)
+def order_refusal(r, data, first, last):
+    """Return why the robot will not take an order, by the order's bytes, its limits and speed."""
+    widths = r.velocity_bits, r.duration_bits
+    fault = order_fault(r.address, r.ten_bit, data, first, last, widths[0], widths[1])
+    if fault != _NONE:
+        return fault
+    size = (widths[0] + widths[1] + 7) // 8
+    at = first + 2
+    counts = segment_counts(data, first)
+    for joint in range(2):
+        position = r.position[joint]
+        # whoever stands outside may come back in, and never go further out
+        low = min(position, r.limits[joint, 0])
+        high = max(position, r.limits[joint, 1])
+        for _ in range(counts[joint]):
+            ticks, velocity, _padding = read_segment(data, at, widths[0], widths[1])
+            if abs(velocity) > r.speed[joint]:
+                return _OVER_SPEED
+            position += ticks * velocity
+            if position < low or position > high:
+                return _OUTSIDE_LIMITS
+            at += size
+    return _NONE
+
+
+@njit(cache=True)
+def stored_crc(r):
+    """Return the checksum of the stored order as it is in memory now; 0 without one."""
+    if r.order_length == 0:
+        return 0
+    return frame_crc(r.address, r.ten_bit, r.order, 0, r.order_length - 2)
+
+
+@njit(cache=True)
+def start_order(r, t, countdown_s):
+    """Decode the stored order and run it after a countdown, if it is still what was accepted."""
+    order, widths = r.order, (r.velocity_bits, r.duration_bits)
+    last = r.order_length - 2
+    crc = (np.int64(order[last]) << 8) | np.int64(order[last + 1])
+    if stored_crc(r) != crc:
+        r.order_length = 0
+        r.state = _FAULT
+        r.fault = _MEMORY
+        return
+    size = (widths[0] + widths[1] + 7) // 8
+    r.counts[0], r.counts[1] = segment_counts(order, 0)
+    at = 2
+    for joint in range(2):
+        for k in range(r.counts[joint]):
+            ticks, velocity, _padding = read_segment(order, at, widths[0], widths[1])
+            r.ticks[joint, k], r.velocity[joint, k] = ticks, velocity
+            at += size
+    r.started_s = t + countdown_s * 1e6 / (1e6 + r.clock_ppm) + r.start_skew_s
+    r.beat_s = t
+    r.executed = r.sequence
+    r.state = _MOVING
+
+
+@njit(cache=True)
+def reboot(r, t):
+    """Stop, lose order and configuration (no tick, no orders taken), and count one more boot."""
+    halt(r, t)
+    r.state = _UNCONFIGURED
+    r.fault = _NONE
+    r.alerts = _REBOOTED
+    r.alert_s = t
+    r.asked_identity = False
+    r.tick_us = 0
+    r.watchdog_s = r.silence_s = 0.0
+    r.sequence = 0
+    r.executed = NOTHING
+    r.boot = (r.boot + 1) % 256

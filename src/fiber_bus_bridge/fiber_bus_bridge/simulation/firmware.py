@@ -1,0 +1,222 @@
+"""What a positioner does with the bytes it hears: check, then act or refuse."""
+
+import numpy as np
+from numba import njit
+
+from fiber_bus_bridge.simulation.drive import (
+    encoder,
+    halt,
+    order_refusal,
+    reboot,
+    settle,
+    start_order,
+    stored_crc,
+)
+from fiber_bus_bridge.simulation.memory import NOTHING
+from fiber_bus_bridge.wire.codes import COUNTDOWN_S, VERSION, Alert, Fault, Opcode, RobotState
+from fiber_bus_bridge.wire.commands import (
+    ADDRESS_BYTES,
+    ADDRESS_FIELDS,
+    CONFIG_BYTES,
+    CONFIG_FIELDS,
+    GO_BYTES,
+    GO_FIELDS,
+    command_fault,
+)
+from fiber_bus_bridge.wire.replies import (
+    IDENTITY_BYTES,
+    STATUS_BYTES,
+    write_identity,
+    write_status,
+)
+
+__all__ = ["answer", "hear"]
+
+_LOAD, _GO, _STOP = int(Opcode.LOAD), int(Opcode.GO), int(Opcode.STOP)
+_CLEAR, _RESET = int(Opcode.CLEAR), int(Opcode.RESET)
+_CONFIG, _IDENTIFY = int(Opcode.CONFIG), int(Opcode.IDENTIFY)
+_BEAT, _ADDRESS = int(Opcode.HEARTBEAT), int(Opcode.ADDRESS)
+
+_UNCONFIGURED, _IDLE = int(RobotState.UNCONFIGURED), int(RobotState.IDLE)
+_LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
+_STOPPED, _FAULT = int(RobotState.STOPPED), int(RobotState.FAULT)
+
+_NONE = int(Fault.NONE)
+_BAD_VERSION, _BAD_VALUE = int(Fault.BAD_VERSION), int(Fault.BAD_VALUE)
+_NOT_CONFIGURED, _WRONG_STATE = int(Fault.NOT_CONFIGURED), int(Fault.WRONG_STATE)
+_STALE_SEQUENCE, _OTHER_QUANTUM = int(Fault.STALE_SEQUENCE), int(Fault.OTHER_QUANTUM)
+_REFUSED = int(Alert.REFUSED)
+
+_TICK = CONFIG_FIELDS.fields["tick_us"][1]
+_QUANTUM = CONFIG_FIELDS.fields["quantum_prad"][1]
+_LIMITS = CONFIG_FIELDS.fields["limits"][1]
+_SPEED = CONFIG_FIELDS.fields["speed"][1]
+_WATCHDOG = CONFIG_FIELDS.fields["watchdog_ms"][1]
+_SILENCE = CONFIG_FIELDS.fields["silence_ms"][1]
+_COUNTDOWN = GO_FIELDS.fields["countdown"][1]
+_SERIAL = ADDRESS_FIELDS.fields["serial"][1]
+_FORM_ADDRESS = ADDRESS_FIELDS.fields["form_address"][1]
+
+
+@njit(cache=True)
+def hear(r, address, ten_bit, data, first, last, t):
+    """Let a robot hear data[first:last], sent to it or to all, complete at time t.
+
+    Returns:
+        Whether it acknowledges the last byte. A frame it refuses changes nothing but its
+        fault and alerts.
+    """
+    settle(r, t)
+    if r.busy:
+        return False
+    called = address == 0 and not ten_bit
+    if not called and last > first and data[first] >> 4 == _LOAD:
+        fault = _load(r, data, first, last, t)
+    else:
+        fault, head = command_fault(address, ten_bit, data, first, last)
+        if fault == _NONE:
+            opcode, low = head >> 4, head & 15
+            if opcode == _GO:
+                _go(r, low, _number(data, last - GO_BYTES + _COUNTDOWN, 2), t)
+            elif opcode == _STOP:
+                _stop(r, t)
+            elif opcode == _CLEAR:
+                fault = _clear(r)
+            elif opcode == _RESET:
+                reboot(r, t)
+            elif opcode == _IDENTIFY:
+                r.asked_identity = True
+            elif opcode == _BEAT:
+                r.beat_s = t
+            elif opcode == _ADDRESS:
+                fault = _move(r, data, last - ADDRESS_BYTES)
+            elif opcode == _CONFIG:
+                fault = _configure(r, low, data, last - CONFIG_BYTES)
+    if fault != _NONE:
+        r.fault = fault
+        r.alerts |= _REFUSED
+    return fault == _NONE
+
+
+@njit(cache=True)
+def answer(r, t, out):
+    """Write what a robot answers to a read at time t over `out`, as wired AND."""
+    settle(r, t)
+    reply = np.empty(STATUS_BYTES, dtype=np.uint8)
+    size = STATUS_BYTES
+    if r.asked_identity:
+        r.asked_identity = False
+        write_identity(r.address, r.ten_bit, r.serial, r.boot, reply)
+        size = IDENTITY_BYTES
+    else:
+        position = (encoder(r, 0, t), encoder(r, 1, t))
+        write_status(
+            r.address, r.ten_bit, r.state, r.sequence, stored_crc(r),
+            r.boot, r.fault, r.alerts, position, reply,
+        )  # fmt: skip
+        if len(out) >= STATUS_BYTES:
+            r.alert_s = np.inf
+    for i in range(min(size, len(out))):
+        out[i] &= reply[i]
+
+
+@njit(cache=True)
+def _load(r, data, first, last, t):
+    if r.state == _UNCONFIGURED:
+        return _NOT_CONFIGURED
+    if r.state in (_MOVING, _STOPPED, _FAULT):
+        return _WRONG_STATE
+    fault = order_refusal(r, data, first, last)
+    if fault != _NONE:
+        return fault
+    sequence = np.int64(data[first]) & 15
+    if sequence == r.executed:
+        return _STALE_SEQUENCE
+    length = last - first
+    for i in range(length):
+        r.order[i] = data[first + i]
+    r.order_length = length
+    r.sequence = sequence
+    r.loaded_s = t
+    r.fault = _NONE
+    r.state = _LOADED
+    return _NONE
+
+
+@njit(cache=True)
+def _go(r, sequence, countdown, t):
+    if r.state == _LOADED and r.sequence == sequence:
+        start_order(r, t, countdown * COUNTDOWN_S)
+    elif r.executed != sequence:
+        r.executed = NOTHING  # another plan began: sequence numbers come round again
+
+
+@njit(cache=True)
+def _stop(r, t):
+    halt(r, t)
+    if r.state not in (_UNCONFIGURED, _FAULT):
+        r.state = _STOPPED
+
+
+@njit(cache=True)
+def _clear(r):
+    if r.state == _MOVING:
+        return _WRONG_STATE
+    r.order_length = 0
+    r.fault = _NONE
+    r.alerts = 0
+    r.alert_s = np.inf
+    r.state = _IDLE if r.tick_us else _UNCONFIGURED
+    return _NONE
+
+
+@njit(cache=True)
+def _configure(r, version, data, at):
+    if version != VERSION:
+        return _BAD_VERSION
+    if r.state == _MOVING:
+        return _WRONG_STATE
+    velocity_bits, duration_bits = np.int64(data[at + 1]), np.int64(data[at + 2])
+    tick_us, quantum = _number(data, at + _TICK, 4), _number(data, at + _QUANTUM, 4)
+    if not (2 <= velocity_bits <= 16 and 1 <= duration_bits <= 16) or tick_us == 0:
+        return _BAD_VALUE
+    if quantum != r.quantum_prad:
+        return _OTHER_QUANTUM
+    r.tick_us = tick_us
+    r.velocity_bits, r.duration_bits = velocity_bits, duration_bits
+    for joint in range(2):
+        for end in range(2):
+            value = _number(data, at + _LIMITS + 8 * joint + 4 * end, 4)
+            r.limits[joint, end] = value - (value >> 31 << 32)
+        r.speed[joint] = _number(data, at + _SPEED + 2 * joint, 2)
+    r.watchdog_s = 1e-3 * _number(data, at + _WATCHDOG, 2)
+    r.silence_s = 1e-3 * _number(data, at + _SILENCE, 2)
+    r.order_length = 0
+    r.fault = _NONE
+    r.alerts = 0
+    r.alert_s = np.inf
+    if r.state not in (_STOPPED, _FAULT):
+        r.state = _IDLE
+    return _NONE
+
+
+@njit(cache=True)
+def _move(r, data, at):
+    if _number(data, at + _SERIAL, 4) != r.serial:
+        return _NONE  # meant for another
+    if r.state == _MOVING or r.state == _LOADED:
+        return _WRONG_STATE
+    form = _number(data, at + _FORM_ADDRESS, 2)
+    address, ten_bit = form & 0x7FFF, form >> 15 == 1
+    if address > (1023 if ten_bit else 0x77) or (not ten_bit and address < 0x08):
+        return _BAD_VALUE
+    r.address, r.ten_bit = address, ten_bit
+    return _NONE
+
+
+@njit(cache=True)
+def _number(data, at, size):
+    value = 0
+    for i in range(size):
+        value = (value << 8) | np.int64(data[at + i])
+    return value

@@ -1,0 +1,25 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="fiber_client",
+    version="0.1.0",
+    description="A client of the focal-plane graph, and its commands.",
+    maintainer="fiber positioner team",
+    maintainer_email="maintainers@example.org",
+    license="Apache-2.0",
+    packages=find_packages(exclude=["test", "test.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/fiber_client"]),
+        ("share/fiber_client", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
+    zip_safe=False,  # compiled loops are cached beside the modules
+    entry_points={
+        "console_scripts": [
+            "reconfigure = fiber_client.reconfigure:main",
+            "disable = fiber_client.disable:disable",
+            "enable = fiber_client.disable:enable",
+        ]
+    },
+)

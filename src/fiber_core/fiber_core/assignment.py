@@ -1,0 +1,213 @@
+"""Which targets a focal plane accepts, and why it refuses the others."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fiber_core import kinematics
+from fiber_core.clearance import Safety, gaps, neighbour_pairs
+from fiber_core.errors import TargetsError
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.outcomes import Reason
+from fiber_core.validation import frozen_array
+
+__all__ = ["Assignment", "assign"]
+
+_NAMED = 10  # how many offending robots a message lists
+_ROUNDING_MM = 1e-9  # targets exactly at the spacing are allowed, whatever their last digit
+_ENCODER_RAD = 1e-5  # an encoder may read this far beyond a stop
+
+
+@dataclass(frozen=True, eq=False)
+class Assignment:
+    """What was asked of every robot, what of it is accepted, and why the rest is not.
+
+    Args:
+        plane: the focal plane.
+        asked_mm: the targets as asked [mm], shape (n, 2), nan = nothing asked.
+        reason: OK, NO_TARGET, or why the target is refused (Reason), shape (n,).
+        blocker: row of the robot, or n + obstacle, whose target or body is in the way of
+            a TARGET_TOO_CLOSE or TARGET_ON_OBSTACLE, else -1, shape (n,).
+    """
+
+    plane: FocalPlane
+    asked_mm: np.ndarray
+    reason: np.ndarray
+    blocker: np.ndarray
+
+    @property
+    def accepted(self) -> np.ndarray:
+        """Robots whose target is accepted, shape (n,)."""
+        return self.reason == Reason.OK
+
+    @property
+    def refused(self) -> np.ndarray:
+        """Robots whose target is refused, shape (n,)."""
+        return ~np.isin(self.reason, (Reason.OK, Reason.NO_TARGET))
+
+    @property
+    def refused_ids(self) -> np.ndarray:
+        """Ids of the robots whose target is refused, shape (k,)."""
+        return self.plane.ids[self.refused]
+
+    @property
+    def targets(self) -> np.ndarray:
+        """The accepted targets [mm], shape (n, 2), nan where none was asked or it is refused."""
+        return np.where(self.accepted[:, None], self.asked_mm, np.nan)
+
+    def explain(self, robot: int) -> str:
+        """Say in a sentence what became of the target of a robot, given its id."""
+        row = int(self.plane.index_of(robot))
+        if row < 0:
+            return f"robot {robot} does not exist"
+        x, y = self.asked_mm[row]
+        reason = Reason(self.reason[row])
+        if reason == Reason.NO_TARGET:
+            return f"robot {robot}: no target"
+        return f"robot {robot}: target ({x:.4g}, {y:.4g}) mm {self._because(row, reason)}"
+
+    def _because(self, row, reason):
+        arm1, arm2 = self.plane.arms[row]
+        distance = np.hypot(*(self.asked_mm[row] - self.plane.centers[row]))
+        reach = f"reach {abs(arm1 - arm2):.4g}..{arm1 + arm2:.4g} mm"
+        limits = np.rad2deg(self.plane.limits[row])
+        ranges = "theta {:.4g}..{:.4g}, phi {:.4g}..{:.4g} deg".format(*limits.ravel())
+        match reason:
+            case Reason.UNREACHABLE:
+                return f"is {distance:.4g} mm from its centre, {reach}"
+            case Reason.OUTSIDE_JOINT_RANGE:
+                return f"needs angles outside {ranges}"
+            case Reason.DISABLED:
+                return "refused, the robot is disabled"
+            case Reason.START_OUTSIDE_LIMITS:
+                return f"refused, the robot stands outside {ranges}"
+            case Reason.TARGET_TOO_CLOSE:
+                other = self.blocker[row]
+                apart = np.hypot(*(self.asked_mm[row] - self.asked_mm[other]))
+                return (
+                    f"is {apart:.4g} mm from that of robot {self.plane.ids[other]}, "
+                    f"spacing {self.plane.spacing_mm:.4g} mm"
+                )
+            case Reason.TARGET_ON_OBSTACLE:
+                other = self.blocker[row]
+                if other >= self.plane.n:
+                    return f"cannot be taken beside obstacle {other - self.plane.n}"
+                return f"cannot be taken beside robot {self.plane.ids[other]}, which cannot move"
+        return "accepted"
+
+
+def assign(
+    plane: FocalPlane, start, ids, xy_mm, pairs=None, margin_mm: float | None = None
+) -> Assignment:
+    """Check targets against the focal plane; refuse the impossible ones robot by robot.
+
+    Of two targets closer than the plane's spacing the robot with the lower id keeps its
+    own. Robots that cannot move are those disabled and those whose start is outside their
+    joint limits; a target whose every configuration comes within the margin of one of
+    them, or of an obstacle, is refused. A target has the first reason that applies, in
+    the order DISABLED, START_OUTSIDE_LIMITS, UNREACHABLE, OUTSIDE_JOINT_RANGE,
+    TARGET_ON_OBSTACLE, TARGET_TOO_CLOSE.
+
+    Args:
+        plane: the focal plane.
+        start: joint angles now [rad], shape (n, 2).
+        ids: ids of the robots asked, shape (k,).
+        xy_mm: where their fibres should go [mm], shape (k, 2).
+        pairs: the plane's neighbour pairs, where the caller has them, shape (p, 2).
+        margin_mm: gap to keep from what cannot move [mm]; by default the margin of Safety.
+
+    Raises:
+        TargetsError: shapes do not fit, an id is unknown or given twice, or a value is
+            not finite; names the robots and values.
+    """
+    rows, asked = _asked(plane, ids, xy_mm)
+    start = frozen_array(start, float, (plane.n, 2), "start", TargetsError)
+    _refuse(~np.isfinite(start).all(axis=1), plane.ids, start, Reason.NOT_FINITE, "start angles")
+    margin_mm = Safety().margin_mm if margin_mm is None else margin_mm
+
+    low, high = np.moveaxis(plane.limits, -1, 0)
+    outside = ((start < low - _ENCODER_RAD) | (start > high + _ENCODER_RAD)).any(axis=1)
+    stuck = ~plane.enabled | outside
+    solutions, valid = kinematics.inverse(plane, asked)
+    distance = np.hypot(*(asked - plane.centers).T)
+    nearest, farthest = np.abs(plane.arms[:, 0] - plane.arms[:, 1]), plane.arms.sum(axis=1)
+    rim = kinematics.RIM_MM
+
+    reason = np.full(plane.n, Reason.NO_TARGET, dtype=np.int64)
+    reason[rows] = Reason.OK
+    for code, applies in (
+        (Reason.DISABLED, ~plane.enabled),
+        (Reason.START_OUTSIDE_LIMITS, outside),
+        (Reason.UNREACHABLE, (distance > farthest + rim) | (distance < nearest - rim)),
+        (Reason.OUTSIDE_JOINT_RANGE, ~valid.any(axis=1)),
+    ):
+        reason[(reason == Reason.OK) & applies] = code
+    blocker = np.full(plane.n, -1)
+    pairs = neighbour_pairs(plane, max(1.0, margin_mm)) if pairs is None else pairs
+    _refuse_blocked(plane, start, stuck, solutions, valid, pairs, margin_mm, reason, blocker)
+    _refuse_close(plane, asked, reason, blocker)
+    for value in (asked, reason, blocker):
+        value.setflags(write=False)
+    return Assignment(plane, asked, reason, blocker)
+
+
+def _asked(plane, ids, xy_mm):
+    # malformed input raises; otherwise the rows asked and their targets, nan elsewhere
+    ids = frozen_array(ids, np.int64, (None,), "ids", TargetsError)
+    xy_mm = frozen_array(xy_mm, float, (len(ids), 2), "targets", TargetsError)
+    rows = plane.index_of(ids)
+    _refuse(rows < 0, ids, xy_mm, Reason.UNKNOWN_ROBOT, "no such robot, target")
+    _, first, count = np.unique(ids, return_index=True, return_counts=True)
+    again = np.ones(len(ids), dtype=bool)
+    again[first[count == 1]] = False
+    _refuse(again, ids, xy_mm, Reason.DUPLICATE, "asked more than once, target")
+    _refuse(~np.isfinite(xy_mm).all(axis=1), ids, xy_mm, Reason.NOT_FINITE, "target not finite")
+    asked = np.full((plane.n, 2), np.nan)
+    asked[rows] = xy_mm
+    return rows, asked
+
+
+def _refuse(bad, ids, values, reason, what):
+    at = np.flatnonzero(bad)
+    if len(at):
+        named = "; ".join(f"robot {ids[i]}: {what} {values[i].tolist()}" for i in at[:_NAMED])
+        more = f"; and {len(at) - _NAMED} more" if len(at) > _NAMED else ""
+        raise TargetsError(named + more, ids[at], np.full(len(at), reason))
+
+
+def _refuse_blocked(plane, start, stuck, solutions, valid, pairs, margin_mm, reason, blocker):
+    # PollScheduler of a joint change nothing here: one configuration stands for each elbow.
+    standing = np.concatenate([stuck, np.ones(len(plane.obstacles), dtype=bool)])
+    a, b = np.asarray(pairs, dtype=np.int64).reshape(-1, 2).T
+    beside = np.concatenate([np.stack([a, b], axis=1), np.stack([b, a], axis=1)])
+    beside = beside[standing[beside[:, 1]] & (beside[:, 0] < plane.n)]
+    beside = beside[reason[beside[:, 0]] == Reason.OK]
+    blocked = np.ones(plane.n, dtype=bool)
+    bent_left = np.sin(solutions[..., 1]) >= 0
+    for elbow in (valid & bent_left, valid & ~bent_left):
+        has = elbow.any(axis=1)
+        chosen = solutions[np.arange(plane.n), elbow.argmax(axis=1)]
+        gap = gaps(
+            plane, np.sort(beside, axis=1), np.where(has[:, None] & ~stuck[:, None], chosen, start)
+        )
+        touched = np.zeros(plane.n, dtype=bool)
+        near = beside[gap < margin_mm]
+        touched[near[:, 0]] = True
+        blocker[near[::-1, 0]] = near[::-1, 1]
+        blocked &= touched | ~has
+    blocked &= reason == Reason.OK
+    reason[blocked] = Reason.TARGET_ON_OBSTACLE
+    blocker[~blocked] = -1
+
+
+def _refuse_close(plane, asked, reason, blocker):
+    left = np.flatnonzero(reason == Reason.OK)
+    pairs = left[cKDTree(asked[left]).query_pairs(plane.spacing_mm, output_type="ndarray")]
+    low, high = np.sort(pairs, axis=1).T
+    apart = np.hypot(*(asked[low] - asked[high]).T)
+    low, high = (side[apart < plane.spacing_mm - _ROUNDING_MM] for side in (low, high))
+    order = np.lexsort([low, high])  # when a robot's turn comes, all before it are decided
+    for first, second in zip(low[order], high[order]):
+        if reason[first] == Reason.OK and reason[second] == Reason.OK:
+            reason[second], blocker[second] = Reason.TARGET_TOO_CLOSE, first

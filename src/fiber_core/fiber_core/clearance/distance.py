@@ -1,0 +1,148 @@
+"""Gaps between the outlines of pairs of robots, at one instant or at many."""
+
+import math
+
+import numba as nb
+import numpy as np
+
+from fiber_core.clearance.collision_bodies import (
+    ARM1,
+    COUNT,
+    DISC,
+    PHI,
+    RADIUS,
+    THETA,
+    VERTICES,
+    X,
+    Y,
+    bodies_of,
+)
+from fiber_core.clearance.gjk import gjk_distance
+from fiber_core.focal_plane import FocalPlane
+
+__all__ = ["gaps", "pair_gap", "pair_gap_below", "posed_gap", "sampled_gaps"]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def pair_gap(bodies, a, b, theta_a, phi_a, theta_b, phi_b):
+    """Return the gap between the outlines of two bodies [mm]; negative when they overlap.
+
+    The gap is the signed separation of the nearest of the four pairs of links. It
+    changes by no more than the sum of the displacements of the two bodies' points.
+
+    Args:
+        bodies: outlines, from bodies_of.
+        a, b: rows of the two bodies; an obstacle ignores its angles.
+        theta_a, phi_a, theta_b, phi_b: joint angles [rad].
+    """
+    return pair_gap_below(bodies, a, b, theta_a, phi_a, theta_b, phi_b, np.inf)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def pair_gap_below(bodies, a, b, theta_a, phi_a, theta_b, phi_b, cutoff):
+    """Return pair_gap where it is below a cutoff, else any lower bound of it above the cutoff.
+
+    Args:
+        bodies: outlines, from bodies_of.
+        a, b: rows of the two bodies; an obstacle ignores its angles.
+        theta_a, phi_a, theta_b, phi_b: joint angles [rad].
+        cutoff: gap above which the exact value is of no interest [mm].
+    """
+    return table_gap(bodies.table, a, b, theta_a, phi_a, theta_b, phi_b, cutoff)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def table_gap(table, a, b, theta_a, phi_a, theta_b, phi_b, cutoff):
+    """Return pair_gap_below, from the table of the bodies."""
+    psi_a, psi_b = theta_a + phi_a, theta_b + phi_b
+    return posed_gap(
+        table, a, b,
+        math.cos(theta_a), math.sin(theta_a), math.cos(psi_a), math.sin(psi_a),
+        math.cos(theta_b), math.sin(theta_b), math.cos(psi_b), math.sin(psi_b),
+        cutoff,
+    )  # fmt: skip
+
+
+@nb.njit(cache=True, error_model="numpy")
+def posed_gap(table, a, b, ca, sa, cpa, spa, cb, sb, cpb, spb, cutoff):
+    """Return pair_gap_below, from the table of the bodies, with their angles already turned
+    into cosines and sines of theta (c, s) and of theta + phi (cp, sp).
+    """
+    x, y = table[b, X] - table[a, X], table[b, Y] - table[a, Y]
+    elbow_a_x, elbow_a_y = table[a, ARM1] * ca, table[a, ARM1] * sa
+    elbow_b_x, elbow_b_y = x + table[b, ARM1] * cb, y + table[b, ARM1] * sb
+    theta_a, theta_b = int(table[a, THETA]), int(table[b, THETA])
+    dx, dy = elbow_b_x - elbow_a_x, elbow_b_y - elbow_a_y
+    gap = _link_gap(table, a, PHI, b, PHI, dx, dy, cpa, spa, cpb, spb, cutoff)
+    has_a, has_b = table[a, theta_a + COUNT] > 0.0, table[b, theta_b + COUNT] > 0.0
+    if has_a:
+        dx, dy, bound = elbow_b_x, elbow_b_y, min(gap, cutoff)
+        gap = min(gap, _link_gap(table, a, theta_a, b, PHI, dx, dy, ca, sa, cpb, spb, bound))
+    if has_b:
+        dx, dy, bound = x - elbow_a_x, y - elbow_a_y, min(gap, cutoff)
+        gap = min(gap, _link_gap(table, a, PHI, b, theta_b, dx, dy, cpa, spa, cb, sb, bound))
+    if has_a and has_b:
+        bound = min(gap, cutoff)
+        gap = min(gap, _link_gap(table, a, theta_a, b, theta_b, x, y, ca, sa, cb, sb, bound))
+    return gap
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _link_gap(table, a, p, b, q, dx, dy, ca, sa, cb, sb, cutoff):
+    # Gap between two links, whose records begin at columns p and q. (dx, dy) leads from
+    # the origin of the first to that of the second in the plane; (c, s) turns a link.
+    x, y = ca * dx + sa * dy, ca * dy - sa * dx
+    c, s = ca * cb + sa * sb, ca * sb - sa * cb
+    radii = table[a, p + RADIUS] + table[b, q + RADIUS]
+    p_count, q_count = int(table[a, p + COUNT]), int(table[b, q + COUNT])
+    if p_count > 2 or q_count > 2:
+        disc_x, disc_y = table[b, q + DISC], table[b, q + DISC + 1]
+        between_x = x + c * disc_x - s * disc_y - table[a, p + DISC]
+        between_y = y + s * disc_x + c * disc_y - table[a, p + DISC + 1]
+        between = math.sqrt(between_x * between_x + between_y * between_y)
+        bound = between - table[a, p + DISC + 2] - table[b, q + DISC + 2] - radii
+        if bound > cutoff:
+            return bound
+    p, q = p + VERTICES, q + VERTICES
+    return gjk_distance(table, a, p, p_count, b, q, q_count, x, y, c, s, cutoff + radii) - radii
+
+
+def gaps(plane: FocalPlane, pairs, angles) -> np.ndarray:
+    """Return the gap of each pair at one instant [mm], shape (p,).
+
+    Args:
+        plane: the focal plane.
+        pairs: rows a, b as from neighbour_pairs, shape (p, 2).
+        angles: joint angles [rad], shape (n, 2).
+    """
+    return sampled_gaps(plane, pairs, np.asarray(angles, dtype=float)[:, :, None])[:, 0]
+
+
+def sampled_gaps(plane: FocalPlane, pairs, angles) -> np.ndarray:
+    """Return the gap of each pair at many instants [mm], shape (p, t).
+
+    Args:
+        plane: the focal plane.
+        pairs: rows a, b as from neighbour_pairs, shape (p, 2).
+        angles: joint angles at each instant [rad], shape (n, 2, t).
+    """
+    angles = np.asarray(angles, dtype=float)
+    theta, both = angles[:, 0], angles[:, 0] + angles[:, 1]
+    poses = np.stack([np.cos(theta), np.sin(theta), np.cos(both), np.sin(both)], axis=-1)
+    still = np.zeros((len(plane.obstacles), *poses.shape[1:]))
+    still[..., ::2] = 1.0
+    pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
+    return _posed_gaps(bodies_of(plane).table, pairs, np.concatenate([poses, still]))
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _posed_gaps(table, pairs, poses):
+    out = np.empty((len(pairs), poses.shape[1]))
+    for i in range(len(pairs)):
+        a, b = pairs[i]
+        for k in range(poses.shape[1]):
+            p, q = poses[a, k], poses[b, k]
+            out[i, k] = posed_gap(
+                table, a, b, p[0], p[1], p[2], p[3], q[0], q[1], q[2], q[3], np.inf
+            )
+    return out

@@ -1,0 +1,164 @@
+"""Smallest gap of a pair over a whole motion, bracketed from below and from above."""
+
+import heapq
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+
+from fiber_core.clearance.distance import table_gap
+
+__all__ = ["FINEST_MM", "Minima", "minimum_gaps"]
+
+FINEST_MM = 1e-6  # no gap is resolved further than this
+_ROUNDING_MM = 1e-9  # far above the rounding of a gap, far below anything that matters
+
+
+class Minima(NamedTuple):
+    """What is known about the smallest gap of each pair: lower <= smallest gap <= best.
+
+    Args:
+        lower: proven lower bound [mm], shape (p,).
+        best: smallest gap met [mm], shape (p,).
+        time_s: when it was met [s], shape (p,).
+    """
+
+    lower: np.ndarray
+    best: np.ndarray
+    time_s: np.ndarray
+
+    @classmethod
+    def unknown(cls, p: int) -> "Minima":
+        """Return that nothing is known about p pairs."""
+        return cls(np.full(p, -np.inf), np.full(p, np.inf), np.zeros(p))
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _speed(arm1, phi_reach, theta_reach, w_theta, w_phi):
+    # No vertex of a body moves faster [mm/s]. The phi link is bounded in two ways: elbow
+    # plus turning about it, or theta about the centre plus phi about the elbow.
+    phi_link = min(
+        abs(w_theta) * arm1 + abs(w_theta + w_phi) * phi_reach,
+        abs(w_theta) * (arm1 + phi_reach) + abs(w_phi) * phi_reach,
+    )
+    return max(phi_link, abs(w_theta) * theta_reach)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _lowest(g0, g1, way):
+    # Piyavskii (1972), Shubert (1972): no gap between two instants is below this when
+    # the gap can change by at most `way` in between. g0 and g1 may be lower bounds.
+    return max(0.5 * (g0 + g1 - way), max(g0, g1) - way)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _cut(start, first, stop, begins, ends, angle, velocity, a, b, t, q, w):
+    # Cut the motion of bodies a and b into pieces on which all four joint speeds are
+    # constant: begin t[k], angles q[k] there, speeds w[k]. Returns their number; one row
+    # more holds the end. An obstacle has no joints: its row is beyond those of the robots.
+    robots = len(start)
+    cursor, last = np.zeros(4, dtype=np.int64), np.zeros(4, dtype=np.int64)
+    q[0] = 0.0
+    for j in range(4):
+        body, joint = (a, j) if j < 2 else (b, j - 2)
+        if body < robots:
+            q[0, j] = start[body, joint]
+            cursor[j], last[j] = first[body, joint], stop[body, joint]
+    t[0] = 0.0
+    k = 0
+    while (cursor < last).any():
+        t[k + 1] = np.inf
+        for j in range(4):
+            w[k, j] = 0.0
+            if cursor[j] < last[j]:
+                w[k, j] = velocity[cursor[j]]
+                t[k + 1] = min(t[k + 1], ends[cursor[j]])
+        for j in range(4):
+            q[k + 1, j] = q[k, j]
+            if cursor[j] < last[j]:
+                m = cursor[j]
+                q[k + 1, j] = angle[m] + w[k, j] * (t[k + 1] - begins[m])
+                if ends[m] <= t[k + 1]:
+                    cursor[j] += 1
+        k += 1
+    return k
+
+
+@nb.njit(cache=True, error_model="numpy")
+def minimum_gaps(bodies, profiles, pairs, rows, level, tolerance, resolve, minima):
+    """Bracket the smallest gap of some pairs until it is proven or resolved.
+
+    A pair's interval with the lowest bound is halved until that bound reaches the
+    level (proven), or is within the tolerance of the smallest gap met (resolved).
+
+    Args:
+        bodies: outlines, from bodies_of.
+        profiles: the motion, from profiles_of.
+        pairs: rows a, b of bodies, shape (p, 2).
+        rows: pairs to work on, shape (r,).
+        level: gap of each pair that is enough to know [mm], shape (p,).
+        tolerance: how closely a gap below its level is resolved, 1e-6 at the finest [mm].
+        resolve: whether to go on with a pair after a gap below its level was met.
+        minima: filled in at the rows.
+    """
+    # Fields are read once: each reading of a tuple's array costs two atomic operations.
+    table, arm1 = bodies.table, bodies.arm1
+    phi_reach, theta_reach = bodies.phi_reach, bodies.theta_reach
+    start, first, stop = profiles.start, profiles.first, profiles.stop
+    begins, ends = profiles.begins_s, profiles.ends_s
+    angle, velocity = profiles.angle, profiles.velocity
+    tolerance = max(tolerance, FINEST_MM)
+    longest = 0
+    for i in range(len(start)):
+        for joint in range(2):
+            longest = max(longest, stop[i, joint] - first[i, joint])
+    piece_t = np.empty(4 * longest + 1)
+    piece_q, piece_w = np.empty((4 * longest + 1, 4)), np.empty((4 * longest + 1, 4))
+    for row in rows:
+        a, b = pairs[row]
+        pieces = _cut(
+            start, first, stop, begins, ends, angle, velocity, a, b, piece_t, piece_q, piece_w
+        )
+        q = piece_q[0]
+        gap = table_gap(table, a, b, q[0], q[1], q[2], q[3], np.inf)
+        best, when, lower = gap, 0.0, gap
+        enough = level[row] + _ROUNDING_MM
+        queue = [(np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0)]
+        for k in range(pieces):
+            w = piece_w[k]
+            speed = _speed(arm1[a], phi_reach[a], theta_reach[a], w[0], w[1])
+            speed += _speed(arm1[b], phi_reach[b], theta_reach[b], w[2], w[3])
+            if speed == 0.0:
+                continue
+            t0, t1, q, before = piece_t[k], piece_t[k + 1], piece_q[k + 1], gap
+            way = speed * (t1 - t0)
+            gap = table_gap(table, a, b, q[0], q[1], q[2], q[3], enough + way)
+            if gap < min(best, enough + way):
+                best, when = gap, t1
+            bound = _lowest(before, gap, way)
+            if bound >= enough:
+                lower = min(lower, bound)
+            else:
+                heapq.heappush(queue, (bound, t0, before, t1, gap, speed, k))
+        while queue[0][0] < min(enough, best - tolerance) and (resolve or best >= enough):
+            _, t0, g0, t1, g1, speed, k = heapq.heappop(queue)
+            t = 0.5 * (t0 + t1)
+            way = speed * (t - t0)
+            q, w, passed = piece_q[k], piece_w[k], t - piece_t[k]
+            gap = table_gap(
+                table, a, b,
+                q[0] + w[0] * passed, q[1] + w[1] * passed,
+                q[2] + w[2] * passed, q[3] + w[3] * passed,
+                enough + way,
+            )  # fmt: skip
+            if gap < min(best, enough + way):
+                best, when = gap, t
+            for u0, h0, u1, h1 in ((t0, g0, t, gap), (t, gap, t1, g1)):
+                bound = _lowest(h0, h1, way)
+                if bound >= enough:
+                    lower = min(lower, bound)
+                else:
+                    heapq.heappush(queue, (bound, u0, h0, u1, h1, speed, k))
+        minima.lower[row] = min(min(lower, best), queue[0][0]) - _ROUNDING_MM
+        minima.best[row] = best
+        minima.time_s[row] = when

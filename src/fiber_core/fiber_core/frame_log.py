@@ -1,0 +1,56 @@
+"""Frames as they went over the buses: the table that is published, recorded and replayed."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["FrameLog"]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameLog:
+    """Frames as they went over the buses: frame i is data[offsets[i] : offsets[i + 1]].
+
+    Args:
+        time_s: when its START was on the bus [s], shape (f,).
+        bus: bus number, shape (f,).
+        address: I2C address, shape (f,).
+        ten_bit: whether the address is in ten-bit form, shape (f,).
+        read: whether the bytes came from the robot, shape (f,).
+        ack: how it ended, 0 acknowledged, shape (f,).
+        offsets: first byte of each frame, shape (f + 1,), rising from 0.
+        data: all bytes after the address, shape (offsets[-1],), uint8.
+    """
+
+    time_s: np.ndarray
+    bus: np.ndarray
+    address: np.ndarray
+    ten_bit: np.ndarray
+    read: np.ndarray
+    ack: np.ndarray
+    offsets: np.ndarray
+    data: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.bus)
+
+    @classmethod
+    def joined(cls, logs: Iterable["FrameLog"]) -> "FrameLog":
+        """Return the frames of several logs as one, in their order."""
+        logs = list(logs)
+
+        def column(name, dtype):
+            return np.concatenate([np.zeros(0, dtype), *(getattr(log, name) for log in logs)])
+
+        lengths = np.concatenate([np.zeros(0, np.int64), *(np.diff(x.offsets) for x in logs)])
+        return cls(
+            time_s=column("time_s", float),
+            bus=column("bus", np.int64),
+            address=column("address", np.int64),
+            ten_bit=column("ten_bit", bool),
+            read=column("read", bool),
+            ack=column("ack", np.int64),
+            offsets=np.concatenate([[0], np.cumsum(lengths)]),
+            data=column("data", np.uint8),
+        )

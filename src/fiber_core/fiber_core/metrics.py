@@ -1,0 +1,86 @@
+"""What a reconfiguration came to, in figures, with the lower bounds beside them."""
+
+import numpy as np
+
+from fiber_core import kinematics
+from fiber_core.clearance import Certificate
+from fiber_core.motion import SegmentMotion
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.problem import Problem
+
+__all__ = ["ORDER_BYTES_BOUND", "lower_bound_s", "plan_metrics"]
+
+# Information in the orders of a robot with one segment per motor: about 35 bits.
+ORDER_BYTES_BOUND = 35 / 8
+
+
+def lower_bound_s(problem: Problem) -> float:
+    """Time the slowest robot would need if it were alone [s].
+
+    Each robot takes the elbow and turn that is fastest for it, both joints at full
+    speed, collisions ignored; disabled robots and those without a reachable target
+    do not count.
+    """
+    movable = np.where(problem.plane.enabled[:, None], problem.targets, np.nan)
+    angles, valid = kinematics.inverse(problem.plane, movable)
+    travel = np.abs(angles - problem.start[:, None]) / problem.plane.speeds[:, None]
+    alone = np.where(valid, travel.max(axis=2), np.inf).min(axis=1, initial=np.inf)
+    return float(alone[np.isfinite(alone)].max(initial=0.0))
+
+
+def plan_metrics(
+    problem: Problem,
+    motion: SegmentMotion,
+    certificate: Certificate,
+    outcome: np.ndarray,
+    reason: np.ndarray,
+) -> dict:
+    """Sum up a plan: counts, makespan, clearance, segments and end errors.
+
+    Args:
+        problem: what was asked.
+        motion: the motion decoded from the bytes.
+        certificate: its certificate.
+        outcome: Outcome of each robot, shape (n,).
+        reason: Reason of each robot, shape (n,).
+
+    Returns:
+        Plain numbers and strings, ready for JSON. Segments are counted per motor that
+        moves. The end error is the distance from the tip at the end of the motion to
+        the target, over the robots that reached theirs.
+    """
+    plane = problem.plane
+    asked = problem.asked
+    reached = asked & (outcome == Outcome.REACHED)
+    error_um = 1e3 * np.linalg.norm(
+        kinematics.forward(plane, motion.end)[1][reached] - problem.targets[reached], axis=1
+    )
+    segments = motion.counts[motion.counts > 0]
+    bound = lower_bound_s(problem)
+    codes, counts = np.unique(reason[asked], return_counts=True)
+    return {
+        "plane": plane.name,
+        "robots": plane.n,
+        "enabled": int(plane.enabled.sum()),
+        "asked": int(asked.sum()),
+        "reached": int(reached.sum()),
+        "held": int((asked & (outcome == Outcome.HELD)).sum()),
+        "failed": int((asked & (outcome == Outcome.FAILED)).sum()),
+        "reasons": {Reason(c).name.lower(): int(k) for c, k in zip(codes, counts)},
+        "makespan_s": motion.makespan_s,
+        "lower_bound_s": bound,
+        "makespan_ratio": motion.makespan_s / bound if bound else None,
+        "certified": bool(certificate.ok),
+        "min_clearance_mm": certificate.min_gap_mm if certificate.min_pair else None,
+        "min_clearance_ids": _names(plane, certificate.min_pair),
+        "min_clearance_time_s": certificate.min_time_s if certificate.min_pair else None,
+        "segments_mean": float(segments.mean()) if len(segments) else 0.0,
+        "segments_max": int(segments.max(initial=0)),
+        "segments_bound": 1.0,
+        "end_error_um_rms": float(np.sqrt(np.mean(error_um**2))) if len(error_um) else 0.0,
+        "end_error_um_max": float(error_um.max(initial=0.0)),
+    }
+
+
+def _names(plane, pair) -> list:
+    return [int(plane.ids[row]) if row < plane.n else f"obstacle {row - plane.n}" for row in pair]

@@ -1,0 +1,1 @@
+"""Line fitting: a sampled profile as the fewest straight pieces inside its corridor."""

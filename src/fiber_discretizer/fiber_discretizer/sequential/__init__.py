@@ -1,0 +1,1 @@
+"""Sequential discretization: one robot at a time, beside the segments the others have by then."""

@@ -1,0 +1,192 @@
+"""Robots that take turns: what is safe stays safe, and hard cases."""
+
+import numpy as np
+import pytest
+
+from fiber_core import kinematics
+from fiber_core.clearance import (
+    Safety,
+    certify,
+    neighbour_pairs,
+    point_speeds,
+    profiles_of,
+    sampled_gaps,
+    unproven,
+)
+from fiber_core.motion import SampledMotion, SegmentMotion
+from fiber_core.outcomes import Reason
+from fiber_core.wire_units import WireUnits
+from fiber_discretizer import DiscretizeOptions, Segments, discretize
+from fiber_discretizer.sequential.segment_plan import Draft
+from fiber_discretizer.sequential.selection import Choice
+
+UNITS = WireUnits()
+SAFETY = Safety()
+TRIANGLE = 10.4 * np.array([[0.0, 0.0], [1.0, 0.0], [0.5, np.sqrt(0.75)]])
+
+
+def pushed_apart(plane, start, goal, seconds=3.0, step_s=0.01, least_mm=2.0, reach_mm=5.0):
+    """Joint angles pulled to their goals while tips push each other: curved, uneven paths.
+
+    In the spirit of the navigation function of the papers: goals in joint space, a barrier
+    between tips, both motors slowed down together at the speed limit.
+    """
+    angles, path = np.array(start, dtype=float), []
+    for _ in range(int(seconds / step_s) + 1):
+        path.append(angles.copy())
+        elbow, tip = kinematics.forward(plane, angles)
+        apart = tip[:, None] - tip[None]
+        far = np.linalg.norm(apart, axis=2) + 1e3 * np.eye(plane.n)
+        push = np.clip((reach_mm - far) / np.maximum(far - least_mm, 0.05), 0.0, 20.0)
+        force = (0.5 * push / far)[:, :, None] * apart
+        force = force.sum(axis=1)
+        arm = np.stack([tip - plane.centers, tip - elbow], axis=1)
+        torque = arm[..., 0] * force[:, None, 1] - arm[..., 1] * force[:, None, 0]
+        rate = 4.0 * (goal - angles) + 0.3 * torque
+        rate /= np.maximum(1.0, (np.abs(rate) / plane.speeds).max(axis=1))[:, None]
+        angles = np.clip(angles + step_s * rate, plane.limits[..., 0], plane.limits[..., 1])
+    time_s = step_s * np.arange(len(path))
+    return SampledMotion(time_s, np.stack(path, axis=-1))
+
+
+def three_robots(plane_at, seed):
+    """Three neighbours that all pass the place between them; valid starts and goals."""
+    rng = np.random.default_rng(seed)
+    plane = plane_at(TRIANGLE)
+    pairs = neighbour_pairs(plane)
+    inward = np.arctan2(*(TRIANGLE.mean(axis=0) - TRIANGLE).T[::-1])
+    while True:
+        turn = rng.uniform(0.5, 1.3, (2, 3)) * [[-1.0], [1.0]]
+        ends = np.stack([inward + turn, rng.uniform(0.0, 0.9, (2, 3))], axis=-1)
+        if sampled_gaps(plane, pairs, np.moveaxis(ends, 0, -1)).min() > 0.3:
+            return plane, ends[0], ends[1]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_three_robots_that_pass_between_each_other_take_three_segments_at_most(plane_at, seed):
+    plane, start, goal = three_robots(plane_at, seed)
+    trajectory = pushed_apart(plane, start, goal)
+    result = discretize(plane, trajectory, UNITS, SAFETY)
+    motion = result.wire.decoded()
+    assert certify(plane, motion, SAFETY).ok
+    assert motion.counts.max() <= 3
+    going = result.reason == Reason.OK
+    np.testing.assert_allclose(motion.end[going], trajectory.end[going], rtol=0, atol=2e-4)
+    meet = sampled_gaps(plane, neighbour_pairs(plane), trajectory.angles).min() < 0.1
+    if not meet:
+        assert going.all()
+
+
+def test_straight_lines_would_not_do_in_the_case_of_three(plane_at):
+    bent = 0
+    for seed in range(12):
+        plane, start, goal = three_robots(plane_at, seed)
+        lines = SegmentMotion(start, np.arange(7), np.full(6, 2.0), (goal - start).ravel() / 2.0)
+        bent += not certify(plane, lines, SAFETY).ok
+    assert bent >= 3
+
+
+def draft_of(plane, start):
+    return Draft(plane, UNITS, UNITS.to_counts(start), SAFETY, 3.0)
+
+
+def turning(plane, start, goal, seconds=2.0):
+    """Segments of one line a motor, in float units."""
+    ticks = np.full(2 * plane.n, seconds / UNITS.tick_s)
+    quanta = ((goal - start) / UNITS.quantum_rad).ravel()
+    return Segments(np.arange(2 * plane.n + 1), ticks, quanta / ticks)
+
+
+def test_a_draft_knows_its_unsafe_pairs_as_the_certificate_does(plane_at):
+    rng = np.random.default_rng(5)
+    for seed in range(8):
+        plane, start, goal = three_robots(plane_at, seed)
+        draft = draft_of(plane, start)
+        segments = turning(plane, start, goal)
+        order = rng.permutation(3)
+        for row in order:  # given one by one, in any order
+            draft.give(np.array([row]), segments.rows([2 * row, 2 * row + 1]))
+        required = SAFETY.required_at(
+            point_speeds(draft.levers_mm, draft.profiles.fastest), 3.0, draft.pairs
+        )
+        every = unproven(draft.bodies, profiles_of(draft.motion), draft.pairs, required)
+        np.testing.assert_array_equal(draft.unsafe, every)
+        again = draft.unproven(np.arange(len(draft.pairs)), np.arange(3), segments)
+        np.testing.assert_array_equal(again, every)
+        draft.rest(np.ones(3, dtype=bool))
+        assert not draft.unsafe.any() and not draft.counts().any()
+
+
+def test_a_choice_is_the_shortest_safe_motion_and_never_an_unsafe_one(plane_at):
+    plane = plane_at([[0.0, 0.0], [10.0, 0.0]])
+    start = np.array([[-1.2, 0.0], [np.pi, 0.0]])
+    draft = draft_of(plane, start)
+    rows, idle = np.array([0]), np.array([True])
+    through = turning(plane, start, start + [[2.4, 0.0], [0.0, 0.0]]).rows([0, 1])
+    short = turning(plane, start, start + [[-0.5, 0.0], [0.0, 0.0]]).rows([0, 1])
+    columns = ([0, 2, 3], [200.0, 100.0, 5.0], [-500.0, -400.0, 0.0])
+    twice = Segments(*map(np.array, columns))
+    choice = Choice(draft, rows, idle, 0.0, 15)
+    choice.consider(np.array([0]), through)
+    assert len(choice.without()) == 1  # robot 1 stands in the way
+    choice.consider(np.array([0]), twice)
+    assert len(choice.without()) == 0
+    choice.consider(np.array([0]), short, np.array([False]))
+    choice.consider(np.array([0]), short)
+    np.testing.assert_array_equal(choice.settle(), [0])
+    np.testing.assert_array_equal(draft.segments.velocity, short.velocity)
+    assert not draft.unsafe.any()
+    again = Choice(draft, rows, np.array([False]), 0.0, 15)
+    again.consider(np.array([0]), twice)
+    assert len(again.settle()) == 0  # no longer motion is taken for what is fine
+
+
+def test_too_many_segments_are_no_choice(plane_at):
+    plane = plane_at([[0.0, 0.0]])
+    draft = draft_of(plane, np.array([[0.0, 0.0]]))
+    choice = Choice(draft, np.array([0]), np.array([True]), 0.0, 2)
+    three = Segments(*map(np.array, ([0, 3, 3], [10.0, 10.0, 10.0], [5.0, 6.0, 7.0])))
+    choice.consider(np.array([0]), three)
+    assert len(choice.without()) == 1
+
+
+def scene_of(plane_at, seed, rings=2):
+    rows = np.arange(-rings, rings + 1)
+    sites = [(a + b / 2, np.sqrt(0.75) * b) for a in rows for b in rows if abs(a + b) <= rings]
+    plane = plane_at(10.4 * np.array(sites))
+    rng, pairs = np.random.default_rng(seed), neighbour_pairs(plane)
+
+    def clear():
+        angles, again = np.zeros((plane.n, 2)), np.arange(plane.n)
+        while len(again):
+            angles[again] = rng.uniform([-3.0, 0.5], [3.0, 3.1], (len(again), 2))
+            again = np.unique(pairs[sampled_gaps(plane, pairs, angles[..., None])[:, 0] < 0.3, 0])
+        return angles
+
+    return plane, clear(), clear()
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("most", [2, 15])
+def test_crowds_on_curved_paths_are_certified_whatever_an_order_carries(plane_at, seed, most):
+    plane, start, goal = scene_of(plane_at, seed)
+    trajectory = pushed_apart(plane, start, goal)
+    options = DiscretizeOptions(max_segments=most)
+    result = discretize(plane, trajectory, UNITS, SAFETY, options=options)
+    motion = result.wire.decoded()
+    assert result.certificate.ok and certify(plane, motion, SAFETY).ok
+    assert motion.counts.max() <= most
+    going = result.reason == Reason.OK
+    assert going.mean() > 0.8
+    assert not motion.counts[~going].any()
+    np.testing.assert_allclose(motion.end[going], trajectory.end[going], rtol=0, atol=2e-4)
+
+
+def test_whoever_has_nowhere_to_go_makes_way_only_where_it_must(plane_at):
+    # It swings out and back; alone it may as well stay.
+    plane = plane_at([[0.0, 0.0]])
+    part = np.linspace(0.0, 1.0, 51)
+    angles = np.stack([[np.sin(np.pi * part), 1.0 + 0.0 * part]])
+    angles[0, 0, -1] = 0.0
+    result = discretize(plane, SampledMotion(2.0 * part, angles), UNITS, SAFETY)
+    assert result.reason[0] == Reason.OK and not result.wire.decoded().counts.any()

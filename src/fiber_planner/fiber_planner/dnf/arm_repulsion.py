@@ -1,0 +1,309 @@
+"""Neighbours as whole arms: every link repels the links of the robots around it.
+
+Our extension, not in the papers: r of the law becomes d plus the gap between two
+outlines less a margin, and a robot's potential is the sum over all pairs of a link of
+its own and a link of another body. Where the gap of two goals, less the margin, is
+below D - d it takes the place of D - d for the two, so that goals are places of rest.
+The gradient of a gap needs only the two nearest points: with n the unit vector from
+the other's to the own one, d gap = n . (displacement of the own point).
+
+Why no gap ever falls to the margin. The outlines are convex hulls of vertices grown by
+radii; let g > 0 be the gap less the margin. The hull of robot i lies beyond the line
+through its nearest point c across n: n.(v - c) = slack >= 0 for each of its vertices v.
+In a step that turns the joints by (h, k), as in tips.py, vertex v comes nearer to the
+other hull by at most f p + f^2 A / 2, p = -n.J_v (h, k), A = l1 h^2 + |v - elbow| (h + k)^2
+(|v - centre| h^2 for a vertex of the theta link). Robot i shortens its turn until
+
+    f p + f^2 A / 2 <= SHARE g + slack
+
+for all its vertices and all neighbours, so its hull loses at most SHARE g across n at
+any instant of the step; the other loses as much at most, and 2 SHARE < 1. Where g <= 0
+at the outset the right side is slack alone: the gap may only grow.
+"""
+
+import math
+
+import numba as nb
+import numpy as np
+
+from fiber_core.clearance import bodies_of, gaps, neighbour_pairs
+from fiber_core.focal_plane import FocalPlane
+from fiber_planner.dnf.integrator import longest_step
+from fiber_planner.dnf.navigation_function import Law, repulsion
+from fiber_planner.dnf.tip_repulsion import ROUNDING_MM, SHARE
+
+__all__ = ["ArmNeighbours"]
+
+# A pair of bodies a, b has four contacts, one for each pair of links: contact c is
+# between link c & 1 of a and link c >> 1 of b, where 0 is the phi link, 1 the theta
+# link. Its row: gap less the margin (inf: out of range), unit vector from b to a,
+# nearest points on the hulls of a and of b.
+_CONTACTS = 4
+_ROW = 7
+
+
+class ArmNeighbours:
+    """What the links around each robot ask of it, and how long a step they leave it.
+
+    Robots that overlap somebody at the outset do not move: nearest points, and so the
+    law, are not defined for them. They are marked in `stuck`, shape (n,).
+
+    Args:
+        plane: the focal plane.
+        start: joint angles now [rad], shape (n, 2).
+        goal: configuration each robot aims at [rad], shape (n, 2).
+        law: the Law.
+        margin_mm: gap to keep [mm].
+    """
+
+    def __init__(self, plane: FocalPlane, start, goal, law: Law, margin_mm: float):
+        self._plane, self._law, self._margin = plane, law, margin_mm
+        self._bodies = bodies_of(plane)
+        # farther apart than this, neither the law nor a step takes notice
+        levers = np.stack([plane.reach_mm, self._bodies.phi_reach[: plane.n]], axis=1)
+        stride = 1.1 * law.dt * (plane.speeds * levers).sum(axis=1).max(initial=0.0)
+        self._range = max(law.outer - law.inner, stride / SHARE)
+        pairs = neighbour_pairs(plane, self._range + margin_mm)
+        self._pairs = _by_place(self._bodies.center, pairs, plane.n)
+        touching = self._pairs[gaps(plane, self._pairs, start) <= 0.0]
+        self.stuck = np.isin(np.arange(plane.n), touching)
+        self._offsets, self._edges = _edges(self._bodies.center, self._pairs, plane.n)
+        at_goal = gaps(plane, self._pairs, goal) - margin_mm
+        self._outer = law.inner + np.clip(at_goal, 0.0, law.outer - law.inner)
+
+    def push(self, angles, elbows, tips, ranks):
+        """Return the repulsion each robot feels.
+
+        Args:
+            angles: joint angles [rad], shape (n, 2).
+            elbows: the elbows there [mm], shape (n, 2).
+            tips: the tips there [mm], shape (n, 2); not used.
+            ranks: shape (n,); a robot does not feel those of lower rank.
+
+        Returns:
+            Potential [1/s], shape (n,), minus its gradient by the robot's own joints
+            [rad/s], shape (n, 2), and the contacts, for shorten.
+        """
+        plane, bodies = self._plane, self._bodies
+        phi, theta, phi_discs, theta_discs = _placed(angles, elbows, bodies)
+        contacts = _contacts(
+            self._pairs, phi, theta, phi_discs, theta_discs,
+            bodies.phi_count, bodies.theta_count, bodies.phi_radius, bodies.theta_radius,
+            self._margin, self._range,
+        )  # fmt: skip
+        potential, push = _push(
+            contacts, self._pairs, self._offsets, self._edges, self._outer,
+            elbows, plane.centers, ranks, self._law,
+        )  # fmt: skip
+        return potential, push, (contacts, phi, theta, elbows)
+
+    def shorten(self, turn, contacts) -> tuple[np.ndarray, np.ndarray]:
+        """Return which part of its turn each robot may make, and who leaves it no more.
+
+        The row of the neighbour, n and more for an obstacle, is -1 where the whole turn
+        may be made. Both have shape (n,).
+
+        Args:
+            turn: turns wanted [rad], shape (n, 2).
+            contacts: as push returned them.
+        """
+        bodies = self._bodies
+        return _factors(
+            *contacts, turn, self._pairs, self._offsets, self._edges,
+            bodies.center, bodies.arm1, bodies.phi_count, bodies.theta_count,
+        )  # fmt: skip
+
+
+def _by_place(centers, pairs, n):
+    # Pairs with the leftmost robot first, obstacles last: what is computed of a pair
+    # does not depend on how robots are numbered.
+    a, b = pairs.T.astype(np.int64)
+    swap = (b < n) & (
+        (centers[a, 0] > centers[b, 0])
+        | ((centers[a, 0] == centers[b, 0]) & (centers[a, 1] > centers[b, 1]))
+    )
+    return np.stack([np.where(swap, b, a), np.where(swap, a, b)], axis=1)
+
+
+def _edges(centers, pairs, n):
+    # Pairs of robot i: edges[offsets[i] : offsets[i + 1]], 2 (number of the pair) + (0 if
+    # i comes first in it, else 1), in the order of the neighbours' places.
+    own, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+    edges = np.concatenate([2 * np.arange(len(pairs)), 2 * np.arange(len(pairs)) + 1])
+    order = np.lexsort((centers[other, 1], centers[other, 0], own))
+    order = order[own[order] < n]
+    return np.searchsorted(own[order], np.arange(n + 1)), edges[order]
+
+
+@nb.njit(cache=True)
+def _placed(angles, elbows, bodies):
+    # vertices of both links of every body in the plane, and circles around them
+    n, total = len(angles), len(bodies.center)
+    phi = np.empty((total, bodies.phi_vertices.shape[1], 2))
+    theta = np.empty((total, bodies.theta_vertices.shape[1], 2))
+    phi_discs, theta_discs = np.empty((total, 3)), np.empty((total, 3))
+    for i in range(total):
+        origin, turn_theta, turn_phi = bodies.center[i], 0.0, 0.0
+        if i < n:
+            turn_theta, turn_phi = angles[i, 0], angles[i, 0] + angles[i, 1]
+        c, s = math.cos(turn_theta), math.sin(turn_theta)
+        _turned(bodies.theta_vertices[i], origin, c, s, theta[i])
+        _turned(bodies.theta_disc[i : i + 1], origin, c, s, theta_discs[i : i + 1])
+        if i < n:
+            origin = elbows[i]
+        c, s = math.cos(turn_phi), math.sin(turn_phi)
+        _turned(bodies.phi_vertices[i], origin, c, s, phi[i])
+        _turned(bodies.phi_disc[i : i + 1], origin, c, s, phi_discs[i : i + 1])
+        theta_discs[i, 2], phi_discs[i, 2] = bodies.theta_disc[i, 2], bodies.phi_disc[i, 2]
+    return phi, theta, phi_discs, theta_discs
+
+
+@nb.njit(cache=True)
+def _turned(points, origin, c, s, out):
+    for v in range(len(points)):
+        x, y = points[v, 0], points[v, 1]
+        out[v, 0] = origin[0] + c * x - s * y
+        out[v, 1] = origin[1] + s * x + c * y
+
+
+@nb.njit(cache=True)
+def _contacts(
+    pairs, phi, theta, phi_discs, theta_discs,
+    phi_count, theta_count, phi_radius, theta_radius, margin, beyond,
+):  # fmt: skip
+    contacts = np.full((len(pairs), _CONTACTS, _ROW), np.inf)
+    for e in range(len(pairs)):
+        a, b = pairs[e]
+        for c in range(_CONTACTS):
+            p_theta, q_theta = c & 1 == 1, c >> 1 == 1
+            p_count = theta_count[a] if p_theta else phi_count[a]
+            q_count = theta_count[b] if q_theta else phi_count[b]
+            if p_count == 0 or q_count == 0:
+                continue
+            radii = theta_radius[a] if p_theta else phi_radius[a]
+            radii += margin + (theta_radius[b] if q_theta else phi_radius[b])
+            p_disc = theta_discs[a] if p_theta else phi_discs[a]
+            q_disc = theta_discs[b] if q_theta else phi_discs[b]
+            x, y = p_disc[0] - q_disc[0], p_disc[1] - q_disc[1]
+            far = p_disc[2] + q_disc[2] + radii + beyond
+            square = x * x + y * y
+            if square >= far * far:
+                continue
+            p = theta[a] if p_theta else phi[a]
+            q = theta[b] if q_theta else phi[b]
+            if _apart_along(p, p_count, q, q_count, x, y) > (radii + beyond) * math.sqrt(square):
+                continue
+            ax, ay, bx, by = _nearest(p, p_count, q, q_count)
+            nx, ny = ax - bx, ay - by
+            apart = math.sqrt(nx * nx + ny * ny)
+            if apart - radii < beyond and apart > 0.0:
+                contacts[e, c] = apart - radii, nx / apart, ny / apart, ax, ay, bx, by
+    return contacts
+
+
+@nb.njit(cache=True)
+def _apart_along(p, p_count, q, q_count, x, y):
+    # how far hull p lies beyond hull q along (x, y), times the length of that vector
+    low, high = np.inf, -np.inf
+    for v in range(p_count):
+        low = min(low, x * p[v, 0] + y * p[v, 1])
+    for w in range(q_count):
+        high = max(high, x * q[w, 0] + y * q[w, 1])
+    return low - high
+
+
+@nb.njit(cache=True)
+def _nearest(p, p_count, q, q_count):
+    # nearest points of two hulls that do not meet: a vertex of one is involved
+    best = np.inf
+    ax = ay = bx = by = 0.0
+    for v in range(p_count):
+        for w in range(1 if q_count < 3 else q_count):
+            x, y = _on_edge(p[v], q[w], q[w + 1 if w + 1 < q_count else 0])
+            square = (p[v, 0] - x) ** 2 + (p[v, 1] - y) ** 2
+            if square < best:
+                best, ax, ay, bx, by = square, p[v, 0], p[v, 1], x, y
+    for w in range(q_count):
+        for v in range(1 if p_count < 3 else p_count):
+            x, y = _on_edge(q[w], p[v], p[v + 1 if v + 1 < p_count else 0])
+            square = (q[w, 0] - x) ** 2 + (q[w, 1] - y) ** 2
+            if square < best:
+                best, ax, ay, bx, by = square, x, y, q[w, 0], q[w, 1]
+    return ax, ay, bx, by
+
+
+@nb.njit(cache=True)
+def _on_edge(point, start, end):
+    # the point of an edge nearest to a point
+    ux, uy = end[0] - start[0], end[1] - start[1]
+    square = ux * ux + uy * uy
+    along = (point[0] - start[0]) * ux + (point[1] - start[1]) * uy
+    share = min(max(along / square, 0.0), 1.0) if square > 0.0 else 0.0
+    return start[0] + share * ux, start[1] + share * uy
+
+
+@nb.njit(cache=True)
+def _push(contacts, pairs, offsets, edges, outer, elbows, centers, ranks, law):
+    n = len(elbows)
+    potential, push = np.zeros(n), np.zeros((n, 2))
+    for i in range(n):
+        for e in range(offsets[i], offsets[i + 1]):
+            pair, second = edges[e] >> 1, edges[e] & 1
+            j = pairs[pair, 1 - second]
+            if j < n and ranks[j] < ranks[i]:
+                continue
+            for c in range(_CONTACTS):
+                gap = contacts[pair, c, 0]
+                r = law.inner + gap
+                if r >= outer[pair]:
+                    continue
+                value, slope = repulsion(r * r, law.lambda2, outer[pair], law.inner)
+                potential[i] += value
+                force = -2.0 * r * slope * (1.0 - 2.0 * second)
+                fx, fy = force * contacts[pair, c, 1], force * contacts[pair, c, 2]
+                x, y = contacts[pair, c, 3 + 2 * second], contacts[pair, c, 4 + 2 * second]
+                push[i, 0] += (x - centers[i, 0]) * fy - (y - centers[i, 1]) * fx
+                if (c >> second) & 1 == 0:  # the theta link does not feel phi
+                    push[i, 1] += (x - elbows[i, 0]) * fy - (y - elbows[i, 1]) * fx
+    return potential, push
+
+
+@nb.njit(cache=True)
+def _factors(
+    contacts, phi, theta, elbows, turn, pairs, offsets, edges,
+    centers, arm1, phi_count, theta_count,
+):  # fmt: skip
+    factors, nearest = np.ones(len(turn)), np.full(len(turn), -1)
+    for i in range(len(turn)):
+        h, k = turn[i]
+        if h == 0.0 and k == 0.0:
+            continue
+        cx, cy = centers[i, 0], centers[i, 1]
+        for e in range(offsets[i], offsets[i + 1]):
+            pair, second = edges[e] >> 1, edges[e] & 1
+            for c in range(_CONTACTS):
+                gap = contacts[pair, c, 0]
+                if gap == np.inf:
+                    continue
+                side = 1.0 - 2.0 * second
+                nx, ny = side * contacts[pair, c, 1], side * contacts[pair, c, 2]
+                x, y = contacts[pair, c, 3 + 2 * second], contacts[pair, c, 4 + 2 * second]
+                of_theta = (c >> second) & 1 == 1
+                hull = theta[i] if of_theta else phi[i]
+                # origin of the link, turn of the link, second derivative of the origin
+                ox, oy = (cx, cy) if of_theta else (elbows[i, 0], elbows[i, 1])
+                spin = h if of_theta else h + k
+                bend = 0.0 if of_theta else arm1[i] * h * h
+                share = SHARE * max(gap - ROUNDING_MM, 0.0)
+                for v in range(theta_count[i] if of_theta else phi_count[i]):
+                    vx, vy = hull[v, 0], hull[v, 1]
+                    lx, ly = vx - ox, vy - oy
+                    # displacement: origin of the link about the centre, vertex about it
+                    mx = -(oy - cy) * h - ly * spin
+                    my = (ox - cx) * h + lx * spin
+                    curve = bend + math.sqrt(lx * lx + ly * ly) * spin * spin
+                    slack = max(nx * (vx - x) + ny * (vy - y), 0.0)
+                    part = longest_step(-(nx * mx + ny * my), curve, share + slack)
+                    if part < factors[i]:
+                        factors[i], nearest[i] = part, pairs[pair, 1 - second]
+    return factors, nearest

@@ -1,0 +1,32 @@
+"""Recordings of a focal plane's reconfigurations: the file, and how it is made from the bytes."""
+
+from fiber_recording.closest import closest_approaches
+from fiber_recording.errors import RecordingError
+from fiber_recording.phases import Phase, counts_at, executed
+from fiber_recording.recording import (
+    SOFTWARE,
+    Approaches,
+    BusLoad,
+    EventKind,
+    Events,
+    Measured,
+    Recording,
+)
+from fiber_recording.recording_file import load_recording, save_recording
+
+__all__ = [
+    "SOFTWARE",
+    "Approaches",
+    "BusLoad",
+    "EventKind",
+    "Events",
+    "Measured",
+    "Phase",
+    "Recording",
+    "RecordingError",
+    "closest_approaches",
+    "counts_at",
+    "executed",
+    "load_recording",
+    "save_recording",
+]

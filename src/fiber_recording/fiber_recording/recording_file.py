@@ -1,0 +1,200 @@
+"""A recording as one .npz file: standard arrays that numpy, a browser or anything else reads.
+
+The arrays of a problem.npz are in it under the same names, so it opens as one of those
+too. What is long and smooth is kept as small whole numbers, which deflate well: planned
+curves as steps of a microradian, encoder readings as their distance from the orders.
+docs/recording.md names every array.
+"""
+
+import json
+import zipfile
+from dataclasses import asdict
+
+import numpy as np
+
+from fiber_core.corridor import JointCorridors
+from fiber_core.errors import FiberError
+from fiber_core.motion import SampledMotion
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.problem import problem_columns, problem_of
+from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_recording.errors import RecordingError
+from fiber_recording.phases import Phase, counts_at
+from fiber_recording.recording import (
+    Approaches,
+    BusLoad,
+    EventKind,
+    Events,
+    Measured,
+    Recording,
+)
+
+__all__ = ["FORMAT", "VERSION", "load_recording", "save_recording"]
+
+FORMAT = "fiber recording"
+VERSION = 2
+_PLANNED_RAD = 1e-6  # planned angles are rounded to this
+_MARGIN_RAD = 1e-3  # walls are rounded inwards to this
+_NAMES = {"outcome": Outcome, "reason": Reason, "event": EventKind}
+_EVENTS = {"time_s": "<f8", "kind": "u1", "bus": "<i4", "row": "<i4", "detail": "<i4"}
+
+
+def save_recording(path, recording: Recording) -> None:
+    """Write a recording; the file is complete or not there.
+
+    Args:
+        path: where, as pathlib.Path; should end in .npz.
+        recording: what.
+    """
+    partial = path.with_name(path.name + ".part")
+    with open(partial, "wb") as file:
+        np.savez_compressed(file, **_columns(recording))
+    partial.replace(path)
+
+
+def _columns(recording):
+    about = recording.about | {
+        "format": FORMAT,
+        "version": VERSION,
+        "names": {
+            key: {int(code): code.name.lower() for code in codes} for key, codes in _NAMES.items()
+        },
+        "units": asdict(recording.units),
+        "bus_begin_s": recording.load.begin_s,
+        "bus_bin_s": recording.load.bin_s,
+    }
+    phases, measured = recording.phases, recording.measured
+    off = measured.counts - counts_at(phases, measured.row, measured.time_us)
+    sizes = np.cumsum([0] + [len(phase.motion.ticks) for phase in phases])
+    columns = problem_columns(recording.problem) | {
+        "about": np.frombuffer(json.dumps(about).encode(), np.uint8),
+        "start_counts": recording.motion.start.astype("<i4"),
+        "offsets": np.stack([phase.motion.offsets + s for phase, s in zip(phases, sizes)]).astype(
+            "<i4"
+        ),
+        "ticks": np.concatenate([phase.motion.ticks for phase in phases]).astype("<i4"),
+        "velocity": np.concatenate([phase.motion.velocity for phase in phases]).astype("<i4"),
+        "leg_begin_us": np.array([phase.begin_us for phase in phases], "<i4"),
+        "leg_stop_us": np.stack([phase.stop_us for phase in phases]).astype("<i4"),
+        "leg_stop_counts": np.stack([phase.stop for phase in phases]).astype("<i4"),
+        "started": recording.started,
+        "outcome": recording.outcome.astype("u1"),
+        "reason": recording.reason.astype("u1"),
+        "error_mm": recording.error_mm,
+        "measured_row": measured.row.astype("<i4"),
+        "measured_step_us": _steps(measured.time_us),
+        "measured_off_counts": off.astype("<i4"),
+        "bus_id": recording.load.buses.astype("<i4"),
+        "bus_frames": recording.load.frames.astype("<i4"),
+        "bus_bytes": recording.load.bytes.astype("<i4"),
+        "pair_row": recording.approaches.pairs.astype("<i4"),
+        "pair_gap_mm": recording.approaches.gap_mm.astype("<f4"),
+        "pair_time_s": recording.approaches.time_s.astype("<f4"),
+    }
+    for name, kind in _EVENTS.items():
+        columns[f"event_{name}"] = getattr(recording.events, name).astype(kind)
+    if recording.planned is not None:
+        columns["planned_time_s"] = recording.planned.time_s
+        columns["planned_step_urad"] = _steps(np.rint(recording.planned.angles / _PLANNED_RAD))
+    if recording.corridors is not None:
+        corridors = recording.corridors
+        walls = [np.ceil(corridors.low / _MARGIN_RAD), np.floor(corridors.high / _MARGIN_RAD)]
+        columns["margin_lasts_s"] = corridors.lasts_s.astype("<f4")
+        columns["margin_step_mrad"] = _steps(np.stack(walls, axis=2), "<i2")
+    return columns
+
+
+def _steps(values, kind="<i4"):
+    # from each value to the next, the first as it is
+    steps = np.diff(values.astype(np.int64), axis=-1, prepend=0)
+    return np.ascontiguousarray(steps.astype(kind))
+
+
+def load_recording(path) -> Recording:
+    """Read a recording of this or an older version.
+
+    Raises:
+        RecordingError: the file is no recording, is newer than this software, or a value
+            in it does not fit; names it.
+    """
+    data = _read(path)
+    about = json.loads(bytes(data["about"]))
+    if about.get("format") != FORMAT:
+        raise RecordingError(f"{path} is no recording")
+    if about["version"] > VERSION:
+        raise RecordingError(
+            f"{path} is of version {about['version']}, this software reads up to {VERSION}"
+        )
+    try:
+        return _recording(data, about, str(path))
+    except KeyError as missing:
+        raise RecordingError(f"{path} has no {missing}") from None
+    except FiberError as error:
+        raise RecordingError(f"{path}: {error}") from None
+
+
+def _read(path):
+    try:
+        with np.load(path) as file:
+            data = dict(file)
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as reason:
+        raise RecordingError(f"{path} is no recording: {reason}") from None
+    if "about" not in data:
+        raise RecordingError(f"{path} is no recording: it does not say what it is")
+    return data
+
+
+def _recording(data, about, name) -> Recording:
+    units = WireUnits(**about.pop("units"))
+    phases = _phases(data, units)
+    row, time_us = data["measured_row"], np.cumsum(data["measured_step_us"], dtype=np.int64)
+    counts = counts_at(phases, row, time_us) + data["measured_off_counts"]
+    planned = None
+    if "planned_time_s" in data:
+        angles = np.cumsum(data["planned_step_urad"], axis=-1, dtype=np.int64) * _PLANNED_RAD
+        planned = SampledMotion(data["planned_time_s"], angles)
+    for key in ("format", "version", "names"):  # of the file, not of what it tells
+        del about[key]
+    begin_s, bin_s = about.pop("bus_begin_s"), about.pop("bus_bin_s")
+    load = BusLoad(data["bus_id"], begin_s, bin_s, data["bus_frames"], data["bus_bytes"])
+    return Recording(
+        problem=problem_of(data, name),
+        units=units,
+        phases=phases,
+        started=data["started"],
+        planned=planned,
+        corridors=_corridors(data),
+        measured=Measured(row, time_us, counts),
+        load=load,
+        events=Events(**{name: data[f"event_{name}"] for name in _EVENTS}),
+        outcome=data["outcome"],
+        reason=data["reason"],
+        error_mm=data["error_mm"],
+        approaches=Approaches(data["pair_row"], data["pair_gap_mm"], data["pair_time_s"]),
+        about=about,
+    )
+
+
+def _phases(data, units):
+    # version 1 has one, which was cut where it was stopped
+    offsets, start = np.atleast_2d(data["offsets"]), data["start_counts"]
+    phases = []
+    for k, own in enumerate(offsets):
+        part = slice(own[0], own[-1])
+        motion = WireMotion(units, start, own - own[0], data["ticks"][part], data["velocity"][part])
+        phase = Phase.whole(motion)
+        if "leg_begin_us" in data:
+            begin_us = int(data["leg_begin_us"][k])
+            phase = Phase(motion, begin_us, data["leg_stop_us"][k], data["leg_stop_counts"][k])
+        phases.append(phase)
+        start = phase.end
+    return tuple(phases)
+
+
+def _corridors(data):
+    if "margin_lasts_s" not in data:
+        return None
+    walls = _MARGIN_RAD * np.cumsum(data["margin_step_mrad"], axis=-1, dtype=np.int64)
+    low, high = walls[:, :, 0], walls[:, :, 1]
+    # walls nearer to each other than they are rounded are one
+    return JointCorridors(data["margin_lasts_s"], np.minimum(low, high), high)

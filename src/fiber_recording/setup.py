@@ -1,0 +1,24 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="fiber_recording",
+    version="0.1.0",
+    description="Recordings of reconfigurations, made from the bytes on the buses.",
+    maintainer="fiber positioner team",
+    maintainer_email="maintainers@example.org",
+    license="Apache-2.0",
+    packages=find_packages(exclude=["test", "test.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/fiber_recording"]),
+        ("share/fiber_recording", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
+    zip_safe=False,  # compiled loops are cached beside the modules
+    entry_points={
+        "console_scripts": [
+            "recorder = fiber_recording.node:main",
+            "bag = fiber_recording.bag:main",
+        ]
+    },
+)
