@@ -9,6 +9,11 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 MAKEFLAGS += --no-print-directory
 
+# Neither make nor the scripts of an environment can have a space in their paths.
+ifneq ($(words $(CURDIR)),1)
+$(error the path of this clone has a space, which its environment cannot have: move it from '$(CURDIR)')
+endif
+
 ifeq ($(ROS_DISTRO),jazzy)
 PYTHON := python3
 ENV_STAMP := build/.ros_checked

@@ -36,7 +36,7 @@ ROS = {"rclpy", "rcl_interfaces"}
 ARROWS = {
     "fiber_core": {"numpy", "numba", "scipy", "astropy"},
     "fiber_msgs_py": {"fiber_core", "rclpy.qos"} | STOCK_MESSAGES,
-    "fiber_node": {"fiber_core", "fiber_msgs_py"} | ROS,
+    "fiber_node": {"fiber_core", "fiber_msgs_py", "ament_index_python"} | ROS,
     "fiber_planner": {"fiber_core"},
     "fiber_planner.node": {"fiber_planner", "fiber_node"} | ROS,
     "fiber_discretizer": {"fiber_core"},

@@ -9,7 +9,7 @@ local fiber = Proto("fiber", "Fibre positioners over I2C")
 
 local OPCODES = {
   [1] = "LOAD", [2] = "GO", [3] = "STOP", [4] = "CLEAR", [5] = "RESET",
-  [6] = "CONFIG", [7] = "IDENTIFY", [8] = "BEAT", [9] = "ADDRESS",
+  [6] = "CONFIG", [7] = "IDENTIFY", [8] = "HEARTBEAT", [9] = "ADDRESS",
 }
 local STATES = {
   [1] = "UNCONFIGURED", [2] = "IDLE", [3] = "LOADED", [4] = "MOVING",

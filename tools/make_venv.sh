@@ -2,6 +2,11 @@
 # Make an environment with exactly the packages of a lock file: make_venv.sh FOLDER LOCK [PYTHON]
 set -eu
 folder=$1 lock=$2
+if [ -L "$folder" ]; then
+  echo "$folder is a link to $(readlink -f "$folder"), which others may use: it is not changed." \
+    "Remove the link to make an environment here, or 'touch $folder/.installed' to use it as it is." >&2
+  exit 1
+fi
 python=$("$(dirname "$0")/find_python.sh" "${3-}")
 echo "making $folder with $("$python" --version): $(wc -l <"$lock") packages, a minute or two"
 "$python" -m venv --clear "$folder"

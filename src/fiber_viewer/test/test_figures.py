@@ -14,6 +14,7 @@ from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem, save_plan, save_problem
 from fiber_viewer import figures
+from fiber_viewer.figures import command
 from fiber_viewer.snapshot import main
 
 
