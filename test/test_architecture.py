@@ -1,7 +1,7 @@
-"""The house: who may import whom, and what every package must ship to be installed.
+"""The architecture: which package may import which, and what every package must ship.
 
-An arrow means "may import, and whatever that may import in turn". Rooms are modules;
-the longest name in `ARROWS` that a module starts with is the room it is in.
+An arrow A -> B means: A may import B, and everything that B may import. A compartment is a
+package or a part of one; the longest name in `ARROWS` that a module starts with is its compartment.
 """
 
 import ast
@@ -80,13 +80,13 @@ def starts(module: str, prefix: str) -> bool:
     return module == prefix or module.startswith(prefix + ".")
 
 
-def room_of(module: str) -> str | None:
-    return max((room for room in ARROWS if starts(module, room)), key=len, default=None)
+def compartment_of(module: str) -> str | None:
+    return max((name for name in ARROWS if starts(module, name)), key=len, default=None)
 
 
-def reachable(room: str) -> set[str]:
-    """Every module name prefix a room may import."""
-    seen, todo = set(), [room]
+def reachable(compartment: str) -> set[str]:
+    """Return every module name prefix that a compartment may import."""
+    seen, todo = set(), [compartment]
     while todo:
         name = todo.pop()
         if name not in seen:
@@ -95,13 +95,13 @@ def reachable(room: str) -> set[str]:
     return seen
 
 
-def may_import(room: str, target: str) -> bool:
+def may_import(compartment: str, target: str) -> bool:
     if target.split(".")[0] in sys.stdlib_module_names:
         return True
-    target_room = room_of(target)
-    if target_room is not None:
-        return target_room in reachable(room)
-    return any(starts(target, allowed) for allowed in reachable(room))
+    target_compartment = compartment_of(target)
+    if target_compartment is not None:
+        return target_compartment in reachable(compartment)
+    return any(starts(target, allowed) for allowed in reachable(compartment))
 
 
 def imports(source: str, module: str, is_package: bool, modules: set[str]) -> list[str]:
@@ -143,11 +143,11 @@ def imports_of(module: str) -> list[str]:
 
 
 def forbidden(module: str, targets: list[str]) -> list[str]:
-    room = room_of(module)
-    return [f"{module} -> {t}" for t in targets if not may_import(room, t)]
+    compartment = compartment_of(module)
+    return [f"{module} -> {t}" for t in targets if not may_import(compartment, t)]
 
 
-def test_no_arrow_but_those_of_the_house():
+def test_no_import_leaves_the_allowed_arrows():
     assert {"fiber_core.kinematics", "fiber_msgs_py.table"} <= set(MODULES)
     wrong = [arrow for module in MODULES for arrow in forbidden(module, imports_of(module))]
     assert not wrong, "\n".join(wrong)
@@ -189,7 +189,7 @@ def test_a_planted_import_is_caught(module, source):
         ("fiber_bringup.graph", "from fiber_planner.node import main\nimport fiber_core"),
     ],
 )
-def test_an_arrow_of_the_house_is_let_through(module, source):
+def test_an_allowed_import_is_let_through(module, source):
     is_package = module == "fiber_bus_bridge.wire"
     assert not forbidden(module, imports(source, module, is_package, set(MODULES)))
 
