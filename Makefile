@@ -118,8 +118,17 @@ test: build ## run every test of the packages and of test/, and count them
 	exit $$failed
 
 .PHONY: lint
-lint: $(ENV_STAMP) ## check style and format
+lint: $(ENV_STAMP) ## check style, format, complexity and types
 	@$(PYTHON) -m ruff check . && $(PYTHON) -m ruff format --check .
+	@$(PYTHON) -m basedpyright --pythonpath $(PYTHON)
+
+.PHONY: coverage
+coverage: build ## which lines the tests reach, package by package, into out/coverage
+	@$(INSTALLED) && tools/coverage.sh out/coverage $(PYTHON)
+
+.PHONY: pictures
+pictures: ## draw the picture of the packages in docs/architecture.md from the imports
+	@python3 tools/import_graph.py
 
 .PHONY: lock
 lock: ## resolve requirements.in into requirements.lock

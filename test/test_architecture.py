@@ -11,7 +11,9 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
+import import_graph
 import pytest
+from import_graph import imports
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src"
@@ -104,42 +106,11 @@ def may_import(compartment: str, target: str) -> bool:
     return any(starts(target, allowed) for allowed in reachable(compartment))
 
 
-def imports(source: str, module: str, is_package: bool, modules: set[str]) -> list[str]:
-    """Absolute names of all modules a source imports; `modules` are those of the project."""
-    found = []
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                parents = module.split(".")
-                parents = parents[: len(parents) - node.level + is_package]
-                base = ".".join([*parents, *base.split(".")] if base else parents)
-            for alias in node.names:
-                inside = f"{base}.{alias.name}"
-                found.append(inside if inside in modules else base)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
-            found += [arg.value for arg in node.args[:1] if isinstance(arg, ast.Constant)]
-    return found
-
-
-def project_modules() -> dict[str, Path]:
-    """Dotted name -> file of every module of the packages and of bench/."""
-    found = {}
-    for folder in [*(SOURCE / package / package for package in PACKAGES), ROOT / "bench"]:
-        for path in folder.rglob("*.py"):
-            parts = path.relative_to(folder.parent).with_suffix("").parts
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
-
-
-MODULES = project_modules()
+MODULES = import_graph.project_modules()
 
 
 def imports_of(module: str) -> list[str]:
-    path = MODULES[module]
-    return imports(path.read_text(), module, path.name == "__init__.py", set(MODULES))
+    return import_graph.imports_of(module, MODULES)
 
 
 def forbidden(module: str, targets: list[str]) -> list[str]:
@@ -320,3 +291,9 @@ def test_every_suite_is_counted():
     assert counted == {*PACKAGES, "test"}
     for package in PACKAGES:
         assert any((SOURCE / package / "test").glob("test_*.py")), f"{package} has no tests"
+
+
+def test_the_picture_of_the_packages_is_made_from_the_imports():
+    page = import_graph.PAGE.read_text()
+    assert import_graph.mermaid() in page, "stale: run python3 tools/import_graph.py"
+    assert ("fiber_planner", "fiber_core") in import_graph.package_arrows()
