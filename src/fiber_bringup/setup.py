@@ -10,6 +10,7 @@ setup(
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
     packages=find_packages(exclude=["test", "test.*"]),
+    package_data={"fiber_bringup": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fiber_bringup"]),
         ("share/fiber_bringup", ["package.xml"]),
@@ -18,7 +19,18 @@ setup(
         ("share/fiber_bringup/rviz", glob("rviz/*.rviz")),
         ("share/fiber_bringup/foxglove", glob("foxglove/*.json")),
     ],
-    install_requires=["setuptools"],
+    # package.xml names the ROS packages as well
+    install_requires=[
+        "fiber_bus_bridge",
+        "fiber_client",
+        "fiber_core",
+        "fiber_discretizer",
+        "fiber_node",
+        "fiber_planner",
+        "fiber_recording",
+        "fiber_viewer",
+        "numpy",
+    ],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
     zip_safe=False,  # compiled loops are cached beside the modules
     entry_points={

@@ -8,11 +8,13 @@ setup(
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
     packages=find_packages(exclude=["test", "test.*"]),
+    package_data={"fiber_bus_bridge": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fiber_bus_bridge"]),
         ("share/fiber_bus_bridge", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    # package.xml names the ROS packages as well
+    install_requires=["fiber_core", "numpy", "numba", "pyyaml"],
     extras_require={
         "test": ["pytest", "hypothesis"],
         "capture": ["pyvcd"],

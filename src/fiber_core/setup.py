@@ -8,11 +8,13 @@ setup(
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
     packages=find_packages(exclude=["test", "test.*"]),
+    package_data={"fiber_core": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fiber_core"]),
         ("share/fiber_core", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    # package.xml names the ROS packages as well
+    install_requires=["numpy", "numba", "scipy", "astropy"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
     zip_safe=False,  # compiled loops are cached beside the modules
 )

@@ -8,12 +8,14 @@ setup(
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
     packages=find_packages(exclude=["test", "test.*"]),
+    package_data={"fiber_node": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fiber_node"]),
         ("share/fiber_node", ["package.xml"]),
         ("share/fiber_node/config", ["config/fastdds.xml"]),
     ],
-    install_requires=["setuptools"],
+    # package.xml names the ROS packages as well
+    install_requires=["fiber_core", "fiber_msgs_py", "numpy"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
     zip_safe=False,  # compiled loops are cached beside the modules
 )

@@ -177,7 +177,7 @@ def _refuse(bad, ids, values, reason, what):
 
 
 def _refuse_blocked(plane, start, stuck, solutions, valid, pairs, margin_mm, reason, blocker):
-    # PollScheduler of a joint change nothing here: one configuration stands for each elbow.
+    # Turns of a joint change nothing here: one configuration stands for each elbow.
     standing = np.concatenate([stuck, np.ones(len(plane.obstacles), dtype=bool)])
     a, b = np.asarray(pairs, dtype=np.int64).reshape(-1, 2).T
     beside = np.concatenate([np.stack([a, b], axis=1), np.stack([b, a], axis=1)])

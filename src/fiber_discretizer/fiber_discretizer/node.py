@@ -26,7 +26,7 @@ __all__ = ["DiscretizerNode", "main"]
 
 
 class DiscretizerNode(Node):
-    """PollScheduler each trajectory, of whatever planner, into orders that are proven safe.
+    """Turn each trajectory, of whatever planner, into orders that are proven safe.
 
     Args:
         options: keyword arguments of rclpy.node.Node.

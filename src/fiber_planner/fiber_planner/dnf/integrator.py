@@ -44,7 +44,7 @@ def turns(angles, elbows, tips, push, swarm, law):
         law: the Law.
 
     Returns:
-        PollScheduler [rad], shape (n, 2), and whether the whole turn ends on the goal, (n,).
+        Turns [rad], shape (n, 2), and whether the whole turn ends on the goal, (n,).
     """
     turn, lands = np.zeros_like(angles), np.zeros(len(angles), dtype=np.bool_)
     for i in range(len(angles)):
