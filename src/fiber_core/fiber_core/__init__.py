@@ -10,7 +10,7 @@ from fiber_core.fields import Field, random_field, random_problem
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.kinematics import forward, inverse, jacobian
 from fiber_core.motion import SampledMotion, SegmentMotion
-from fiber_core.outcomes import Outcome, Reason
+from fiber_core.outcomes import Outcome, PlanOutcome, Reason, first_reason, holds
 from fiber_core.presets import PRESETS, Preset, plane_from, preset
 from fiber_core.problem import Problem, load_plan, load_problem, save_plan, save_problem
 from fiber_core.tables import read_layout, read_obstacles, read_targets
@@ -26,6 +26,7 @@ __all__ = [
     "LayoutError",
     "MotionError",
     "Outcome",
+    "PlanOutcome",
     "Preset",
     "Problem",
     "Reason",
@@ -35,7 +36,9 @@ __all__ = [
     "WireMotion",
     "WireUnits",
     "assign",
+    "first_reason",
     "forward",
+    "holds",
     "inverse",
     "jacobian",
     "load_plan",

@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Codes, Floats, Ids, Mask
 from fiber_core.errors import FiberError
 
-__all__ = ["Outcome", "PlanOutcome", "Reason"]
+__all__ = ["Outcome", "PlanOutcome", "Reason", "first_reason", "holds"]
 
 
 class Outcome(IntEnum):
@@ -55,6 +57,40 @@ class Reason(IntEnum):
     REFUSED = 66  # the robot itself refused the order
 
 
+def holds(reason: ArrayLike) -> Mask:
+    """Return whether each reason keeps its robot from a target: all but OK and NO_TARGET.
+
+    Args:
+        reason: Reason of each robot, shape (n,).
+    """
+    return ~np.isin(reason, (Reason.OK, Reason.NO_TARGET))
+
+
+def first_reason(*stages: ArrayLike) -> Codes:
+    """Return the reason of the first stage that held each robot, shape (n,).
+
+    A plan passes its stages in order: assignment, planner, discretizer, bus. The first stage
+    that held a robot tells the cause; what later stages report for that robot follows from it.
+    A robot that no stage held keeps the reason of the last stage, OK or NO_TARGET.
+
+    Args:
+        stages: Reason of each robot by stage, in the order of the stages, each of shape (n,).
+
+    Raises:
+        FiberError: no stages, or stages with different numbers of robots.
+    """
+    reasons = [np.asarray(stage, dtype=np.int64) for stage in stages]
+    if not reasons:
+        raise FiberError("first_reason needs the reasons of at least one stage")
+    if len({stage.shape for stage in reasons}) > 1:
+        shapes = ", ".join(str(stage.shape) for stage in reasons)
+        raise FiberError(f"the stages have reasons of different shapes: {shapes}")
+    first = reasons[-1].copy()
+    for stage in reversed(reasons[:-1]):
+        first = np.where(holds(stage), stage, first)
+    return first
+
+
 @dataclass(frozen=True, eq=False)
 class PlanOutcome:
     """How every robot of a plan ended.
@@ -68,13 +104,16 @@ class PlanOutcome:
     """
 
     stamp_ns: int
-    ids: np.ndarray
-    outcome: np.ndarray
-    reason: np.ndarray
-    error_mm: np.ndarray
+    ids: Ids
+    outcome: Codes
+    reason: Codes
+    error_mm: Floats
 
-    def of(self, ids) -> "PlanOutcome":
-        """Return the outcomes of some robots, shape (k,), in that order.
+    def of(self, ids: ArrayLike) -> "PlanOutcome":
+        """Return the outcomes of some robots, in the order in which their ids are given.
+
+        Args:
+            ids: ids of the robots, shape (k,).
 
         Raises:
             FiberError: the plan has no such robot; names the first.
@@ -86,8 +125,13 @@ class PlanOutcome:
         unknown = np.ones(len(ids), bool) if not len(order) else self.ids[rows] != ids
         if unknown.any():
             raise FiberError(f"robot {ids[np.argmax(unknown)]} has no outcome in this plan")
-        columns = (self.ids, self.outcome, self.reason, self.error_mm)
-        return PlanOutcome(self.stamp_ns, *(column[rows] for column in columns))
+        return PlanOutcome(
+            self.stamp_ns,
+            self.ids[rows],
+            self.outcome[rows],
+            self.reason[rows],
+            self.error_mm[rows],
+        )
 
     def count(self, outcome: Outcome) -> int:
         """Return the number of robots with an outcome."""
