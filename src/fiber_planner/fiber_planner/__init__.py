@@ -1,24 +1,46 @@
-"""From targets to motion: the choice of goals and the planners."""
+"""Planners: from targets to a collision-free motion of a focal plane.
 
-from fiber_planner.dnf import DnfArmsPlanner, DnfParameters, DnfPlanner
+`plan_targets` is the whole planning stage: it checks targets, plans and gives every robot a
+reason. `make_planner` builds a planner by its name. `Planner` is the interface that another
+planner implements.
+"""
+
+from fiber_planner.direct import DirectParameters, DirectPlanner
+from fiber_planner.dnf import (
+    DnfArmsPlanner,
+    DnfArmsPriorityPlanner,
+    DnfParameters,
+    DnfPlanner,
+    DnfPriorityParameters,
+    DnfPriorityPlanner,
+)
 from fiber_planner.errors import PlannerError
 from fiber_planner.goal_selection import choose_goals, lower_bound_s, travel_s
-from fiber_planner.interface import PlannedMotion, Planner, Progress
+from fiber_planner.interface import PlannedMotion, Planner, ProgressCallback
+from fiber_planner.plan_stage import PlanStageResult, plan_assignment, plan_targets
 from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
 
 __all__ = [
     "DEFAULT_PLANNER",
+    "DirectParameters",
+    "DirectPlanner",
     "DnfArmsPlanner",
+    "DnfArmsPriorityPlanner",
     "DnfParameters",
     "DnfPlanner",
+    "DnfPriorityParameters",
+    "DnfPriorityPlanner",
+    "PlanStageResult",
     "PlannedMotion",
     "Planner",
     "PlannerError",
-    "Progress",
+    "ProgressCallback",
     "choose_goals",
     "lower_bound_s",
     "make_planner",
     "parameters_of",
+    "plan_assignment",
+    "plan_targets",
     "planners",
     "travel_s",
 ]

@@ -6,4 +6,4 @@ __all__ = ["PlannerError"]
 
 
 class PlannerError(FiberError):
-    """A planner does not exist, or one of its parameters is out of range."""
+    """A planner is unknown, a parameter is out of range, or a plan does not fit its plane."""

@@ -1,47 +1,61 @@
-"""What every planner takes and gives."""
+"""The planner interface: the problem that goes in, the planned motion that comes out.
+
+A planner is an object with a `name` and a method `plan`. It reads a `fiber_core.Problem`
+(the plane, the present joint angles, the targets) and returns a `PlannedMotion`:
+
+    1. goals: the joint angles that bring each fibre to its target (`choose_goals`);
+    2. motion: joint angles of all robots at common instants, from the start of the problem;
+    3. reason: OK for each robot that arrives at its goal, and else why it does not.
+
+A planner need not be perfect. The discretizer and the bus bridge certify every motion
+again and hold the robots that would come too close; a planner decides how many robots
+arrive and how soon. The README shows a complete planner of 15 lines.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
+from fiber_core.array_types import Angles, Codes, Pairs
 from fiber_core.motion import SampledMotion
 from fiber_core.problem import Problem
 from fiber_planner.errors import PlannerError
 
-__all__ = ["PlannedMotion", "Planner", "Progress"]
+__all__ = ["PlannedMotion", "Planner", "ProgressCallback"]
 
-# Called now and then with the part of the work done (0..1) and a few words about it.
-Progress = Callable[[float, str], None]
+# Called from time to time with the fraction of the work that is done, 0..1, and a short text.
+ProgressCallback: TypeAlias = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion:
-    """How every robot of a plane should move, where it was meant to end, and whether it does.
+    """The motion of every robot of a plane, its goal, and whether it arrives there.
 
     Args:
-        motion: joint profiles of all robots of the plane; those not moving are constant.
-        goal: configuration each robot aims at [rad], shape (n, 2); its start where
-            nothing is asked of it or nothing can be done for it.
+        motion: joint angles of all robots of the plane over time; it begins at the start of
+            the problem, and robots that do not move are constant.
+        goal: joint angles that each robot aims at [rad], shape (n, 2); the start of a robot
+            that has no target or cannot be moved.
         reason: fiber_core.outcomes.Reason of each robot, shape (n,): OK (it arrives),
-            NO_TARGET, GOAL_BLOCKED, NOT_CONVERGED, TANGLED, or why it cannot be moved.
-        tangled: pairs that start closer than they may come, rows a < b of robots and
-            obstacles, shape (k, 2); the plan never brings them closer.
+            NO_TARGET, GOAL_BLOCKED, NOT_CONVERGED, TANGLED, DISABLED or START_OUTSIDE_LIMITS.
+        tangled: pairs that start closer than the margin, rows a < b, robots first and
+            obstacles after them, shape (k, 2); the motion must not bring them closer.
 
     Raises:
-        PlannerError: the shapes do not belong to the same plane.
+        PlannerError: an array does not have one row for each robot of the motion.
     """
 
     motion: SampledMotion
-    goal: np.ndarray
-    reason: np.ndarray
-    tangled: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    goal: Angles
+    reason: Codes
+    tangled: Pairs = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         n = self.motion.n
         for name, dtype, shape in (
-            ("goal", float, (n, 2)),
+            ("goal", np.float64, (n, 2)),
             ("reason", np.int64, (n,)),
             ("tangled", np.int64, (len(self.tangled), 2)),
         ):
@@ -52,16 +66,29 @@ class PlannedMotion:
             object.__setattr__(self, name, value)
 
 
+@runtime_checkable
 class Planner(Protocol):
-    """Anything that turns a reconfiguration problem into a motion."""
+    """An object that turns a reconfiguration problem into a motion.
 
-    name: str
+    Equal problems give equal plans, to the byte. A planner that uses random numbers seeds
+    its own generator, and its effort is counted in steps and not in seconds.
+    """
 
-    def plan(self, problem: Problem, progress: Progress | None = None) -> PlannedMotion:
+    @property
+    def name(self) -> str:
+        """Name of the planner, for logs and results."""
+        ...
+
+    def plan(self, problem: Problem, progress: ProgressCallback | None = None) -> PlannedMotion:
         """Plan the motion of every robot from its start to its target.
 
+        A robot without a target, or one that is disabled, has a row in the result too.
+
         Args:
-            problem: the plane, where its robots are, where their fibres should go.
-            progress: told now and then how far the work is.
+            problem: the plane, the present joint angles and the targets that were accepted.
+            progress: called with the fraction of the work that is done and a short text.
+
+        Raises:
+            PlannerError: the parameters of the planner do not suit the plane.
         """
         ...

@@ -1,6 +1,8 @@
-"""The planners there are, by name."""
+"""The planners of this package by name."""
 
-from dataclasses import fields
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import NamedTuple, TypeAlias
 
 from fiber_planner.direct import DirectParameters, DirectPlanner
 from fiber_planner.dnf import (
@@ -14,52 +16,86 @@ from fiber_planner.dnf import (
 from fiber_planner.errors import PlannerError
 from fiber_planner.interface import Planner
 
-__all__ = ["DEFAULT_PLANNER", "make_planner", "parameters_of", "planners"]
+__all__ = ["DEFAULT_PLANNER", "Parameters", "make_planner", "parameters_of", "planners"]
 
 DEFAULT_PLANNER = "direct"
 
-# name -> (parameters, planner): parameters is the frozen dataclass that owns the
-# defaults and checks the ranges, planner is called with one of them.
+# The parameter classes: frozen dataclasses that own the defaults and check the ranges.
+Parameters: TypeAlias = DirectParameters | DnfParameters
+
+
+class _Entry(NamedTuple):
+    parameters: type[Parameters]
+    planner: Callable[..., Planner]  # called with an instance of `parameters`
+
+
 _PLANNERS = {
-    "direct": (DirectParameters, DirectPlanner),
-    "dnf": (DnfParameters, DnfPlanner),
-    "dnf_arms": (DnfParameters, DnfArmsPlanner),
-    "dnf_arms_priority": (DnfPriorityParameters, DnfArmsPriorityPlanner),
-    "dnf_priority": (DnfPriorityParameters, DnfPriorityPlanner),
+    "direct": _Entry(DirectParameters, DirectPlanner),
+    "dnf": _Entry(DnfParameters, DnfPlanner),
+    "dnf_arms": _Entry(DnfParameters, DnfArmsPlanner),
+    "dnf_arms_priority": _Entry(DnfPriorityParameters, DnfArmsPriorityPlanner),
+    "dnf_priority": _Entry(DnfPriorityParameters, DnfPriorityPlanner),
 }
 
 
 def planners() -> tuple[str, ...]:
-    """Return the names make_planner knows, sorted."""
+    """Return the names of the planners of this package, sorted."""
     return tuple(sorted(_PLANNERS))
 
 
-def parameters_of(name: str) -> type:
-    """Return the parameter class of the planner of that name.
-
-    Raises:
-        PlannerError: no such planner.
-    """
-    if name not in _PLANNERS:
-        raise PlannerError(f"no planner is called {name!r}; there are {', '.join(planners())}")
-    return _PLANNERS[name][0]
-
-
-def make_planner(name: str, **parameters) -> Planner:
-    """Build the planner of that name.
+def parameters_of(name: str) -> type[Parameters]:
+    """Return the parameter class of a planner.
 
     Args:
         name: one of planners().
-        parameters: fields of the planner's parameter class that differ from its defaults.
 
     Raises:
-        PlannerError: no such planner, no such parameter, or a value out of range.
+        PlannerError: there is no planner of that name.
     """
-    parameter_class = parameters_of(name)
-    known = [f.name for f in fields(parameter_class)]
+    return _entry(name).parameters
+
+
+def make_planner(planner: str | Planner, **parameters: object) -> Planner:
+    """Return a planner: one of this package built by its name, or the given object itself.
+
+    Args:
+        planner: one of planners(), or an object that fulfils the interface `Planner`, as a
+            planner that is not part of this package.
+        parameters: fields of the parameter class that differ from its defaults; only with
+            a name, because an object has its parameters already.
+
+    Raises:
+        PlannerError: there is no planner of that name, the object is not a planner, or a
+            parameter is unknown or out of range.
+    """
+    if isinstance(planner, str):
+        return _built(planner, parameters)
+    if isinstance(planner, type) or not isinstance(planner, Planner):
+        hint = "; pass an instance of the class" if isinstance(planner, type) else ""
+        raise PlannerError(
+            f"{planner!r} is no planner: expected an object with a name and a method plan, "
+            f"or one of {', '.join(planners())}{hint}"
+        )
+    if parameters:
+        raise PlannerError(
+            f"planner {planner.name!r} is an object and has its parameters already, "
+            f"got {', '.join(parameters)}"
+        )
+    return planner
+
+
+def _entry(name: str) -> _Entry:
+    if name not in _PLANNERS:
+        raise PlannerError(f"no planner is called {name!r}; there are {', '.join(planners())}")
+    return _PLANNERS[name]
+
+
+def _built(name: str, parameters: dict[str, object]) -> Planner:
+    entry = _entry(name)
+    known = [field.name for field in fields(entry.parameters)]
     for given in parameters:
         if given not in known:
             raise PlannerError(
                 f"planner {name!r} has no parameter {given!r}; it has {', '.join(known)}"
             )
-    return _PLANNERS[name][1](parameter_class(**parameters))
+    return entry.planner(replace(entry.parameters(), **parameters))

@@ -3,9 +3,18 @@
 import numpy as np
 import pytest
 
+import fiber_planner
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
-from fiber_planner import DnfParameters, PlannedMotion, PlannerError, make_planner, planners
+from fiber_planner import (
+    DnfParameters,
+    PlannedMotion,
+    Planner,
+    PlannerError,
+    make_planner,
+    parameters_of,
+    planners,
+)
 
 NAMES = planners()
 
@@ -24,6 +33,46 @@ def test_unknown_planner_is_refused_with_the_names_there_are():
 def test_unknown_parameter_is_refused_by_name(name):
     with pytest.raises(PlannerError, match="lambda3"):
         make_planner(name, lambda3=1.0)
+
+
+class StayingPlanner:
+    """A planner from outside the package: no robot moves."""
+
+    name = "staying"
+
+    def plan(self, problem, progress=None):
+        reason = np.where(problem.asked, Reason.NOT_CONVERGED, Reason.NO_TARGET)
+        motion = SampledMotion(np.array([0.0]), problem.start[:, :, None])
+        return PlannedMotion(motion, problem.start, reason)
+
+
+def test_a_planner_of_another_package_is_used_as_it_is(random_field):
+    planner = StayingPlanner()
+    assert isinstance(planner, Planner)
+    assert make_planner(planner) is planner
+    assert make_planner(planner).plan(random_field("desi", 7, seed=0)).motion.makespan_s == 0.0
+
+
+def test_an_object_without_a_method_plan_is_refused_with_the_names_there_are():
+    with pytest.raises(PlannerError, match="7 is no planner.*dnf_arms"):
+        make_planner(7)
+
+
+def test_a_class_in_place_of_a_planner_is_refused_with_what_to_do():
+    with pytest.raises(PlannerError, match="pass an instance"):
+        make_planner(StayingPlanner)
+
+
+def test_parameters_beside_a_planner_object_are_refused_by_name():
+    with pytest.raises(PlannerError, match="'staying'.*seed"):
+        make_planner(StayingPlanner(), seed=1)
+
+
+def test_all_planners_and_their_parameters_are_public():
+    for name in NAMES:
+        planner = make_planner(name)
+        assert getattr(fiber_planner, type(planner).__name__) is type(planner)
+        assert getattr(fiber_planner, parameters_of(name).__name__) is parameters_of(name)
 
 
 def test_given_parameters_arrive():

@@ -11,7 +11,7 @@ from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.search import Search
-from fiber_planner.interface import PlannedMotion, Progress
+from fiber_planner.interface import PlannedMotion, ProgressCallback
 
 __all__ = ["DirectPlanner"]
 
@@ -40,7 +40,7 @@ class DirectPlanner:
         self.parameters = parameters or DirectParameters()
         self._clock = clock
 
-    def plan(self, problem: Problem, progress: Progress | None = None) -> PlannedMotion:
+    def plan(self, problem: Problem, progress: ProgressCallback | None = None) -> PlannedMotion:
         """Plan the motion of every robot, see Planner.plan."""
         plane = problem.plane
         if plane.n == 0:

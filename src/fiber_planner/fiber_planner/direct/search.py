@@ -17,7 +17,7 @@ from fiber_planner.direct.plan_state import count_conflicts, measure, measure_so
 from fiber_planner.direct.scene import scene_of
 from fiber_planner.direct.shortcut import simplify
 from fiber_planner.direct.time_grid import time_grid
-from fiber_planner.interface import Progress
+from fiber_planner.interface import ProgressCallback
 
 __all__ = ["Found", "Search"]
 
@@ -78,7 +78,7 @@ class Search:
         self,
         problem: Problem,
         parameters: DirectParameters,
-        progress: Progress | None,
+        progress: ProgressCallback | None,
         clock: Callable[[], float],
     ):
         self._problem, self._parameters = problem, parameters

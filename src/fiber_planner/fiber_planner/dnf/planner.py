@@ -13,7 +13,7 @@ from fiber_planner.dnf.parameters import DnfParameters, DnfPriorityParameters
 from fiber_planner.dnf.priority import Equals, Priorities
 from fiber_planner.dnf.tip_repulsion import TipNeighbours
 from fiber_planner.goal_selection import choose_goals, travel_s
-from fiber_planner.interface import PlannedMotion, Progress
+from fiber_planner.interface import PlannedMotion, ProgressCallback
 
 __all__ = ["DnfArmsPlanner", "DnfArmsPriorityPlanner", "DnfPlanner", "DnfPriorityPlanner"]
 
@@ -35,7 +35,7 @@ class DnfPlanner:
     def __init__(self, parameters: DnfParameters | None = None):
         self.parameters = parameters or DnfParameters()
 
-    def plan(self, problem: Problem, progress: Progress | None = None) -> PlannedMotion:
+    def plan(self, problem: Problem, progress: ProgressCallback | None = None) -> PlannedMotion:
         """Plan the motion of every robot, see Planner.plan.
 
         Raises:
