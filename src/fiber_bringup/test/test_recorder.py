@@ -113,7 +113,7 @@ def test_a_plan_that_was_replaced_is_recorded_as_one_that_did_not_run(run):
     assert not replaced.started.any() and replaced.decoded.makespan_s == 0.0
     assert replaced.problem.asked.any() and replaced.planned is not None
     assert (replaced.reason == Reason.STOPPED).any()
-    assert replaced.about["notes"] == ["no frames were heard: nobody was started"]
+    assert replaced.about["notes"] == ["no frames were received: no robot was started"]
     assert replaced.load.frames.sum() == 0 and len(replaced.events.kind) == 0
 
 

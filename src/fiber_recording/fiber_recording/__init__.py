@@ -1,5 +1,6 @@
 """Recordings of a focal plane's reconfigurations: the file, and how it is made from the bytes."""
 
+from fiber_recording.build_recording import build_recording
 from fiber_recording.closest import closest_approaches
 from fiber_recording.errors import RecordingError
 from fiber_recording.phases import Phase, counts_at, executed
@@ -13,6 +14,7 @@ from fiber_recording.recording import (
     Recording,
 )
 from fiber_recording.recording_file import load_recording, save_recording
+from fiber_recording.replay import Replay, replay, unexplained
 
 __all__ = [
     "SOFTWARE",
@@ -24,9 +26,13 @@ __all__ = [
     "Phase",
     "Recording",
     "RecordingError",
+    "Replay",
+    "build_recording",
     "closest_approaches",
     "counts_at",
     "executed",
     "load_recording",
+    "replay",
     "save_recording",
+    "unexplained",
 ]

@@ -8,7 +8,7 @@ from fiber_bus_bridge.bus import Ack
 from fiber_bus_bridge.wire import CALL_PREFIX, Opcode
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
-from fiber_recording import BusLoad, EventKind, Events, Measured
+from fiber_recording.recording import BusLoad, EventKind, Events, Measured
 from fiber_recording.status_replies import StatusReplies, rows_of_frames
 
 __all__ = ["bus_events"]

@@ -29,7 +29,7 @@ from fiber_msgs_py import (
 )
 from fiber_node import Reporter, declare_parameters_of, run
 from fiber_recording import save_recording
-from fiber_recording.build_recording import record
+from fiber_recording.build_recording import build_recording
 from fiber_recording.replay import replay, unexplained
 
 __all__ = ["RecorderNode", "main", "recording_name"]
@@ -211,30 +211,29 @@ class RecorderNode(Node):
 
     def _write(self, stamp, heard, late):
         self._report.progress(stamp, 0.0, "writing the recording")
-        asked = np.zeros(0, np.int64), np.zeros((0, 2))
-        if heard.targets is not None:
-            asked = targets.decode(heard.targets)
         first, attempts = heard.first, max(len(heard.ran), 1)
-        planned = None
-        if first.trajectory is not None:
-            planned = trajectory.decode(first.trajectory)[:2]
-        room = None
-        if first.corridors is not None:
-            room = corridors.decode(first.corridors)
         notes = []
         if attempts > 1:
             notes = [f"{attempts} attempts: planned again around robots that cannot be commanded"]
         if not heard.logs:
-            notes = ["no frames were heard: nobody was started"]
+            notes = ["no frames were received: no robot was started"]
         elif late and not self._explained(heard):
-            notes += ["the frames heard do not explain where all robots are"]
-        plane = first.plane if first.plane is not None else self._plane
+            notes += ["the frames received do not explain where all robots are"]
         now = self._counts(self._state)
-        recording = record(
-            plane, self._units, now if first.counts is None else first.counts, asked, planned,
-            room, heard.logs, now, heard.ended, self._safety,
-            self._about | {"attempts": attempts, "notes": notes},
-        )  # fmt: skip
+        recording = build_recording(
+            self._plane if first.plane is None else first.plane,
+            self._units,
+            logs=heard.logs,
+            outcome=heard.ended,
+            counts_before=now if first.counts is None else first.counts,
+            counts_after=now,
+            targets=None if heard.targets is None else targets.decode(heard.targets),
+            planned=None if first.trajectory is None else trajectory.decode(first.trajectory)[:2],
+            corridors=None if first.corridors is None else corridors.decode(first.corridors),
+            safety=self._safety,
+            about=self._about | {"attempts": attempts},
+            notes=notes,
+        )
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._folder / recording_name(stamp)
         save_recording(path, recording)

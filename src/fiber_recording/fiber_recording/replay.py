@@ -30,7 +30,7 @@ class Replay:
         phases: the orders that were started, and how far robots got with them; one more for
             each time they went on after a stop.
         started: robots that a GO reached with an order for it, shape (n,).
-        unheard: robots that stopped and were not heard of again, shape (n,). One that fell
+        lost: robots that stopped and were not heard of again, shape (n,). One that fell
             silent alone is where it was last heard. Where a whole bus did, its robots, which
             hear nothing either, stop by themselves just when the others are stopped.
         load_bytes: bytes of the order each of them was started with first, shape (n,), else 0.
@@ -41,7 +41,7 @@ class Replay:
 
     phases: tuple[Phase, ...]
     started: np.ndarray
-    unheard: np.ndarray
+    lost: np.ndarray
     load_bytes: np.ndarray
     load_s: float
     go_s: float
@@ -96,7 +96,7 @@ def replay(
     begins_s = np.array([runs.begin_s[of_leg == phase][0] for phase in range(count)])
     frames = Frames(Addresses(log.bus, log.address, log.ten_bit), log.offsets, log.data)
     said = _Said(log, plane, heard)
-    unheard = np.zeros(plane.n, dtype=bool)
+    lost = np.zeros(plane.n, dtype=bool)
     phases, here = [], np.asarray(counts)
     next_s = _next_of_robot(runs)
     for phase, begin_s in enumerate(begins_s):
@@ -104,9 +104,7 @@ def replay(
         chosen = chosen[np.argsort(runs.row[chosen], kind="stable")]
         mine = runs.only(chosen)
         motion = _motion(units, here, mine.row, frames[mine.frame])
-        phases.append(
-            _phase(plane, motion, mine, begin_s, next_s[chosen], begins_s[0], said, unheard)
-        )
+        phases.append(_phase(plane, motion, mine, begin_s, next_s[chosen], begins_s[0], said, lost))
         here = phases[-1].end
     first = runs.only(of_leg == 0)
     started, load_bytes = np.zeros(plane.n, dtype=bool), np.zeros(plane.n, dtype=np.int64)
@@ -115,7 +113,7 @@ def replay(
     load_bytes[runs.row[::-1]] = frames[runs.frame[::-1]].lengths
     nothing = Phase.whole(WireMotion(units, here, np.zeros(2 * plane.n + 1), [], []))
     return Replay(
-        tuple(phases) or (nothing,), started, unheard, load_bytes, runs.load_s,
+        tuple(phases) or (nothing,), started, lost, load_bytes, runs.load_s,
         float(first.go_s.max()) if count else np.nan, float(begins_s[0]) if count else np.nan,
     )  # fmt: skip
 
@@ -167,7 +165,7 @@ def _motion(units, counts, rows, frames) -> WireMotion:
     return WireMotion(units, counts, offsets, orders.ticks, orders.velocity)
 
 
-def _phase(plane, motion, runs, begin_s, next_s, zero_s, said, unheard) -> Phase:
+def _phase(plane, motion, runs, begin_s, next_s, zero_s, said, lost) -> Phase:
     n, ends_s = len(motion.start), motion.decoded().durations.max(axis=1)
     stop_us, stop = np.full(n, -1), np.zeros((n, 2), dtype=np.int64)
     begin_us = round(1e6 * (begin_s - zero_s))
@@ -193,7 +191,7 @@ def _phase(plane, motion, runs, begin_s, next_s, zero_s, said, unheard) -> Phase
             stands(row, told_s, said.position[at])
     whole = Phase.whole(motion)
     for row, place in silent:
-        unheard[row] = True
+        lost[row] = True
         if plane.bus[row] in talks or not np.isfinite(together_s):
             stands(row, together_s, place if said.heard is None else said.heard[row])
         elif together_s < ends_s[row]:

@@ -111,7 +111,7 @@ def test_robots_that_stop_by_themselves_and_the_others_that_go_on(events):
     told, bad = night.told, np.unique([event[0] for event in events])
     assert len(told.phases) == night.uploads == 1 + len(bad)
     assert (night.result.outcome[bad] == Outcome.FAILED).all()
-    assert not told.unheard.any()
+    assert not told.lost.any()
     assert night.off_rad() < MOST_RAD_S * FRAME_S
     np.testing.assert_array_equal(told.end, night.encoders)
     for phase, after in zip(told.phases, told.phases[1:]):
@@ -132,7 +132,7 @@ def test_robots_on_a_bus_that_dies_stop_when_the_others_are_stopped(jam, dies_s)
     told, dead = night.told, night.plane.bus == 1
     assert len(told.phases) == 2 + len(jam) and (night.result.outcome[dead] == Outcome.FAILED).any()
     alive = np.flatnonzero(~dead)
-    assert not told.unheard[alive].any() and told.unheard[dead].any()
+    assert not told.lost[alive].any() and told.lost[dead].any()
     assert night.off_rad(alive) < MOST_RAD_S * FRAME_S
     np.testing.assert_array_equal(told.end[alive], night.encoders[alive])
     # when they hear nothing any more is known to a step of the watch
@@ -142,7 +142,7 @@ def test_robots_on_a_bus_that_dies_stop_when_the_others_are_stopped(jam, dies_s)
 def test_a_robot_that_falls_silent_is_drawn_where_it_was_last_heard():
     night = Night([(11, 0.9, Event.POWER, 0)])
     told = night.told
-    assert np.flatnonzero(told.unheard).tolist() == [11] and len(told.phases) == 2
+    assert np.flatnonzero(told.lost).tolist() == [11] and len(told.phases) == 2
     others = np.delete(np.arange(N), 11)
     assert night.off_rad(others) < MOST_RAD_S * FRAME_S
     # of the looks at moving robots one in a tenth of a second is published
