@@ -52,6 +52,7 @@ ARROWS = {
     "fiber_recording.bag": {"fiber_recording", "fiber_msgs_py", "fiber_client", "rosbags"} | ROS,
     "fiber_viewer": {"fiber_recording", "matplotlib"},
     "fiber_viewer.node": {"fiber_viewer", "fiber_node", "visualization_msgs"} | ROS,
+    "fiber_positioners": {"fiber_planner", "fiber_discretizer", "fiber_viewer", "rich"},
     "fiber_bringup": {"fiber_client", "fiber_viewer", "fiber_viewer.node", "ament_index_python"}
     | NODES,
     # scripts find each other by the names of their files

@@ -1,0 +1,143 @@
+"""From a problem to certified orders: the planner and the discretizer, without buses."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from fiber_core.array_types import Codes, Counts, Points
+from fiber_core.assignment import Assignment, assign
+from fiber_core.clearance import Safety
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.outcomes import first_reason
+from fiber_core.problem import Problem
+from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_discretizer import Discretization, DiscretizeOptions, discretize
+from fiber_planner import DEFAULT_PLANNER, PlannedMotion, Planner, make_planner
+
+__all__ = ["Orders", "ProgressCallback", "make_orders", "planner_of"]
+
+# Called from time to time with the fraction of the work that is done, 0..1, and a short text.
+ProgressCallback: TypeAlias = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Orders:
+    """A problem with its plan and its orders, and the results of the stages between.
+
+    Args:
+        problem: the problem as it was given.
+        units: tick, quantum and field widths of the wire format.
+        counts: encoder readings before the plan [quanta], shape (n, 2).
+        safety: the margin and the timing errors that the orders were certified for.
+        planner: name of the planner.
+        assignment: the targets that were accepted, and the reasons of those refused.
+        planned: the motion of the planner.
+        discretization: the orders in whole wire units, with their certificate.
+        seconds: wall time of each stage [s], by "plan_s" and "discretize_s".
+    """
+
+    problem: Problem
+    units: WireUnits
+    counts: Counts
+    safety: Safety
+    planner: str
+    assignment: Assignment
+    planned: PlannedMotion
+    discretization: Discretization
+    seconds: dict[str, float]
+
+    @property
+    def plane(self) -> FocalPlane:
+        """The focal plane."""
+        return self.problem.plane
+
+    @property
+    def targets(self) -> Points:
+        """The targets as they were asked for [mm], shape (n, 2), nan without a target."""
+        return self.problem.targets
+
+    @property
+    def start_problem(self) -> Problem:
+        """The problem that the planner solved: starts on whole quanta, accepted targets only."""
+        return Problem(self.plane, self.units.to_angles(self.counts), self.assignment.targets)
+
+    @property
+    def wire(self) -> WireMotion:
+        """The orders of all robots, in whole ticks and quanta."""
+        return self.discretization.wire
+
+    @property
+    def reason(self) -> Codes:
+        """Reason of the first stage that held each robot, else OK or NO_TARGET, shape (n,)."""
+        return first_reason(self.assignment.reason, self.planned.reason, self.discretization.reason)
+
+
+def planner_of(planner: str | Planner | None) -> Planner:
+    """Return the planner of a name, the default one for None, or the planner itself.
+
+    Raises:
+        PlannerError: no planner has that name.
+    """
+    if planner is None or isinstance(planner, str):
+        return make_planner(planner or DEFAULT_PLANNER)
+    return planner
+
+
+def make_orders(
+    problem: Problem,
+    *,
+    planner: str | Planner | None = None,
+    safety: Safety | None = None,
+    options: DiscretizeOptions | None = None,
+    progress: ProgressCallback | None = None,
+) -> Orders:
+    """Assign targets, plan, and discretize the plan into certified orders.
+
+    The robots start where their encoders read: the start angles of the problem are rounded
+    to whole quanta first.
+
+    Args:
+        problem: the plane, the present joint angles and the targets.
+        planner: name of a planner, or an object with the method `plan` of the planner
+            interface; by default the planner "direct".
+        safety: margin and timing errors; by default as `Safety` says.
+        options: options of the discretizer; by default as `DiscretizeOptions` says.
+        progress: called with the fraction of the work that is done, 0..1, and a short text.
+
+    Raises:
+        FiberError: the planner is unknown, or the problem does not suit it.
+    """
+    plane, safety, chosen = problem.plane, safety or Safety(), planner_of(planner)
+    units = WireUnits.for_plane(plane)
+    counts = units.encoder_counts(plane, problem.start)
+    start, asked = units.to_angles(counts), problem.asked
+    assignment = assign(plane, start, plane.ids[asked], problem.targets[asked])
+    begin = time.perf_counter()
+    planned = chosen.plan(
+        Problem(plane, start, assignment.targets), part_of(progress, 0.0, 0.7, "plan")
+    )
+    plan_s = time.perf_counter() - begin
+    begin = time.perf_counter()
+    discretization = discretize(
+        plane, planned.motion, units, safety, counts, options,
+        part_of(progress, 0.7, 1.0, "discretize"),
+    )  # fmt: skip
+    discretize_s = time.perf_counter() - begin
+    seconds = {"plan_s": round(plan_s, 4), "discretize_s": round(discretize_s, 4)}
+    return Orders(
+        problem, units, counts, safety, chosen.name, assignment, planned, discretization, seconds
+    )
+
+
+def part_of(
+    progress: ProgressCallback | None, begin: float, end: float, stage: str
+) -> ProgressCallback | None:
+    """Return a callback that reports one stage as the part begin..end of the whole work."""
+    if progress is None:
+        return None
+
+    def report(fraction: float, text: str) -> None:
+        progress(begin + (end - begin) * fraction, f"{stage}: {text}")
+
+    return report

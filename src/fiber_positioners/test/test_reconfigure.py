@@ -1,0 +1,178 @@
+"""A reconfiguration gives every robot an outcome, repeats to the byte, and is saved whole."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fiber_core.assignment import assign
+from fiber_core.errors import FiberError
+from fiber_core.motion import SampledMotion
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.problem import load_plan, load_problem
+from fiber_positioners import (
+    PlannedMotion,
+    Problem,
+    Reconfiguration,
+    Safety,
+    make_orders,
+    preset,
+    random_problem,
+    reconfigure,
+    run_on_simulated_buses,
+    with_targets,
+)
+from fiber_recording import load_recording
+
+REPORT_KEYS = [
+    "planner", "seed", "plane", "robots", "enabled", "asked", "reached", "held", "failed",
+    "reasons", "makespan_s", "lower_bound_s", "makespan_ratio", "certified", "min_clearance_mm",
+    "min_clearance_ids", "min_clearance_time_s", "segments_mean", "segments_max",
+    "segments_bound", "end_error_um_rms", "end_error_um_max", "bytes_mean", "bytes_bound",
+    "bus_time_s", "countdown_s", "plan_s", "discretize_s", "upload_s", "certify_s", "encode_s",
+]  # fmt: skip
+
+
+class Resting:
+    """A planner that moves no robot."""
+
+    name = "resting"
+
+    def plan(self, problem, progress=None):
+        start = problem.start
+        motion = SampledMotion([0.0, 1.0], np.repeat(start[:, :, None], 2, axis=2))
+        reason = np.where(problem.asked, Reason.NOT_CONVERGED, Reason.NO_TARGET)
+        return PlannedMotion(motion, start, reason)
+
+
+def arrays(result):
+    motion = result.motion
+    return (
+        motion.offsets, motion.duration_s, motion.velocity_rad_s, result.outcome, result.reason,
+        result.frames.time_s, result.frames.data,
+    )  # fmt: skip
+
+
+def test_every_robot_of_a_random_field_reaches_its_target(result):
+    assert (result.outcome == Outcome.REACHED).all() and (result.reason == Reason.OK).all()
+    assert result.certificate.ok
+    assert (result.error_mm <= 0.1).all()
+
+
+def test_the_report_has_the_keys_of_a_results_line(result):
+    assert list(result.report) == REPORT_KEYS
+    assert result.report["planner"] == "direct" and result.report["seed"] == 2
+    json.dumps(result.report)
+
+
+def test_equal_seeds_give_equal_bytes(result):
+    again = reconfigure(random_problem(preset("desi", 37), seed=1), seed=2)
+    for a, b in zip(arrays(result), arrays(again)):
+        assert np.array_equal(a, b)
+
+
+def test_another_seed_of_the_clocks_leaves_the_motion_as_it_is(result):
+    other = reconfigure(result.problem, seed=3)
+    assert np.array_equal(other.motion.velocity_rad_s, result.motion.velocity_rad_s)
+    assert not np.array_equal(other.frames.data, result.frames.data)
+
+
+def test_a_seed_and_its_generator_draw_the_same_problem():
+    plane = preset("desi", 7)
+    a, b = random_problem(plane, 5), random_problem(plane, np.random.default_rng(5))
+    assert np.array_equal(a.targets, b.targets) and np.array_equal(a.start, b.start)
+
+
+def test_a_saved_folder_holds_the_problem_the_plan_the_report_and_the_recording(result, tmp_path):
+    folder = result.save(tmp_path / "a" / "b")
+    problem = load_problem(folder / "problem.npz")
+    assert np.array_equal(problem.targets, result.problem.targets)
+    motion, outcome = load_plan(folder / "plan.npz", result.motion.start)
+    assert np.array_equal(motion.duration_s, result.motion.duration_s)
+    assert np.array_equal(outcome, result.outcome)
+    assert json.loads((folder / "report.json").read_text())["reached"] == 37
+    recording = load_recording(folder / "recording.npz")
+    assert np.array_equal(recording.outcome, result.outcome)
+
+
+def test_the_recording_replays_the_same_motion_from_the_frames(result):
+    recording = result.recording
+    assert recording.started.all()
+    times = np.linspace(0.0, result.motion.makespan_s, 7)
+    for t in times:
+        assert np.allclose(recording.decoded(t), result.motion(t), atol=1e-9)
+    assert recording.about["report"]["reached"] == result.report["reached"]
+    assert recording.about["planner"] == "direct" and not recording.about["notes"]
+
+
+def test_the_player_is_one_page_with_the_recording_in_it(result, tmp_path):
+    page = result.player(tmp_path / "pages" / "player.html")
+    text = page.read_text()
+    assert text.startswith("<!") and len(text) > 50_000 and "{{" not in text[:2000]
+
+
+def test_another_planner_stands_behind_the_interface():
+    problem = random_problem(preset("desi", 7), seed=1)
+    result = reconfigure(problem, planner=Resting())
+    assert result.report["planner"] == "resting"
+    assert (result.outcome == Outcome.HELD).all()
+    assert (result.reason == Reason.NOT_CONVERGED).all()
+
+
+def test_a_refused_target_holds_its_robot_and_has_a_reason():
+    problem = random_problem(preset("desi", 7), seed=1)
+    targets = problem.targets.copy()
+    targets[2] = problem.plane.centers[2] + 50.0
+    result = reconfigure(Problem(problem.plane, problem.start, targets))
+    assert result.outcome[2] == Outcome.HELD and result.reason[2] == Reason.UNREACHABLE
+    assert (np.delete(result.outcome, 2) == Outcome.REACHED).all()
+
+
+def test_an_unknown_planner_is_refused_by_name():
+    problem = random_problem(preset("desi", 7), seed=1)
+    with pytest.raises(FiberError, match="quickest"):
+        reconfigure(problem, planner="quickest")
+
+
+def test_progress_rises_from_the_plan_to_the_end():
+    told = []
+    problem = random_problem(preset("desi", 7), seed=1)
+    reconfigure(problem, progress=lambda fraction, text: told.append((fraction, text)))
+    fractions = [fraction for fraction, _ in told]
+    assert fractions == sorted(fractions) and 0.0 <= fractions[0] and fractions[-1] == 1.0
+    assert any("plan" in text for _, text in told) and any("moving" in text for _, text in told)
+
+
+def test_a_larger_margin_is_kept(result):
+    margin = Safety(margin_mm=0.15)
+    other = reconfigure(result.problem, safety=margin)
+    assert other.orders.safety == margin and other.certificate.ok
+    assert other.certificate.min_gap_mm >= 0.15
+
+
+def test_captures_of_the_buses_are_written(tmp_path):
+    pytest.importorskip("vcd")
+    reconfigure(random_problem(preset("desi", 2), seed=1), capture=tmp_path / "capture")
+    assert (tmp_path / "capture" / "buses.vcd").stat().st_size > 0
+    assert (tmp_path / "capture" / "buses.pcap").stat().st_size > 0
+
+
+def test_targets_of_a_table_stand_in_for_those_of_the_problem(tmp_path):
+    problem = random_problem(preset("desi", 7), seed=1)
+    x, y = problem.targets[4]
+    (tmp_path / "targets.csv").write_text(f"id,x_mm,y_mm\n4,{x},{y}\n")
+    other = with_targets(problem, tmp_path / "targets.csv")
+    assert other.asked.tolist() == [k == 4 for k in range(7)]
+    assert np.allclose(other.targets[4], problem.targets[4])
+
+
+def test_orders_carry_the_reasons_of_all_stages():
+    problem = random_problem(preset("desi", 7), seed=1)
+    orders = make_orders(problem)
+    plane, start = orders.plane, orders.start_problem.start
+    assigned = assign(plane, start, plane.ids, problem.targets)
+    assert np.array_equal(orders.assignment.targets, assigned.targets)
+    assert (orders.reason == Reason.OK).all()
+    run = run_on_simulated_buses(orders)
+    result = Reconfiguration(orders, run, 0)
+    assert np.array_equal(result.outcome, reconfigure(problem).outcome)
