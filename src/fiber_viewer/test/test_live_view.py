@@ -12,7 +12,7 @@ from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import FRAME_ID, PlanStamp, joint_states, layout, outcome, targets, topics
 from fiber_msgs_py.point_clouds import POINTS, ViewState, arms_cloud, plane_cloud, view_states
 from fiber_node import RosClient
-from fiber_viewer.node import ARMS, PLANE, TARGETS, WATCHED, ViewerNode
+from fiber_viewer.node import WATCHED, ViewerNode
 from fiber_viewer.outlines import outlines
 
 N, WAIT_S = 12, 20.0
@@ -120,8 +120,8 @@ def test_unwatched_it_does_not_even_listen(scene, plane, angles):
 def test_watched_it_shows_arms_until_nobody_moves(scene, plane, angles):
     peer, speeds = scene.peer, np.full((N, 2), 0.5)
     seen = []
-    listening = ARMS.subscription(peer.node, seen.append)
-    latched = peer.hear(PLANE)
+    listening = topics.VIEW_ARMS.subscription(peer.node, seen.append)
+    latched = peer.hear(topics.VIEW_PLANE)
     scene.move(angles, speeds, 1)
     peer.until(lambda: len(seen) >= 3, WAIT_S, "pictures of moving arms")
     for message in seen:
@@ -160,7 +160,7 @@ def watched(message):
 
 
 def test_at_rest_it_answers_whoever_comes_and_asks(scene, plane, angles):
-    peer, seen = scene.peer, scene.peer.hear(ARMS)
+    peer, seen = scene.peer, scene.peer.hear(topics.VIEW_ARMS)
     scene.move(angles, 0 * angles, 1)
     peer.until(lambda: seen, WAIT_S, "arms at rest")
     spun(peer, 8)
@@ -173,7 +173,7 @@ def test_at_rest_it_answers_whoever_comes_and_asks(scene, plane, angles):
 
 def test_only_watched_robots_have_outlines(scene, plane, angles):
     peer = scene.peer
-    seen, asked = peer.hear(WATCHED), peer.hear(TARGETS)
+    seen, asked = peer.hear(WATCHED), peer.hear(topics.VIEW_TARGETS)
     scene.move(angles, 0 * angles, 1)
     peer.until(lambda: seen, WAIT_S)
     assert watched(seen[-1]) == {str(plane.ids[3])}

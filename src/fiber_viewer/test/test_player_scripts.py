@@ -21,7 +21,8 @@ from fiber_viewer.page import SCRIPTS, script
 
 PLAYER = Path(fiber_viewer.__file__).parent / "player"
 DRAWS = 300
-OUTLINES = Path(__file__).parent / "data" / "recording-1.npz"  # of a plane with polygons
+# a recording of version 1, of a plane with polygons
+OUTLINES = Path(__file__).parents[2] / "fiber_recording/test/data/recording-1.npz"
 
 
 @pytest.fixture
