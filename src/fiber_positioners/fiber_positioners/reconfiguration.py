@@ -21,8 +21,7 @@ from fiber_discretizer import DiscretizeOptions, joint_corridors
 from fiber_planner import Planner
 from fiber_positioners.orders import Orders, ProgressCallback, make_orders, part_of
 from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
-from fiber_recording import Recording, save_recording
-from fiber_recording.build_recording import record
+from fiber_recording import Recording, build_recording, save_recording
 from fiber_viewer import write_player
 
 __all__ = ["Reconfiguration", "reconfigure"]
@@ -106,18 +105,18 @@ class Reconfiguration:
         corridors = joint_corridors(plane, orders.wire.decoded(), orders.safety)
         result = self.run.result
         ended = PlanOutcome(0, plane.ids, result.outcome, result.reason, result.error_mm)
-        return record(
+        return build_recording(
             plane,
             orders.units,
-            orders.counts,
-            (plane.ids[asked], self.problem.targets[asked]),
-            (plane.ids, orders.planned.motion),
-            (plane.ids, corridors),
-            [self.frames],
-            self.run.counts,
-            ended,
-            orders.safety,
-            {"seed": self.seed, "planner": orders.planner, "attempts": 1},
+            logs=[self.frames],
+            outcome=ended,
+            counts_before=orders.counts,
+            counts_after=self.run.counts,
+            targets=(plane.ids[asked], self.problem.targets[asked]),
+            planned=(plane.ids, orders.planned.motion),
+            corridors=(plane.ids, corridors),
+            safety=orders.safety,
+            about={"seed": self.seed, "planner": orders.planner, "attempts": 1},
         )
 
     def save(self, folder: str | Path, recording: bool = True) -> Path:
