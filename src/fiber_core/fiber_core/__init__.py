@@ -5,6 +5,7 @@ Outlines, gaps and the certificate of clearance are in ``fiber_core.clearance``.
 """
 
 from fiber_core.assignment import Assignment, assign
+from fiber_core.custom_plane import hexagonal
 from fiber_core.errors import FiberError, FieldError, LayoutError, MotionError, TargetsError
 from fiber_core.fields import Field, random_field, random_problem
 from fiber_core.focal_plane import FocalPlane
@@ -38,6 +39,7 @@ __all__ = [
     "assign",
     "first_reason",
     "forward",
+    "hexagonal",
     "holds",
     "inverse",
     "jacobian",

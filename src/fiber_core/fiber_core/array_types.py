@@ -1,10 +1,14 @@
-"""Names for arrays that tell what they hold: shape and unit.
+"""Names of array types that tell the shape and the unit of an array.
 
-n robots, k some of them, p pairs, m segments, t instants. They are for readers and for type
-checkers, which see the element type; shapes are checked once, where data enters.
+In the shapes, n stands for all robots, k for some of them, p for pairs, m for segments and t for
+instants. A type checker sees the kind of the elements; `fiber_core.validation` checks shapes
+where data enters. An argument that is converted with np.asarray takes numpy's ``ArrayLike``.
+
+numpy's stubs give ``array.any(axis=1)`` a type that may be a single number, and
+``np.any(array, axis=1)`` one that fits these names: the latter is used where it matters.
 """
 
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +32,7 @@ __all__ = [
 ]
 
 Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int64]
+Ints: TypeAlias = NDArray[np.integer[Any]]  # rows are np.intp, which type checkers tell apart
 Bools: TypeAlias = NDArray[np.bool_]
 
 Angles = Annotated[Floats, "joint angles theta, phi [rad], shape (n, 2)"]

@@ -122,7 +122,7 @@ def assign(
             not finite; names the robots and values.
     """
     rows, asked = _asked(plane, ids, xy_mm)
-    start = frozen_array(start, float, (plane.n, 2), "start", TargetsError)
+    start = frozen_array(start, np.float64, (plane.n, 2), "start", TargetsError)
     _refuse(~np.isfinite(start).all(axis=1), plane.ids, start, Reason.NOT_FINITE, "start angles")
     margin_mm = Safety().margin_mm if margin_mm is None else margin_mm
 
@@ -155,7 +155,7 @@ def assign(
 def _asked(plane, ids, xy_mm):
     # malformed input raises; otherwise the rows asked and their targets, nan elsewhere
     ids = frozen_array(ids, np.int64, (None,), "ids", TargetsError)
-    xy_mm = frozen_array(xy_mm, float, (len(ids), 2), "targets", TargetsError)
+    xy_mm = frozen_array(xy_mm, np.float64, (len(ids), 2), "targets", TargetsError)
     rows = plane.index_of(ids)
     _refuse(rows < 0, ids, xy_mm, Reason.UNKNOWN_ROBOT, "no such robot, target")
     _, first, count = np.unique(ids, return_index=True, return_counts=True)

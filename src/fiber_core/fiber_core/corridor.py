@@ -33,7 +33,7 @@ class JointCorridors:
     def __post_init__(self):
         k = np.size(self.lasts_s)
         for name, shape in (("lasts_s", (k,)), ("low", (k, 2, None)), ("high", (k, 2, None))):
-            value = frozen_array(getattr(self, name), float, shape, name, MotionError)
+            value = frozen_array(getattr(self, name), np.float64, shape, name, MotionError)
             if not np.isfinite(value).all():
                 raise MotionError(f"{name} holds {value[~np.isfinite(value)][0]}")
             object.__setattr__(self, name, value)

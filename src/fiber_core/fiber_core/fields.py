@@ -62,14 +62,14 @@ def random_field(
     """
     gap_mm = Safety().margin_mm + _OVER_MARGIN_MM if gap_mm is None else gap_mm
     asked = np.ones(plane.n) if asked is None else asked
-    asked = frozen_array(asked, bool, (plane.n,), "asked", FieldError) & plane.enabled
+    asked = frozen_array(asked, np.bool_, (plane.n,), "asked", FieldError) & plane.enabled
     neighbours = _neighbours(plane, max(gap_mm, plane.spacing_mm))
     everybody = np.ones(plane.n, dtype=bool)
     nowhere = np.zeros((plane.n, 2))
     if start is None:
         start = _arrange(plane, rng, neighbours, everybody, nowhere, gap_mm, 0.0, "start")
     else:
-        start = frozen_array(start, float, (plane.n, 2), "start", FieldError)
+        start = frozen_array(start, np.float64, (plane.n, 2), "start", FieldError)
         lost = plane.ids[~np.isfinite(start).all(axis=1)]
         if len(lost):
             raise FieldError(f"robot {lost[0]}: its start is not finite", lost)

@@ -1,10 +1,13 @@
-"""What a focal plane is: the robots, where they stand, how they are built."""
+"""The focal plane: its robots, where they stand, how they are built, and the fixed obstacles."""
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from fiber_core.array_types import Floats, Ids, Ints, Mask, Points, Rows, Velocities
 from fiber_core.errors import LayoutError
 from fiber_core.validation import frozen_array
 
@@ -13,7 +16,7 @@ __all__ = ["FocalPlane", "addresses_on"]
 _ROBOTS_PER_BUS = 500  # ten controllers for 5000 robots: Kaci et al. (SPIE 9912, 2016)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class FocalPlane:
     """All positioners of a focal plane as arrays, one row per robot, and the fixed obstacles.
 
@@ -22,14 +25,14 @@ class FocalPlane:
     hull of its vertices grown by a rounding radius, in the frame of the link: x
     along the arm, origin at the centre (theta link) or at the elbow (phi link).
     A capsule is two vertices and a radius. A theta link with no vertices has no
-    outline: it passes below everything.
+    outline: it passes below all phi links.
 
     Args:
         ids: robot ids, strictly increasing, shape (n,).
         centers: theta axes in the focal plane [mm], shape (n, 2).
         arms: lengths of both arms l1, l2 [mm], positive, shape (n, 2).
         limits: joint ranges [rad], shape (n, 2, 2): robot, joint (theta, phi), (low, high).
-            Theta is measured in the focal plane frame: a robot's own zero is
+            Theta is measured in the frame of the focal plane: the zero of each robot is
             already in its limits.
         speeds: highest joint speeds [rad/s], shape (n, 2).
         phi_vertices: phi outline vertices [mm], counter-clockwise, shape (n, k, 2), k >= 1.
@@ -37,87 +40,118 @@ class FocalPlane:
         theta_vertices: theta outline vertices [mm], counter-clockwise, shape (n, m, 2), m >= 0.
         theta_radius: rounding radius of the theta outline [mm], shape (n,).
         enabled: whether a robot may be moved, shape (n,).
-        obstacles: fixed discs x, y, radius [mm], shape (k, 3).
-        bus: bus each robot hangs on, shape (n,); by default 500 robots a bus, in order.
-        address: its address there, unique on the bus, shape (n,); by default 1, 2, ...
+        obstacles: fixed discs x, y, radius [mm], shape (k, 3); by default none.
+        bus: number of the bus of each robot, shape (n,); by default 500 robots a bus, in order.
+        address: address on that bus, unique there, shape (n,); by default 1, 2, ...
         spacing_mm: least distance between two targets, D of the papers [mm].
-        name: preset or file this plane came from.
+        name: preset or file from which this plane was made.
 
     Raises:
         LayoutError: a shape does not fit or a value is out of range; names the robot.
     """
 
-    ids: np.ndarray
-    centers: np.ndarray
-    arms: np.ndarray
-    limits: np.ndarray
-    speeds: np.ndarray
-    phi_vertices: np.ndarray
-    phi_radius: np.ndarray
-    theta_vertices: np.ndarray
-    theta_radius: np.ndarray
-    enabled: np.ndarray
-    obstacles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    bus: np.ndarray | None = None
-    address: np.ndarray | None = None
-    spacing_mm: float = 0.0
-    name: str = ""
+    ids: Ids
+    centers: Points
+    arms: Floats
+    limits: Floats
+    speeds: Velocities
+    phi_vertices: Floats
+    phi_radius: Floats
+    theta_vertices: Floats
+    theta_radius: Floats
+    enabled: Mask
+    obstacles: Floats
+    bus: Ints
+    address: Ints
+    spacing_mm: float
+    name: str
 
-    def __post_init__(self):
-        n = np.size(self.ids)
-        columns = {
-            "ids": ((n,), np.int64),
-            "centers": ((n, 2), float),
-            "arms": ((n, 2), float),
-            "limits": ((n, 2, 2), float),
-            "speeds": ((n, 2), float),
-            "phi_vertices": ((n, None, 2), float),
-            "phi_radius": ((n,), float),
-            "theta_vertices": ((n, None, 2), float),
-            "theta_radius": ((n,), float),
-            "enabled": ((n,), bool),
-            "obstacles": ((None, 3), float),
-            "bus": ((n,), np.int64),
-            "address": ((n,), np.int64),
-        }
-        if self.bus is None:
-            object.__setattr__(self, "bus", np.arange(n) // _ROBOTS_PER_BUS)
-        if self.address is None:
-            object.__setattr__(self, "address", addresses_on(self.bus))
-        for name, (shape, dtype) in columns.items():
-            value = frozen_array(getattr(self, name), dtype, shape, name, LayoutError)
-            object.__setattr__(self, name, value)
-        self._check()
+    def __init__(
+        self,
+        ids: ArrayLike,
+        centers: ArrayLike,
+        arms: ArrayLike,
+        limits: ArrayLike,
+        speeds: ArrayLike,
+        phi_vertices: ArrayLike,
+        phi_radius: ArrayLike,
+        theta_vertices: ArrayLike,
+        theta_radius: ArrayLike,
+        enabled: ArrayLike,
+        obstacles: ArrayLike | None = None,
+        bus: ArrayLike | None = None,
+        address: ArrayLike | None = None,
+        spacing_mm: float = 0.0,
+        name: str = "",
+    ):
+        n = np.size(ids)
+        bus = np.arange(n) // _ROBOTS_PER_BUS if bus is None else bus
+        address = addresses_on(bus) if address is None else address
+        obstacles = np.zeros((0, 3)) if obstacles is None else obstacles
+        for field, value in (("ids", ids), ("bus", bus), ("address", address)):
+            self._set(field, frozen_array(value, np.int64, (n,), field, LayoutError))
+        for field, value, shape in (
+            ("centers", centers, (n, 2)),
+            ("arms", arms, (n, 2)),
+            ("limits", limits, (n, 2, 2)),
+            ("speeds", speeds, (n, 2)),
+            ("phi_vertices", phi_vertices, (n, None, 2)),
+            ("phi_radius", phi_radius, (n,)),
+            ("theta_vertices", theta_vertices, (n, None, 2)),
+            ("theta_radius", theta_radius, (n,)),
+            ("obstacles", obstacles, (None, 3)),
+        ):
+            self._set(field, frozen_array(value, np.float64, shape, field, LayoutError))
+        self._set("enabled", frozen_array(enabled, np.bool_, (n,), "enabled", LayoutError))
+        self._set("spacing_mm", spacing_mm)
+        self._set("name", name)
+        self._check_ids()
+        self._check_values()
+        self._check_addresses()
 
-    def _check(self):
-        if self.n and not np.all(np.diff(self.ids) > 0):
-            at = int(np.argmin(np.diff(self.ids) > 0))
+    def _set(self, field: str, value: NDArray[Any] | float | str) -> None:
+        object.__setattr__(self, field, value)  # the class is frozen
+
+    def _check_ids(self) -> None:
+        rises = np.diff(self.ids) > 0
+        if not rises.all():
+            at = int(np.argmin(rises))
             raise LayoutError(f"robot ids must increase: {self.ids[at + 1]} follows {self.ids[at]}")
+
+    def _check_values(self) -> None:
         if self.phi_vertices.shape[1] == 0:
             raise LayoutError("the phi outline needs at least one vertex")
-        for name, bad in {
-            "centers": ~np.isfinite(self.centers),
-            "arms": ~(np.isfinite(self.arms) & (self.arms > 0)),
-            "limits": ~np.isfinite(self.limits),
-            "speeds": ~(np.isfinite(self.speeds) & (self.speeds > 0)),
-            "phi_radius": ~(np.isfinite(self.phi_radius) & (self.phi_radius >= 0)),
-            "theta_radius": ~(np.isfinite(self.theta_radius) & (self.theta_radius >= 0)),
-            "phi_vertices": ~np.isfinite(self.phi_vertices),
-            "theta_vertices": ~np.isfinite(self.theta_vertices),
-        }.items():
-            rows = bad.any(axis=tuple(range(1, bad.ndim)))
-            if rows.any():
-                at = int(np.argmax(rows))
-                value = getattr(self, name)[at].tolist()
-                raise LayoutError(f"robot {self.ids[at]}: {name} is {value}")
-        upside_down = (self.limits[:, :, 0] > self.limits[:, :, 1]).any(axis=1)
-        if upside_down.any():
-            at = int(np.argmax(upside_down))
-            raise LayoutError(f"robot {self.ids[at]}: limits {self.limits[at].tolist()} are empty")
-        if not np.all(np.isfinite(self.obstacles)) or np.any(self.obstacles[:, 2] < 0):
-            raise LayoutError("an obstacle's x, y or radius is not a length")
+        for name, value, rule in (
+            ("centers", self.centers, "finite"),
+            ("arms", self.arms, "positive"),
+            ("limits", self.limits, "finite"),
+            ("speeds", self.speeds, "positive"),
+            ("phi_radius", self.phi_radius, "0 or more"),
+            ("theta_radius", self.theta_radius, "0 or more"),
+            ("phi_vertices", self.phi_vertices, "finite"),
+            ("theta_vertices", self.theta_vertices, "finite"),
+        ):
+            self._refuse(~_fits(value, rule), name, value, f"must be {rule}")
+        low, high = np.moveaxis(self.limits, -1, 0)
+        self._refuse(low > high, "limits", self.limits, "must not be empty")
+        bad = ~np.isfinite(self.obstacles).all(axis=1) | (self.obstacles[:, 2] < 0)
+        if bad.any():
+            at = int(np.argmax(bad))
+            raise LayoutError(
+                f"obstacle {at}: x, y must be finite and the radius 0 or more, "
+                f"got {self.obstacles[at].tolist()}"
+            )
         if not (np.isfinite(self.spacing_mm) and self.spacing_mm >= 0):
-            raise LayoutError(f"the spacing of targets is {self.spacing_mm} mm")
+            raise LayoutError(f"the spacing of targets must be 0 mm or more, got {self.spacing_mm}")
+
+    def _refuse(self, bad: NDArray[np.bool_], name: str, value: Floats, rule: str) -> None:
+        # bad: elements that break the rule, the first axis being that of the robots
+        rows = np.flatnonzero(bad.reshape(self.n, bad.size // max(self.n, 1)).any(axis=1))
+        if len(rows):
+            at = rows[0]
+            raise LayoutError(f"robot {self.ids[at]}: {name} {rule}, got {value[at].tolist()}")
+
+    def _check_addresses(self) -> None:
         order = np.lexsort([self.address, self.bus])
         same = (np.diff(self.bus[order]) == 0) & (np.diff(self.address[order]) == 0)
         if same.any():
@@ -133,7 +167,7 @@ class FocalPlane:
         return len(self.ids)
 
     @cached_property
-    def reach_mm(self) -> np.ndarray:
+    def reach_mm(self) -> Floats:
         """Radius of the disc about the centre that no part of a robot ever leaves [mm], (n,)."""
         phi = np.hypot(*np.moveaxis(self.phi_vertices, -1, 0)).max(axis=1) + self.phi_radius
         reach = self.arms[:, 0] + phi
@@ -143,7 +177,7 @@ class FocalPlane:
         reach.setflags(write=False)
         return reach
 
-    def index_of(self, ids) -> np.ndarray:
+    def index_of(self, ids: ArrayLike) -> Rows:
         """Return the row of each id, -1 where the plane has no such robot; shape as ids."""
         ids = np.asarray(ids, dtype=np.int64)
         if self.n == 0:
@@ -151,25 +185,49 @@ class FocalPlane:
         rows = np.clip(np.searchsorted(self.ids, ids), 0, self.n - 1)
         return np.where(self.ids[rows] == ids, rows, -1)
 
-    def with_enabled(self, enabled) -> "FocalPlane":
+    def with_enabled(self, enabled: ArrayLike) -> "FocalPlane":
         """Return the same plane with another set of enabled robots, shape (n,)."""
         return replace(self, enabled=enabled)
 
-    def permuted(self, order) -> "FocalPlane":
-        """Return the robots `order` (row indices, shape (m,)) as a plane, renumbered 0..m-1."""
+    def permuted(self, order: ArrayLike) -> "FocalPlane":
+        """Return some robots as a plane, with ids 0, 1, ...
+
+        Args:
+            order: rows of the robots, in the order of the new plane, shape (m,).
+        """
+        order = np.asarray(order, dtype=np.int64)
         rows = {
-            f.name: getattr(self, f.name)[order]
-            for f in fields(self)
-            if f.name not in ("ids", "obstacles", "spacing_mm", "name")
+            field.name: getattr(self, field.name)[order]
+            for field in fields(self)
+            if field.name not in ("ids", "obstacles", "spacing_mm", "name")
         }
         return replace(self, ids=np.arange(len(order)), **rows)
 
 
-def addresses_on(bus) -> np.ndarray:
-    """Number the robots of every bus from 1 in order, given the bus of each; both shape (n,)."""
+def addresses_on(bus: ArrayLike) -> Ints:
+    """Return addresses that number the robots of every bus from 1, in the order of their rows.
+
+    Args:
+        bus: number of the bus of each robot, shape (n,).
+
+    Returns:
+        Address of each robot, shape (n,).
+    """
     bus = np.asarray(bus)
     order = np.argsort(bus, kind="stable")
     first = np.searchsorted(bus[order], bus[order], side="left")
     address = np.empty(len(bus), dtype=np.int64)
     address[order] = 1 + np.arange(len(bus)) - first
     return address
+
+
+def _fits(value: Floats, rule: str) -> NDArray[np.bool_]:
+    # which elements are finite and in range
+    finite = np.isfinite(value)
+    match rule:
+        case "positive":
+            return finite & (value > 0)
+        case "0 or more":
+            return finite & (value >= 0)
+        case _:
+            return finite

@@ -17,7 +17,7 @@ __all__ = ["SampledMotion", "SegmentMotion"]
 
 
 def _finite(value, shape, name):
-    value = frozen_array(value, float, shape, name, MotionError)
+    value = frozen_array(value, np.float64, shape, name, MotionError)
     if not np.isfinite(value).all():
         at = np.argwhere(~np.isfinite(value))[0]
         raise MotionError(f"{name}{at.tolist()} is {value[tuple(at)]}")

@@ -1,23 +1,29 @@
 """Focal planes of known instruments, built from a table of their figures."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Literal, TypeAlias, TypedDict, Unpack
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
+from fiber_core.array_types import Floats
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.hexagonal_grid import hexagonal_centers
 
 __all__ = ["PRESETS", "Preset", "plane_from", "preset"]
 
+Polygon: TypeAlias = tuple[tuple[float, float], ...]  # corners x, y in the frame of a link [mm]
+
 # DESI-0899, in the frame of the link [mm].
-_DESI_PHI_ARM = (
+_DESI_PHI_ARM: Polygon = (
     (3.967, 0.000), (3.918, 1.014), (3.269, 1.583), (-1.172, 1.037),
     (-1.172, -1.037), (3.269, -1.583), (3.918, -1.014),
 )  # fmt: skip
-_DESI_THETA_BODY = (
+_DESI_THETA_BODY: Polygon = (
     (0.814, -3.236), (2.083, -2.707), (2.613, -2.665), (4.154, -2.759), (4.695, -1.680),
     (5.094, -0.540), (5.094, 0.540), (4.831, 1.291), (4.235, 1.933), (3.432, 2.283),
     (2.280, 2.283), (-1.902, -0.935), (-2.007, -2.665), (-1.139, -3.137), (-0.170, -3.332),
@@ -51,13 +57,13 @@ class Preset:
     speeds_deg_s: tuple[float, float]
     spacing_mm: float
     radius_mm: float
-    phi_outline: str | tuple = "capsule"
-    theta_outline: tuple = ()
+    phi_outline: Literal["capsule", "tip"] | Polygon = "capsule"
+    theta_outline: Polygon = ()
     hexagon: bool = False
     note: str = ""
 
 
-_DESI = dict(
+_DESI = Preset(
     robots=5000,
     pitch_mm=10.4,
     arms_mm=(3.0, 3.0),
@@ -65,6 +71,9 @@ _DESI = dict(
     phi_deg=(0.0, 180.0),
     speeds_deg_s=(176.0, 176.0),
     spacing_mm=4.0,
+    radius_mm=1.0,
+    note="A capsule of 1 mm in place of the real outlines, and a plain hexagonal grid in "
+    "place of ten petals. Joint ranges are the narrow end of the real ones.",
 )
 
 PRESETS: Mapping[str, Preset] = MappingProxyType(
@@ -84,14 +93,9 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             "tips apart (discs of d = 2 mm) and has no joint stops: four turns either way "
             "stand for none.",
         ),
-        "desi": Preset(
-            **_DESI,
-            radius_mm=1.0,
-            note="A capsule of 1 mm in place of the real outlines, and a plain hexagonal grid in "
-            "place of ten petals. Joint ranges are the narrow end of the real ones.",
-        ),
-        "desi_outlines": Preset(
-            **_DESI,
+        "desi": _DESI,
+        "desi_outlines": replace(
+            _DESI,
             radius_mm=0.0,
             phi_outline=_DESI_PHI_ARM,
             theta_outline=_DESI_THETA_BODY,
@@ -152,85 +156,100 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
 )
 
 
+class PlaneColumns(TypedDict, total=False):
+    """Fields of FocalPlane that replace those of a preset."""
+
+    limits: ArrayLike
+    speeds: ArrayLike
+    phi_vertices: ArrayLike
+    phi_radius: ArrayLike
+    theta_vertices: ArrayLike
+    theta_radius: ArrayLike
+    enabled: ArrayLike
+    obstacles: ArrayLike
+    bus: ArrayLike | None
+    address: ArrayLike | None
+    spacing_mm: float
+    name: str
+
+
 def preset(name: str, robots: int | None = None) -> FocalPlane:
     """Return the focal plane of an instrument, on a hexagonal grid of any number of robots.
 
     Args:
-        name: one of PRESETS, whose notes say what is assumed.
-        robots: how many; by default as many as the instrument has. Robot k stands on the
-            same site whatever the number.
+        name: one of PRESETS; the note of each says which figures are assumed.
+        robots: number of robots; by default that of the instrument. Robot k stands on the
+            same site for every number.
 
     Raises:
-        LayoutError: no preset has this name, or the number is not positive.
+        LayoutError: no preset has this name, or the number is not a positive integer.
     """
-    if name not in PRESETS:
-        raise LayoutError(f"no preset is named {name!r}; there are {', '.join(PRESETS)}")
-    figures = PRESETS[name]
+    figures = figures_of(name)
     robots = figures.robots if robots is None else robots
-    if robots != int(robots) or robots < 1:
-        raise LayoutError(f"a focal plane of {robots} robots")
-    centers = figures.pitch_mm * _hexagonal_sites(int(robots), figures.hexagon)
+    centers = hexagonal_centers(robots, figures.pitch_mm, figures.hexagon)
     return plane_from(figures, np.arange(len(centers)), centers, name=name)
 
 
-def plane_from(figures: Preset, ids, centers, arms=None, **columns) -> FocalPlane:
-    """Build a focal plane on given sites, with a preset's figures for what is not given.
+def figures_of(name: str) -> Preset:
+    """Return the figures of an instrument.
+
+    Raises:
+        LayoutError: no preset has this name.
+    """
+    if name not in PRESETS:
+        raise LayoutError(f"no preset is named {name!r}; there are {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def plane_from(
+    figures: Preset,
+    ids: ArrayLike,
+    centers: ArrayLike,
+    arms: ArrayLike | None = None,
+    **columns: Unpack[PlaneColumns],
+) -> FocalPlane:
+    """Build a focal plane on given sites, with the figures of a preset for all other fields.
 
     Args:
         figures: the preset.
         ids: robot ids, strictly increasing, shape (n,).
         centers: theta axes [mm], shape (n, 2).
-        arms: lengths of both arms [mm], shape (n, 2); capsules and tips follow them.
-        columns: any other field of FocalPlane.
+        arms: lengths of both arms [mm], shape (n, 2); capsules and tips have these lengths.
+        columns: any other field of FocalPlane, in place of the figures of the preset.
 
     Raises:
         LayoutError: as FocalPlane.
     """
-    n = len(ids)
-
-    def every(value):
-        return np.broadcast_to(np.array(value, dtype=float), (n, *np.shape(value)))
-
-    arms = every(figures.arms_mm) if arms is None else np.asarray(arms, dtype=float)
-    return FocalPlane(
-        **{
-            "ids": ids,
-            "centers": centers,
-            "arms": arms,
-            "limits": every(np.deg2rad([figures.theta_deg, figures.phi_deg])),
-            "speeds": every(np.deg2rad(figures.speeds_deg_s)),
-            "phi_vertices": _phi_vertices(figures.phi_outline, arms),
-            "phi_radius": every(figures.radius_mm),
-            "theta_vertices": every(_hull(figures.theta_outline)),
-            "theta_radius": np.zeros(n),
-            "enabled": np.ones(n, dtype=bool),
-            "spacing_mm": figures.spacing_mm,
-            **columns,
-        }
+    n = np.size(ids)
+    arms = _repeated(figures.arms_mm, n) if arms is None else np.asarray(arms, dtype=float)
+    values = PlaneColumns(
+        limits=_repeated(np.deg2rad([figures.theta_deg, figures.phi_deg]), n),
+        speeds=_repeated(np.deg2rad(figures.speeds_deg_s), n),
+        phi_vertices=_phi_vertices(figures.phi_outline, arms),
+        phi_radius=_repeated(figures.radius_mm, n),
+        theta_vertices=_repeated(_hull(figures.theta_outline), n),
+        theta_radius=np.zeros(n),
+        enabled=np.ones(n, dtype=bool),
+        spacing_mm=figures.spacing_mm,
     )
+    values.update(columns)
+    return FocalPlane(ids=ids, centers=centers, arms=arms, **values)
 
 
-def _phi_vertices(outline, arms):
-    if outline not in ("capsule", "tip"):
-        hull = _hull(outline)
-        return np.broadcast_to(hull, (len(arms), *hull.shape))
+def _repeated(value: ArrayLike, n: int) -> Floats:
+    # the same value for n robots
+    value = np.array(value, dtype=np.float64)
+    return np.broadcast_to(value, (n, *value.shape))
+
+
+def _phi_vertices(outline: Literal["capsule", "tip"] | Polygon, arms: Floats) -> Floats:
+    if outline != "capsule" and outline != "tip":
+        return _repeated(_hull(outline), len(arms))
     vertices = np.zeros((len(arms), 2, 2))
     vertices[:, 1, 0] = arms[:, 1]
     return vertices if outline == "capsule" else vertices[:, 1:]
 
 
-def _hull(polygon):
-    points = np.array(polygon, dtype=float).reshape(-1, 2)
+def _hull(polygon: Polygon) -> Floats:
+    points = np.array(polygon, dtype=np.float64).reshape(-1, 2)
     return points[ConvexHull(points).vertices] if len(points) else points  # counter-clockwise
-
-
-def _hexagonal_sites(count, hexagon):
-    # The sites a e1 + b e2 nearest the centre, e1 and e2 60 degrees apart: by ring of the
-    # hexagon or by a^2 + ab + b^2, the squared distance; from row to row where equal.
-    # A disc of radius r holds 2 pi r^2 / sqrt(3) sites, give or take its rim.
-    rings = int(np.ceil(np.sqrt(count * np.sqrt(3) / (2 * np.pi)) * 2 / np.sqrt(3))) + 3
-    b, a = np.mgrid[-rings : rings + 1, -rings : rings + 1].reshape(2, -1)
-    ring = np.maximum.reduce([np.abs(a), np.abs(b), np.abs(a + b)])
-    order = np.lexsort([a, b, ring if hexagon else a * a + a * b + b * b])[:count]
-    a, b = a[order], b[order]
-    return np.stack([a + 0.5 * b, np.sqrt(0.75) * b], axis=1)

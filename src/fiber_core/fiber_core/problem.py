@@ -44,7 +44,9 @@ class Problem:
 
     def __post_init__(self):
         for name in ("start", "targets"):
-            value = frozen_array(getattr(self, name), float, (self.plane.n, 2), name, LayoutError)
+            value = frozen_array(
+                getattr(self, name), np.float64, (self.plane.n, 2), name, LayoutError
+            )
             object.__setattr__(self, name, value)
         nothing = np.isnan(self.targets).all(axis=1)
         for name, good in {
@@ -114,7 +116,7 @@ def problem_of(data, name: str) -> Problem:
         LayoutError: a field does not fit; names it.
     """
     n = np.size(data["id"])
-    arms = frozen_array(data["arm_mm"], float, (n, 2), "arm_mm", LayoutError)
+    arms = frozen_array(data["arm_mm"], np.float64, (n, 2), "arm_mm", LayoutError)
     elbow_to_tip = np.zeros((n, 2, 2))
     elbow_to_tip[:, 1, 0] = arms[:, 1]
     plane = FocalPlane(

@@ -52,7 +52,7 @@ def check_trajectory(
     bad = np.abs(trajectory.start - start) > options.start_tolerance_rad
     bad |= fastest > too_fast
     if velocities is not None:
-        velocities = frozen_array(velocities, float, angles.shape, "velocities", MotionError)
+        velocities = frozen_array(velocities, np.float64, angles.shape, "velocities", MotionError)
         bad |= ~(np.abs(velocities) <= too_fast[:, :, None]).all(axis=2)
     moves = fastest > 0
     bad |= moves & (plane.speeds < units.velocity_rad_s)
@@ -102,5 +102,5 @@ def starting_counts(
     if trajectory.time_s[0] < 0:
         raise MotionError(f"the trajectory begins at {trajectory.time_s[0]} s, before time zero")
     if given is not None:
-        return frozen_array(given, int, (plane.n, 2), "start_counts", MotionError)
+        return frozen_array(given, np.int64, (plane.n, 2), "start_counts", MotionError)
     return units.encoder_counts(plane, trajectory.start)

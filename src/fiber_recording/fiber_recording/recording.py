@@ -116,7 +116,7 @@ class Events:
     def __post_init__(self):
         e = np.size(self.time_s)
         whole = dict.fromkeys(("kind", "bus", "row", "detail"), ((e,), np.int64))
-        _freeze(self, {"time_s": ((e,), float)} | whole)
+        _freeze(self, {"time_s": ((e,), np.float64)} | whole)
         unknown = ~np.isin(self.kind, list(EventKind))
         if unknown.any():
             raise RecordingError(f"event {self.kind[unknown][0]} has no meaning")
@@ -144,7 +144,12 @@ class Approaches:
     def __post_init__(self):
         p = len(self.pairs)
         _freeze(
-            self, {"pairs": ((p, 2), np.int64), "gap_mm": ((p,), float), "time_s": ((p,), float)}
+            self,
+            {
+                "pairs": ((p, 2), np.int64),
+                "gap_mm": ((p,), np.float64),
+                "time_s": ((p,), np.float64),
+            },
         )
 
 
@@ -196,7 +201,7 @@ class Recording:
     def __post_init__(self):
         n = self.problem.plane.n
         whole = dict.fromkeys(("outcome", "reason"), ((n,), np.int64))
-        _freeze(self, {"started": ((n,), bool), "error_mm": ((n,), float)} | whole)
+        _freeze(self, {"started": ((n,), np.bool_), "error_mm": ((n,), np.float64)} | whole)
         object.__setattr__(self, "phases", tuple(self.phases))
         told = [(f"phase {k}", len(phase.motion.start)) for k, phase in enumerate(self.phases)]
         if self.planned is not None:
