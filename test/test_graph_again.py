@@ -11,7 +11,7 @@ from fiber_client.disable import OperatorsList
 from fiber_core.clearance import Safety, certify
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
-from fiber_msgs_py import PlanStamp, targets, topics
+from fiber_msgs_py import FRAME_ID, PlanStamp, progress, targets, topics
 from fiber_recording import load_recording
 from fiber_recording.node import recording_name
 from fiber_recording.replay import replay
@@ -22,8 +22,13 @@ pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every co
 COMPILE_S, WAIT_S = 600.0, 60.0
 LOST = [6, 19, 33, 52]  # as they are planned in the first attempt, others cannot pass beside them
 DERIVED = (
-    topics.HELD_BY_PLANNER, topics.TRAJECTORY, topics.HELD_BY_DISCRETIZER, topics.SEGMENTS,
-    topics.FRAMES,
+    topics.TARGETS, topics.HELD_BY_PLANNER, topics.TRAJECTORY, topics.HELD_BY_DISCRETIZER,
+    topics.SEGMENTS, topics.CORRIDORS, topics.FRAMES,
+)  # fmt: skip
+# every topic whose messages have a header
+STAMPED = (
+    *DERIVED, topics.LAYOUT, topics.JOINT_STATES, topics.OUTCOME, topics.DIAGNOSTICS,
+    topics.VIEW_ARMS, topics.VIEW_PLANE, topics.VIEW_TARGETS,
 )  # fmt: skip
 
 
@@ -32,7 +37,7 @@ def graph(problem_file, new_domain, monkeypatch):
     """Function that starts a graph with faults; returns a client and the simulated robots."""
     made, build, open_now = [], fiber_bus_bridge.node.hardware.simulated_buses, []
 
-    def start(events=(), recorder=None, **bridge):
+    def start(events=(), recorder=None, viewer=None, **bridge):
         def with_faults(*given):
             plain = build(*given)
             faults = Faults(events=np.array(list(events), dtype=EVENT))
@@ -42,7 +47,7 @@ def graph(problem_file, new_domain, monkeypatch):
         monkeypatch.setattr(fiber_bus_bridge.node.hardware, "simulated_buses", with_faults)
         domain = new_domain()
         parameters = {"problem": problem_file, "time_scale": 0.0} | bridge
-        open_now.append(Graph(bridge=parameters, recorder=recorder, domain=domain))
+        open_now.append(Graph(bridge=parameters, recorder=recorder, viewer=viewer, domain=domain))
         open_now[-1].__enter__()
         open_now.append(PlaneClient(domain))
         open_now[-1].wait_for_graph(COMPILE_S)
@@ -66,8 +71,8 @@ def check_both_attempts(client, problem, stamp, before):
     assert np.array_equal(ended.ids, problem.plane.ids) and set(client.ends) == {stamp}
     assert np.all(ended.outcome[asked & ~lost] == Outcome.REACHED)
     assert np.all(ended.outcome[lost] == Outcome.HELD)
-    second = stamp.next_attempt
-    assert client.last_attempt(stamp) == second
+    first, second = client.attempts(stamp)
+    assert first == stamp < second == client.last_attempt(stamp)
     moved = np.zeros(problem.plane.n, dtype=bool)
     for attempt in (stamp, second):
         start = before if attempt == stamp else client.before[second]
@@ -92,33 +97,42 @@ def check_both_attempts(client, problem, stamp, before):
 
 
 def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tmp_path):
-    client, robots = graph(recorder={"folder": str(tmp_path)})
-    derived = {topic.name: client.hear(topic) for topic in DERIVED}
-    asked = client.hear(topics.TARGETS)
+    client, robots = graph(recorder={"folder": str(tmp_path)}, viewer={})
+    received = {topic.name: client.hear(topic) for topic in STAMPED}
+    told = client.hear(topics.PROGRESS)
     before = client.units.to_counts(client.angles)
     stamp = ask(client, problem)
     robots.power(LOST, False, 0.0)
     client.start(WAIT_S)
     ended = check_both_attempts(client, problem, stamp, before)
     assert np.all(ended.of(LOST).reason == Reason.NOT_ACKNOWLEDGED)
-    for name, heard in derived.items():
+    stamps = client.attempts(stamp)
+    for topic in DERIVED:
         client.until(
-            lambda heard=heard: {PlanStamp.of(m) for m in heard} == {stamp, stamp.next_attempt},
+            lambda heard=received[topic.name]: {PlanStamp.of(m) for m in heard} == set(stamps),
             WAIT_S,
-            f"both attempts on {name}",
+            f"both attempts on {topic.name}",
         )
-        assert {(m.header.stamp.sec, m.header.stamp.nanosec) for m in heard} == {
-            (stamp.to_time().sec, stamp.to_time().nanosec)
-        }
-    assert [PlanStamp.of(m).attempt for m in asked] == [1, 2]
+    asked = received[topics.TARGETS.name]
+    attempts = [targets.decode_attempt(message) for message in asked]
+    assert [(each.stamp, each.plan, each.number) for each in attempts] == [
+        (stamps[0], stamp, 1), (stamps[1], stamp, 2),
+    ]  # fmt: skip
     assert not set(targets.decode(asked[1])[0]) & set(LOST)
+    client.until(lambda: all(received.values()), WAIT_S, "messages on all topics")
+    assert [PlanStamp.of(message) for message in received[topics.OUTCOME.name]] == [stamp]
+    announced = {progress.decode(message).attempt for message in told}
+    assert set(attempts) <= announced
+    # a filter of a bag by frame finds every message, and the frame is that of tf and RViz
+    for name, heard in received.items():
+        assert {message.header.frame_id for message in heard} == {FRAME_ID}, name
     assert client.plane.ids[~client.plane.enabled].tolist() == sorted([3, 17, 40, *LOST])
 
     client.wait_recording(stamp, WAIT_S)
     recording = load_recording(tmp_path / recording_name(stamp))
     assert recording.about["attempts"] == 2 and "2 attempts" in recording.about["notes"][0]
     starts = [phase.motion.start for phase in recording.phases]
-    np.testing.assert_array_equal(starts, [before, client.before[stamp.next_attempt]])
+    np.testing.assert_array_equal(starts, [before, client.before[stamps[1]]])
     np.testing.assert_array_equal(recording.outcome, ended.outcome)
     assert recording.about["certificate"]["ok"]
     assert recording.problem.asked.sum() == problem.asked.sum()
@@ -183,7 +197,7 @@ def test_who_was_stopped_for_one_that_fell_silent_goes_on_in_the_next_attempt(gr
     stamp = ask(client, problem)
     client.start(WAIT_S)
     ended = client.wait_end(stamp, WAIT_S)
-    assert client.last_attempt(stamp) == stamp.next_attempt
+    assert [stamp, client.last_attempt(stamp)] == client.attempts(stamp)
     assert (ended.outcome[silent], ended.reason[silent]) == (
         Outcome.FAILED,
         Reason.NOT_ACKNOWLEDGED,

@@ -91,7 +91,14 @@ class Rest:
 
     def order(self, ns, motion=None, ids=PLANE.ids, attempt=1):
         self.heard[topics.PROGRESS.name].clear()
-        self.segments.publish(segments.encode(ids, motion or turning(), PlanStamp(ns, attempt)))
+        stamp = self.stamp_of(ns, attempt)
+        self.segments.publish(segments.encode(ids, motion or turning(), stamp))
+
+    def stamp_of(self, ns, attempt):
+        """The stamp of an attempt of a plan, as the targets of the attempt tell it."""
+        asked = map(targets.decode_attempt, self.heard[topics.TARGETS.name])
+        later = [a.stamp for a in asked if (a.plan.ns, a.number) == (ns, attempt)]
+        return later[0] if attempt > 1 else PlanStamp(ns)
 
     def ask(self, ns, ids, xy_mm):
         self.targets.publish(targets.encode(ids, xy_mm, PlanStamp(ns)))

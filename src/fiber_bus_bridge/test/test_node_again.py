@@ -13,7 +13,7 @@ import fiber_bus_bridge.node.hardware
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.wire_units import WireMotion
-from fiber_msgs_py import PlanStamp, joint_states, layout, targets, topics
+from fiber_msgs_py import FRAME_ID, PlanStamp, joint_states, layout, targets, topics
 from fiber_node import RosClient
 
 pytestmark = pytest.mark.timeout(600)
@@ -62,13 +62,13 @@ class Scene(Rest):
         self.until(lambda: self.asked_in(2))
         (message,) = self.asked_in(2)
         needed = [self.heard[topic.name] for topic in (topics.LAYOUT, topics.JOINT_STATES)]
-        since_ns = targets.since(message)
+        since_ns = targets.decode_attempt(message).since_ns
         self.until(lambda: all(PlanStamp.of(told[-1]).ns >= since_ns for told in needed))
         return message
 
     def asked_in(self, attempt):
-        wanted = PlanStamp(9, attempt)
-        return [m for m in self.heard[topics.TARGETS.name] if PlanStamp.of(m) == wanted]
+        heard = self.heard[topics.TARGETS.name]
+        return [m for m in heard if targets.decode_attempt(m).number == attempt]
 
     def second(self):
         now = FIRST.end.copy()
@@ -116,7 +116,9 @@ def test_who_was_held_for_another_is_asked_again_and_arrives(scene):
     assert np.array_equal(rest.counts()[0], BEGIN[0])
     assert rest.outcomes() == [PlanStamp(9)]
     stamps = {PlanStamp.of(m) for m in rest.heard[topics.FRAMES.name]}
-    assert stamps == {PlanStamp(9), PlanStamp(9, 2)}
+    assert stamps == {PlanStamp(9), rest.stamp_of(9, 2)}
+    everything = [m for heard in rest.heard.values() for m in heard if hasattr(m, "header")]
+    assert {m.header.frame_id for m in everything} == {FRAME_ID}
     rest.until(lambda: rest.status().values.get("attempts") == "2")
 
 
@@ -143,7 +145,7 @@ def test_a_stop_while_it_is_planned_again_ends_it(scene):
     )
     assert (reason[0], reason[4]) == (Reason.NOT_ACKNOWLEDGED, Reason.UNSAFE_AS_LOADED)
     rest.order(9, rest.second(), attempt=2)
-    rest.until(lambda: "nobody waits for this attempt" in rest.status().text)
+    rest.until(lambda: "dropped: this attempt has ended" in rest.status().text)
     assert rest.call(topics.CLEAR).success
     assert not rest.call(topics.START).success
     assert np.array_equal(rest.counts(), before) and rest.outcomes() == [PlanStamp(9)]
@@ -185,7 +187,8 @@ def test_a_stop_while_it_moves_again_ends_it(scene):
     def moving():
         return joint_states.decode(rest.heard[topics.JOINT_STATES.name][-1])[2].any()
 
-    rest.until(lambda: PlanStamp(9, 2) in map(PlanStamp.of, rest.heard[topics.FRAMES.name]))
+    again = rest.stamp_of(9, 2)
+    rest.until(lambda: again in map(PlanStamp.of, rest.heard[topics.FRAMES.name]))
     rest.until(moving)
     assert rest.call(topics.STOP).success
     result, reason, _ = rest.end(9)

@@ -14,6 +14,8 @@ from fiber_core.frame_log import FrameLog
 from fiber_core.outcomes import PlanOutcome
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import (
+    AttemptTable,
+    MessageError,
     PlanStamp,
     Progress,
     Service,
@@ -73,6 +75,7 @@ class PlaneClient:
         self.held: dict[PlanStamp, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
         self.ends: dict[PlanStamp, PlanOutcome] = {}
         self.times: dict[PlanStamp, dict[str, float]] = {}
+        self._attempts = AttemptTable()
         self._states: tuple[np.ndarray, np.ndarray] | None = None
         self._rest: np.ndarray | None = None  # angles when last nothing moved
         self._statuses: dict[str, diagnostics.Status] = {}
@@ -88,6 +91,7 @@ class PlaneClient:
         }  # fmt: skip
         for topic, heard in (
             (topics.LAYOUT, self._on_layout),
+            (topics.TARGETS, self._on_targets),
             (topics.JOINT_STATES, self._on_joint_states),
             (topics.HELD_BY_PLANNER, self._on_held),
             (topics.HELD_BY_DISCRETIZER, self._on_held),
@@ -193,13 +197,24 @@ class PlaneClient:
         Raises:
             WaitError: it did not end.
         """
-        self.until(lambda: stamp in self.ends, timeout_s, f"outcome of plan {stamp}")
+        self.until(
+            lambda: stamp in self.ends and not self._unannounced(stamp),
+            timeout_s,
+            f"outcome of plan {stamp}",
+        )
         return self.ends[stamp]
 
+    def attempts(self, stamp: PlanStamp) -> list[PlanStamp]:
+        """Return the stamps of all attempts of a plan, in their order; the first is the plan's."""
+        return [attempt.stamp for attempt in self._attempts.of_plan(stamp)]
+
     def last_attempt(self, stamp: PlanStamp) -> PlanStamp:
-        """Return the last attempt of a plan of which frames were heard, else the first."""
-        heard = [attempt for attempt in self.frames if attempt.plan == stamp]
-        return max(heard, default=stamp)
+        """Return the last attempt of a plan of which frames were received, else the first."""
+        return max(set(self.attempts(stamp)) & set(self.frames), default=stamp)
+
+    def _unannounced(self, plan):
+        # frames can overtake the targets and the progress that tell which plan they belong to
+        return any(each > plan and self._attempts.find(each) is None for each in self.frames)
 
     def wait_recording(self, stamp: PlanStamp, timeout_s: float) -> None:
         """Wait until a recorder of the graph has written the recording of a plan.
@@ -300,6 +315,12 @@ class PlaneClient:
     def _on_layout(self, message):
         self.plane, self.units = layout.decode(message)
 
+    def _on_targets(self, message):
+        try:
+            self._attempts.add(targets.decode_attempt(message))
+        except MessageError:
+            pass  # the planner refuses them
+
     def _on_joint_states(self, message):
         ids, angles, velocities, _ = joint_states.decode(message)
         self._states, self.moving = (ids, angles), bool(np.any(velocities))
@@ -316,14 +337,15 @@ class PlaneClient:
         self._of(self.frames, stamp, list).append(frames.decode(message))
 
     def _on_outcome(self, message):
-        stamp = PlanStamp.of(message).plan
+        stamp = PlanStamp.of(message)
         self._of(self.ends, stamp, lambda: PlanOutcome(stamp.ns, *outcome.decode(message)))
         self._of(self.times, stamp, dict).setdefault("ended", self._clock())
 
     def _on_progress_message(self, message):
         heard = progress.decode(message)
+        self._attempts.add(heard.attempt)
         if heard.fraction == 1.0 or heard.stage == "bridge":
-            self._of(self.times, heard.stamp.plan, dict).setdefault(heard.stage, self._clock())
+            self._of(self.times, heard.attempt.plan, dict).setdefault(heard.stage, self._clock())
         self._on_progress(heard)
 
     def _on_diagnostics(self, message):

@@ -81,7 +81,8 @@ def _run(client, options, display) -> int:
 
     ended = _moved(client, run, options.timeout).of(ids)
     if options.json:
-        attempts = {"attempts": client.last_attempt(stamp).attempt}
+        made = client.attempts(stamp).index(client.last_attempt(stamp)) + 1
+        attempts = {"attempts": made}
         went = _how_it_went(client.times[stamp], display)
         print(json.dumps(_as_json(ended) | attempts | went))
     else:

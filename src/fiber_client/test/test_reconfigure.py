@@ -9,9 +9,10 @@ from fiber_client.bus_counters import BusCounterTotals
 from fiber_client.reconfigure import main, summary, went_well
 from fiber_client.terminal import ProgressDisplay, table
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
-from fiber_msgs_py import Level, PlanStamp, Progress, Status
+from fiber_msgs_py import Attempt, Level, PlanStamp, Progress, Status
 
 STAMP = PlanStamp(7)
+ATTEMPT = Attempt.first(STAMP)
 
 
 def end_of(*pairs):
@@ -63,8 +64,8 @@ def test_progress_is_a_few_lines_where_there_is_no_terminal():
     stream = io.StringIO()
     with ProgressDisplay(stream) as display:
         for step in range(101):
-            display(Progress("planner", step / 100, f"step {step}", STAMP))
-        display(Progress("bridge", 0.0, "moving", STAMP))
+            display(Progress("planner", step / 100, f"step {step}", ATTEMPT))
+        display(Progress("bridge", 0.0, "moving", ATTEMPT))
     lines = stream.getvalue().splitlines()
     assert 4 <= len(lines) <= 7
     assert lines[-2].split() == ["planner", "100", "%", "step", "100"]
@@ -112,8 +113,8 @@ def test_a_terminal_shows_bars_rates_and_alerts(monkeypatch):
     monkeypatch.setenv("COLUMNS", "110")
     stream = Terminal()
     with ProgressDisplay(stream) as display:
-        display(Progress("planner", 0.5, "half way [here]", STAMP))
-        display(Progress("planner", 0.1, "the next plan", STAMP))
+        display(Progress("planner", 0.5, "half way [here]", ATTEMPT))
+        display(Progress("planner", 0.1, "the next plan", ATTEMPT))
         display.status(bus(0, 5), None)
         display.status(bus(0, 25, Level.WARN), bus(0, 5))
         display.say("a line of its own")

@@ -11,6 +11,7 @@ from fiber_discretizer.discretize import discretize
 from fiber_discretizer.joint_corridors import joint_corridors
 from fiber_discretizer.options import DiscretizeOptions
 from fiber_msgs_py import (
+    Attempt,
     MessageError,
     PlanStamp,
     Stage,
@@ -20,7 +21,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
-from fiber_node import PlaneCache, Reporter, declare_parameters_of, run
+from fiber_node import AttemptListener, PlaneCache, Reporter, declare_parameters_of, run
 
 __all__ = ["DiscretizerNode", "main"]
 
@@ -36,9 +37,10 @@ class DiscretizerNode(Node):
         super().__init__("discretizer", **options)
         self._options = declare_parameters_of(self, DiscretizeOptions)
         self._safety = declare_parameters_of(self, Safety, "safety")
-        self._stamp: PlanStamp | None = None
+        self._newest: Attempt | None = None
         self._report = Reporter(self, "discretizer")
         self._view = PlaneCache(self, self._report)
+        self._attempts = AttemptListener(self)
         self._held = topics.HELD_BY_DISCRETIZER.publisher(self)
         self._segments = topics.SEGMENTS.publisher(self)
         self._corridors = topics.CORRIDORS.publisher(self)
@@ -50,12 +52,18 @@ class DiscretizerNode(Node):
         except FiberError as error:
             self._report.refuse(f"trajectory refused: {error}")
             return
-        self._view.when_new_enough(stamp, lambda: self._take(stamp, message))
+        started = self._attempts.when_announced(
+            stamp,
+            lambda attempt: self._view.when_current(attempt, lambda: self._take(attempt, message)),
+        )
+        if not started:
+            self._report.waiting(f"trajectory {stamp} waits for targets with its stamp")
 
-    def _take(self, stamp, message):
+    def _take(self, attempt, message):
         try:
-            if self._stamp is not None and stamp <= self._stamp:
-                self._report.drop(f"trajectory {stamp} dropped: plan {self._stamp} is not older")
+            newest = self._newest
+            if newest is not None and attempt.stamp <= newest.stamp:
+                self._report.drop(f"trajectory {attempt} dropped: plan {newest} is not older")
                 return
             ids, motion, velocities = trajectory.decode(message)
             motion, velocities = self._of_whole_plane(ids, motion, velocities)
@@ -66,11 +74,11 @@ class DiscretizerNode(Node):
                 self._safety,
                 self._view.units.to_counts(self._view.angles),
                 self._options,
-                lambda fraction, text: self._report.progress(stamp, fraction, text),
+                lambda fraction, text: self._report.progress(attempt, fraction, text),
                 velocities,
             )
-            self._stamp = stamp
-            self._publish(done, self._view.plane.ids, stamp)
+            self._newest = attempt
+            self._publish(done, self._view.plane.ids, attempt)
         except FiberError as error:
             self._report.refuse(f"trajectory refused: {error}")
 
@@ -87,25 +95,26 @@ class DiscretizerNode(Node):
             velocities = of_all
         return SampledMotion(motion.time_s, angles), velocities
 
-    def _publish(self, done, ids, stamp):
+    def _publish(self, done, ids, attempt):
+        stamp = attempt.stamp
         holds = done.reason != Reason.OK
         self._held.publish(held.encode(ids[holds], done.reason[holds], Stage.DISCRETIZER, stamp))
         self._segments.publish(segments.encode(ids, done.wire, stamp))
         if not done.certificate.ok:
             names = ids[done.certificate.unsafe_robots].tolist()
-            self.get_logger().warning(f"plan {stamp}: robots {names} stand too close and rest")
+            self.get_logger().warning(f"plan {attempt}: robots {names} stand too close and rest")
         counts = np.diff(done.wire.offsets)
         moving = int((counts.reshape(-1, 2) > 0).any(axis=1).sum())
         clearance = f"{done.certificate.min_gap_mm:.4f}"
         self._report.counters |= {
-            "plan": stamp,
+            "plan": attempt,
             "moving": moving,
             "held": int(holds.sum()),
             "segments": int(counts.sum()),
             "clearance_mm": clearance,
         }
         self._report.done(
-            stamp,
+            attempt,
             f"{moving} robots move, {holds.sum()} held, {counts.sum()} segments, "
             f"least clearance {clearance} mm",
         )

@@ -19,6 +19,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
+from fiber_msgs_py.attempts import Attempt, AttemptTable
 from fiber_msgs_py.diagnostics import Level, Status
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.held import Stage
@@ -28,6 +29,8 @@ from fiber_msgs_py.stamps import FRAME_ID, PlanStamp
 from fiber_msgs_py.topics import Service, Topic
 
 __all__ = [
+    "Attempt",
+    "AttemptTable",
     "FRAME_ID",
     "Level",
     "MessageError",

@@ -1,7 +1,8 @@
-"""Progress: how far a stage is with a plan.
+"""Progress: how far a stage is with an attempt of a plan.
 
-A DiagnosticStatus: stock tools show it as it is, its pairs carry fraction and plan as
-named values, and nothing has to be parsed out of a sentence.
+A DiagnosticStatus: stock tools show it as it is. Its values are named: the fraction done, the stamp
+of the attempt [ns], the stamp of the plan [ns], the number of the attempt, and, of a later attempt,
+the time of the oldest layout and joint states it may be planned with [ns].
 """
 
 import math
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from fiber_msgs_py.attempts import Attempt
 from fiber_msgs_py.diagnostics import Level, Status
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.stamps import PlanStamp
@@ -21,10 +23,10 @@ class Progress:
     """How far a stage is.
 
     Args:
-        stage: who is at work, such as "planner".
-        fraction: done so far, 0..1.
+        stage: name of the stage, such as "planner".
+        fraction: the part of the work that is done, 0..1.
         text: one line for people.
-        stamp: plan it is about.
+        attempt: the attempt that the stage works on.
 
     Raises:
         MessageError: the fraction is not within 0..1.
@@ -33,7 +35,7 @@ class Progress:
     stage: str
     fraction: float
     text: str
-    stamp: PlanStamp
+    attempt: Attempt
 
     def __post_init__(self):
         if not (math.isfinite(self.fraction) and 0 <= self.fraction <= 1):
@@ -42,29 +44,37 @@ class Progress:
 
 def encode(progress: Progress) -> DiagnosticStatus:
     """Return progress as a message."""
-    values = {
+    attempt = progress.attempt
+    values: dict[str, object] = {
         "fraction": repr(float(progress.fraction)),
-        "plan_ns": progress.stamp.ns,
-        "attempt": progress.stamp.attempt,
+        "stamp_ns": attempt.stamp.ns,
+        "plan_ns": attempt.plan.ns,
+        "attempt": attempt.number,
     }
+    if attempt.since_ns is not None:
+        values["since_ns"] = attempt.since_ns
     return Status(progress.stage, Level.OK, progress.text, values).to_message()
 
 
 def decode(message: DiagnosticStatus) -> Progress:
-    """Return the progress a message tells of.
+    """Return the progress in a message.
 
     Raises:
-        MessageError: a value is missing or is no number in its range.
+        MessageError: a value is missing, is no number in its range, or the stamps do not fit an
+            attempt of a plan.
     """
     values = {pair.key: pair.value for pair in message.values}
-    numbers = []
-    for key, kind in (("fraction", float), ("plan_ns", int), ("attempt", int)):
-        if key not in values:
-            raise MessageError("progress", "is missing", field="value", value=key)
-        try:
-            numbers.append(kind(values[key]))
-        except ValueError:
-            raise MessageError(
-                "progress", "is no number", field=key, value=repr(values[key])
-            ) from None
-    return Progress(message.name, numbers[0], message.message, PlanStamp(*numbers[1:]))
+    fraction = _number(values, "fraction", float)
+    stamp, plan = (PlanStamp(_number(values, f"{name}_ns", int)) for name in ("stamp", "plan"))
+    since_ns = _number(values, "since_ns", int) if "since_ns" in values else None
+    attempt = Attempt(stamp, plan, _number(values, "attempt", int), since_ns)
+    return Progress(message.name, fraction, message.message, attempt)
+
+
+def _number(values, key, kind):
+    if key not in values:
+        raise MessageError("progress", "is missing", field="value", value=key)
+    try:
+        return kind(values[key])
+    except ValueError:
+        raise MessageError("progress", "is no number", field=key, value=repr(values[key])) from None

@@ -1,6 +1,5 @@
-"""The stamp that names a plan, and the frame every message is in."""
+"""The stamp that names a plan, and the frame of every message."""
 
-import re
 from dataclasses import dataclass
 
 from builtin_interfaces.msg import Time
@@ -11,8 +10,6 @@ from fiber_msgs_py.errors import MessageError
 __all__ = ["FRAME_ID", "PlanStamp", "check_frame", "header", "ns_from_time", "time_from_ns"]
 
 FRAME_ID = "focal_plane"
-
-_LATER = re.compile(FRAME_ID + r"/attempt_([1-9]\d{0,8})")  # frame of a later attempt
 
 _SECOND = 1_000_000_000
 _END_NS = 2**31 * _SECOND
@@ -36,76 +33,68 @@ def time_from_ns(ns: int) -> Time:
         MessageError: negative, or past the last second a message can carry.
     """
     ns = int(ns)
-    if not 0 <= ns < _END_NS:
+    if not PlanStamp.fits(ns):
         raise MessageError("time", "does not fit a stamp", field="ns", value=ns)
     return Time(sec=ns // _SECOND, nanosec=ns % _SECOND)
 
 
 @dataclass(frozen=True, order=True)
 class PlanStamp:
-    """Names a plan: the header stamp of its targets, carried by all that follows from them.
+    """Names a plan, or a later attempt of a plan, by the header stamp of its targets.
 
-    A plan that is planned again, around robots that could not be commanded, keeps its stamp:
-    what belongs to its second attempt is in the frame `focal_plane/attempt_2`, and so on.
-    Stamps are ordered: of two plans the one with the larger stamp is newer, and of two attempts
-    of a plan the later one.
+    All messages derived from these targets carry the stamp unchanged. Stamps are ordered: of two
+    plans the one with the larger stamp is newer, and the stamp of a later attempt lies between
+    that of its plan and that of the next plan.
 
     Args:
         ns: the stamp [ns].
-        attempt: which attempt of the plan, from 1.
 
     Raises:
-        MessageError: the number does not fit a header stamp, or there is no such attempt.
+        MessageError: the number does not fit a header stamp.
     """
 
     ns: int
-    attempt: int = 1
 
     def __post_init__(self):
         time_from_ns(self.ns)
-        if not 1 <= self.attempt < 10**9:
-            raise MessageError("time", "is no attempt", field="attempt", value=self.attempt)
 
     @classmethod
     def of(cls, message) -> "PlanStamp":
-        """Read the stamp of any message with a header; another frame than ours is no attempt."""
-        later = _LATER.fullmatch(message.header.frame_id)
-        return cls(ns_from_time(message.header.stamp), int(later[1]) if later else 1)
+        """Read the stamp of any message with a header.
 
-    @property
-    def plan(self) -> "PlanStamp":
-        """The plan as its targets named it, whatever the attempt."""
-        return PlanStamp(self.ns)
+        Raises:
+            MessageError: the stamp is negative, or holds a second or more of nanoseconds.
+        """
+        return cls(ns_from_time(message.header.stamp))
 
-    @property
-    def next_attempt(self) -> "PlanStamp":
-        """The same plan, tried once more."""
-        return PlanStamp(self.ns, self.attempt + 1)
-
-    @property
-    def frame_id(self) -> str:
-        """The frame of its messages, which tells the attempt."""
-        return FRAME_ID if self.attempt == 1 else f"{FRAME_ID}/attempt_{self.attempt}"
+    @staticmethod
+    def fits(ns: int) -> bool:
+        """Return whether a number of nanoseconds fits a header stamp."""
+        return 0 <= ns < _END_NS
 
     def to_time(self) -> Time:
         """Return the stamp as a message."""
         return time_from_ns(self.ns)
 
     def __str__(self) -> str:
-        time = f"{self.ns // _SECOND}.{self.ns % _SECOND:09d}"
-        return time if self.attempt == 1 else f"{time} attempt {self.attempt}"
+        return f"{self.ns // _SECOND}.{self.ns % _SECOND:09d}"
 
 
 def header(stamp: PlanStamp) -> Header:
     """Return the header of a message that belongs to a plan."""
-    return Header(stamp=stamp.to_time(), frame_id=stamp.frame_id)
+    return Header(stamp=stamp.to_time(), frame_id=FRAME_ID)
 
 
 def check_frame(message, name: str) -> None:
-    """Refuse a message in another frame than `focal_plane`; `name` is what to call it.
+    """Refuse a message in another frame than `focal_plane`.
 
-    The frame of a later attempt of a plan is the same place.
+    Args:
+        message: any message with a header.
+        name: name of the message in the error.
+
+    Raises:
+        MessageError: the frame is another; names it.
     """
     frame_id = message.header.frame_id
-    if frame_id != FRAME_ID and not _LATER.fullmatch(frame_id):
+    if frame_id != FRAME_ID:
         raise MessageError(name, f"is not {FRAME_ID!r}", field="frame_id", value=repr(frame_id))

@@ -1,37 +1,66 @@
-"""Targets: where the fibre of each robot asked should go.
+"""Targets: where the fibre of each robot should go.
 
-When a plan is tried again, what the nodes last heard of the plane may be older than what made
-it necessary. Its targets say in every row since when layout and joint states must be.
+A plan that is tried again, around robots that could not be commanded, gets targets with a stamp of
+their own. Each of their rows names the plan, the number of the attempt, and the time of the oldest
+layout and joint states to plan with: what a node received before may be older than the failure that
+made the attempt necessary.
 """
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
+from fiber_msgs_py.attempts import Attempt
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.ids import checked_ids, refuse
 from fiber_msgs_py.stamps import PlanStamp
 from fiber_msgs_py.table import decode_table, encode_table
 
-__all__ = ["decode", "encode", "since"]
+__all__ = ["decode", "decode_attempt", "encode", "encode_attempt"]
 
 _COLUMNS = {"id": "<u4", "x": "<f8", "y": "<f8"}
-_SINCE = {"since_s": "<u4", "since_ns": "<u4"}
+_ATTEMPT = {"attempt": "<u4", "plan_sec": "<u4", "plan_nanosec": "<u4"}
+_SINCE = {"since_sec": "<u4", "since_nanosec": "<u4"}
 _SECOND = 1_000_000_000
 
 
-def encode(ids, xy_mm, stamp: PlanStamp, since_ns: int | None = None) -> PointCloud2:
-    """Ask robots to bring their fibres somewhere.
+def encode(ids, xy_mm, stamp: PlanStamp) -> PointCloud2:
+    """Return the targets of a new plan as a message.
 
     Args:
         ids: robot ids, shape (n,).
         xy_mm: targets in the focal plane [mm], shape (n, 2).
-        stamp: name of the plan this asks for.
-        since_ns: time of the oldest layout and joint states to plan with [ns]; None for any.
+        stamp: names the plan.
 
     Raises:
         MessageError: an id is out of range or there twice, a target is not finite, or
             shapes differ.
     """
+    return encode_table(_rows(ids, xy_mm, _COLUMNS), stamp)
+
+
+def encode_attempt(ids, xy_mm, attempt: Attempt) -> PointCloud2:
+    """Return the targets of a later attempt of a plan as a message.
+
+    Args:
+        ids: robot ids, shape (n,), at least one: the rows tell which attempt it is.
+        xy_mm: targets in the focal plane [mm], shape (n, 2).
+        attempt: the attempt, with the time of the oldest layout and joint states to plan with.
+
+    Raises:
+        MessageError: as for encode, or there is no robot.
+    """
+    since = {} if attempt.since_ns is None else _SINCE
+    rows = _rows(ids, xy_mm, _COLUMNS | _ATTEMPT | since)
+    if not len(rows):
+        raise MessageError("targets", f"for attempt {attempt.number}", field="has", value="no rows")
+    rows["attempt"] = attempt.number
+    rows["plan_sec"], rows["plan_nanosec"] = divmod(attempt.plan.ns, _SECOND)
+    if attempt.since_ns is not None:
+        rows["since_sec"], rows["since_nanosec"] = divmod(attempt.since_ns, _SECOND)
+    return encode_table(rows, attempt.stamp)
+
+
+def _rows(ids, xy_mm, columns) -> np.ndarray:
     ids = checked_ids(ids, "targets")
     xy_mm = np.asarray(xy_mm, dtype=float)
     if xy_mm.shape != (len(ids), 2):
@@ -39,13 +68,10 @@ def encode(ids, xy_mm, stamp: PlanStamp, since_ns: int | None = None) -> PointCl
             "targets", f"does not fit {len(ids)} ids", field="shape of xy_mm", value=xy_mm.shape
         )
     refuse(~np.isfinite(xy_mm), "targets", "x, y [mm]", ids, xy_mm, "is not finite")
-    columns = _COLUMNS | (_SINCE if since_ns is not None else {})
     rows = np.empty(len(ids), dtype=list(columns.items()))
     rows["id"] = ids
     rows["x"], rows["y"] = xy_mm.T / 1e3
-    if since_ns is not None:
-        rows["since_s"], rows["since_ns"] = divmod(since_ns, _SECOND)
-    return encode_table(rows, stamp)
+    return rows
 
 
 def decode(message: PointCloud2) -> tuple[np.ndarray, np.ndarray]:
@@ -61,13 +87,22 @@ def decode(message: PointCloud2) -> tuple[np.ndarray, np.ndarray]:
     return ids, np.stack([rows["x"], rows["y"]], axis=1) * 1e3
 
 
-def since(message: PointCloud2) -> int | None:
-    """Return since when layout and joint states must be [ns], None where it does not matter.
+def decode_attempt(message: PointCloud2) -> Attempt:
+    """Return which attempt of which plan a table of targets asks for.
 
     Raises:
-        MessageError: malformed table.
+        MessageError: malformed table, or its stamps do not fit an attempt of a plan.
     """
-    if not any(field.name in _SINCE for field in message.fields) or not message.width:
-        return None
-    row = decode_table(message, "targets", _SINCE)[0]
-    return int(row["since_s"]) * _SECOND + int(row["since_ns"])
+    stamp = PlanStamp.of(message)
+    names = {field.name for field in message.fields}
+    if names.isdisjoint(_ATTEMPT) or not message.width:
+        return Attempt.first(stamp)
+    has_since = not names.isdisjoint(_SINCE)
+    row = decode_table(message, "targets", _ATTEMPT | (_SINCE if has_since else {}))[0]
+    plan = PlanStamp(_nanoseconds(row, "plan"))
+    since_ns = _nanoseconds(row, "since") if has_since else None
+    return Attempt(stamp, plan, int(row["attempt"]), since_ns)
+
+
+def _nanoseconds(row, name) -> int:
+    return int(row[f"{name}_sec"]) * _SECOND + int(row[f"{name}_nanosec"])

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from fiber_core.outcomes import Outcome, Reason
 from fiber_msgs_py import (
+    Attempt,
     Level,
     MessageError,
     PlanStamp,
@@ -107,17 +108,31 @@ def test_held_round_trip_and_unknown_codes(stamp):
         held.encode([4], [77], Stage.PLANNER, stamp)
 
 
-@given(st.floats(0, 1), st.text(max_size=20), st.integers(0, 2**31 * 10**9 - 1))
+@given(st.floats(0, 1), st.text(max_size=20), st.integers(0, 2**31 * 10**9 - 3))
 def test_progress_round_trip(fraction, text, ns):
-    sent = Progress("planner", fraction, text, PlanStamp(ns))
-    assert progress.decode(progress.encode(sent)) == sent
+    first = Attempt.first(PlanStamp(ns))
+    for attempt in (first, first.next(PlanStamp(ns + 2)), first.next(PlanStamp(ns + 1), ns)):
+        sent = Progress("planner", fraction, text, attempt)
+        assert progress.decode(progress.encode(sent)) == sent
+
+
+def test_progress_names_the_plan_and_the_attempt_by_key():
+    attempt = Attempt.first(PlanStamp(7)).next(PlanStamp(8), since_ns=5)
+    message = progress.encode(Progress("planner", 0.5, "half", attempt))
+    values = {pair.key: pair.value for pair in message.values}
+    assert values == {
+        "fraction": "0.5", "stamp_ns": "8", "plan_ns": "7", "attempt": "2", "since_ns": "5",
+    }  # fmt: skip
+    message.values[3].value = "1"
+    with pytest.raises(MessageError, match="does not fit attempt 1 of plan 0.000000007"):
+        progress.decode(message)
 
 
 def test_progress_that_says_nothing_is_refused(stamp):
     for bad in (-0.1, 1.1, float("nan")):
         with pytest.raises(MessageError, match=f"fraction {bad} is outside"):
-            Progress("planner", bad, "", stamp)
-    message = progress.encode(Progress("planner", 0.5, "", stamp))
+            Progress("planner", bad, "", Attempt.first(stamp))
+    message = progress.encode(Progress("planner", 0.5, "", Attempt.first(stamp)))
     message.values[0].value = "half"
     with pytest.raises(MessageError, match="fraction 'half' is no number"):
         progress.decode(message)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sensor_msgs.msg import PointField
 
-from fiber_msgs_py import MessageError, PlanStamp, targets
+from fiber_msgs_py import Attempt, MessageError, PlanStamp, targets
 
 IDS = st.lists(st.integers(0, 2**32 - 1), unique=True, max_size=20)
 LENGTH = st.floats(-1e4, 1e4)
@@ -23,13 +24,40 @@ def test_round_trip_keeps_the_order(example):
     np.testing.assert_allclose(got_mm, xy_mm, rtol=1e-12, atol=1e-300)
 
 
-@given(st.integers(0, 2**31 * 10**9 - 1))
-def test_targets_may_say_since_when_the_plane_must_be_known(since_ns):
-    message = targets.encode([4, 7], np.ones((2, 2)), PlanStamp(5, 2), since_ns)
-    assert targets.since(message) == since_ns
-    ids, xy_mm = targets.decode(message)
-    assert ids.tolist() == [4, 7] and np.array_equal(xy_mm, np.ones((2, 2)))
-    assert targets.since(targets.encode([4], [[0.0, 1.0]], PlanStamp(5))) is None
+@given(st.integers(0, 2**31 * 10**9 - 1), st.integers(0, 2**30), st.integers(1, 2**30))
+def test_targets_of_a_later_attempt_name_plan_attempt_and_since(since_ns, plan_ns, later):
+    first = Attempt.first(PlanStamp(plan_ns))
+    for number, since in ((2, since_ns), (3, None)):
+        attempt = Attempt(PlanStamp(plan_ns + later), first.plan, number, since)
+        message = targets.encode_attempt([4, 7], np.ones((2, 2)), attempt)
+        assert targets.decode_attempt(message) == attempt
+        assert PlanStamp.of(message) == attempt.stamp
+        ids, xy_mm = targets.decode(message)
+        assert ids.tolist() == [4, 7] and np.array_equal(xy_mm, np.ones((2, 2)))
+    assert targets.decode_attempt(targets.encode([4], [[0.0, 1.0]], first.plan)) == first
+
+
+def test_stock_tools_read_the_plan_of_a_later_attempt_from_named_columns(stamp):
+    attempt = Attempt.first(stamp).next(PlanStamp(stamp.ns + 1), since_ns=5_000_000_006)
+    message = targets.encode_attempt([4, 7], np.ones((2, 2)), attempt)
+    sec, nanosec = divmod(stamp.ns, 10**9)
+    expected = {"attempt": 2, "plan_sec": sec, "plan_nanosec": nanosec, "since_sec": 5}
+    fields = {field.name: field for field in message.fields}
+    for name, value in expected.items():
+        assert (fields[name].datatype, fields[name].count) == (PointField.UINT32, 1)
+        for row in range(message.width):
+            at = row * message.point_step + fields[name].offset
+            assert int.from_bytes(message.data[at : at + 4], "little") == value
+
+
+def test_a_later_attempt_without_a_robot_or_with_part_of_its_columns_is_refused(stamp):
+    attempt = Attempt.first(stamp).next(PlanStamp(stamp.ns + 1))
+    with pytest.raises(MessageError, match="has no rows for attempt 2"):
+        targets.encode_attempt([], np.zeros((0, 2)), attempt)
+    message = targets.encode_attempt([4], np.ones((1, 2)), attempt)
+    message.fields = [each for each in message.fields if each.name != "plan_sec"]
+    with pytest.raises(MessageError, match="field plan_sec is missing"):
+        targets.decode_attempt(message)
 
 
 def test_targets_travel_in_metres(stamp):

@@ -48,39 +48,21 @@ def test_stamps_are_ordered_by_time(a, b):
     assert (PlanStamp(a % end) < PlanStamp(b % end)) == (a % end < b % end)
 
 
-@given(st.integers(0, 2**31 * 10**9 - 1), st.integers(1, 10**9 - 1))
-def test_an_attempt_travels_in_the_frame_and_keeps_the_stamp(ns, attempt):
-    stamp = PlanStamp(ns, attempt)
-    sent = header(stamp)
-    assert (sent.frame_id == FRAME_ID) == (attempt == 1)
-    message = PointCloud2(header=sent)
-    assert PlanStamp.of(message) == stamp and ns_from_time(sent.stamp) == ns
-    check_frame(message, "it")
-    assert stamp.plan == PlanStamp(ns) <= stamp
-    assert str(stamp).startswith(str(stamp.plan))
+@given(st.integers(0, 2**31 * 10**9 - 1))
+def test_a_stamp_travels_in_the_header_and_the_frame_is_always_the_same(ns):
+    message = PointCloud2(header=header(PlanStamp(ns)))
+    assert PlanStamp.of(message) == PlanStamp(ns)
+    assert ns_from_time(message.header.stamp) == ns
+    assert message.header.frame_id == FRAME_ID
+    check_frame(message, "targets")
 
 
-@given(*[st.tuples(st.integers(0, 9), st.integers(1, 9))] * 2)
-def test_attempts_are_ordered_within_their_plan(a, b):
-    assert (PlanStamp(*a) < PlanStamp(*b)) == (a < b)
-    assert PlanStamp(*a) < PlanStamp(*a).next_attempt < PlanStamp(a[0] + 1)
-
-
-@pytest.mark.parametrize(
-    "frame",
-    ["map", "", "/focal_plane"] + [f"focal_plane/attempt_{word}" for word in ("0", "", "2x")],
-)
-def test_another_frame_is_no_attempt(frame):
+@pytest.mark.parametrize("frame", ["map", "", "/focal_plane", "focal_plane/attempt_2"])
+def test_another_frame_is_refused(frame):
     message = PointCloud2()
     message.header.frame_id = frame
-    assert PlanStamp.of(message).attempt == 1
     with pytest.raises(MessageError, match="frame_id"):
-        check_frame(message, "it")
-
-
-def test_there_is_no_attempt_before_the_first():
-    with pytest.raises(MessageError, match="attempt 0 is no attempt"):
-        PlanStamp(5, 0)
+        check_frame(message, "targets")
 
 
 @pytest.mark.parametrize("ns", [-1, 2**31 * 10**9])

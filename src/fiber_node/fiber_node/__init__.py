@@ -1,9 +1,18 @@
-"""What every node of the graph does alike: settings, reporting, following the plane, running."""
+"""Shared parts of all nodes: parameters, progress and diagnostics, the plane, the main loop."""
 
+from fiber_node.attempt_listener import AttemptListener
 from fiber_node.parameters import declare_parameters_of
 from fiber_node.plane_cache import PlaneCache
 from fiber_node.reporter import Reporter
 from fiber_node.ros_client import RosClient, WaitError
 from fiber_node.run_node import run
 
-__all__ = ["RosClient", "PlaneCache", "Reporter", "WaitError", "declare_parameters_of", "run"]
+__all__ = [
+    "AttemptListener",
+    "PlaneCache",
+    "Reporter",
+    "RosClient",
+    "WaitError",
+    "declare_parameters_of",
+    "run",
+]

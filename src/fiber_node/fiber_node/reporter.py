@@ -4,10 +4,9 @@ from collections.abc import Callable, Iterable
 
 from rclpy.node import Node
 
-from fiber_msgs_py import diagnostics, progress, topics
+from fiber_msgs_py import Attempt, diagnostics, progress, topics
 from fiber_msgs_py.diagnostics import Level, Status
 from fiber_msgs_py.progress import Progress
-from fiber_msgs_py.stamps import PlanStamp
 
 __all__ = ["Reporter"]
 
@@ -34,16 +33,20 @@ class Reporter:
         self._diagnostics = topics.DIAGNOSTICS.publisher(node)
         node.create_timer(_PERIOD_S, self.publish)
 
-    def progress(self, stamp: PlanStamp, fraction: float, text: str) -> None:
-        """Tell how far the work on a plan is, 0..1."""
+    def progress(self, attempt: Attempt, fraction: float, text: str) -> None:
+        """Publish how far the work on an attempt of a plan is, 0..1."""
         self._level, self._text = Level.OK, text
-        message = progress.encode(Progress(self._stage, min(fraction, 1.0), text, stamp))
+        message = progress.encode(Progress(self._stage, min(fraction, 1.0), text, attempt))
         self._progress.publish(message)
 
-    def done(self, stamp: PlanStamp, text: str) -> None:
-        """Tell that a plan is done, and log it."""
-        self._node.get_logger().info(f"plan {stamp}: {text}")
-        self.progress(stamp, 1.0, text)
+    def done(self, attempt: Attempt, text: str) -> None:
+        """Publish that the work on an attempt of a plan is done, and log it."""
+        self._node.get_logger().info(f"plan {attempt}: {text}")
+        self.progress(attempt, 1.0, text)
+
+    def waiting(self, text: str) -> None:
+        """Show in the next diagnostics what the node waits for."""
+        self._level, self._text = Level.OK, text
 
     def refuse(self, text: str) -> None:
         """Tell that something was refused and why: log, diagnostics, counter."""

@@ -14,9 +14,11 @@ from fiber_core.errors import FiberError
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import (
+    Attempt,
     Level,
     MessageError,
     PlanStamp,
+    Progress,
     diagnostics,
     joint_states,
     layout,
@@ -24,7 +26,7 @@ from fiber_msgs_py import (
     targets,
     topics,
 )
-from fiber_node import PlaneCache, Reporter, declare_parameters_of, run
+from fiber_node import AttemptListener, PlaneCache, Reporter, declare_parameters_of, run
 
 
 @dataclass(frozen=True)
@@ -104,9 +106,11 @@ def test_progress_names_stage_and_plan(graph):
     node = graph("speaker")
     report = Reporter(node, "discretizer")
     graph.until(lambda: node.count_subscribers(topics.PROGRESS.name) == 1)
-    graph.until(lambda: heard or report.progress(PlanStamp(5), 0.5, "half") is not None)
+    attempt = Attempt.first(PlanStamp(5))
+    graph.until(lambda: heard or report.progress(attempt, 0.5, "half") is not None)
     told = progress.decode(heard[0])
-    assert (told.stage, told.fraction, told.text, told.stamp.ns) == ("discretizer", 0.5, "half", 5)
+    assert (told.stage, told.fraction, told.text) == ("discretizer", 0.5, "half")
+    assert told.attempt == attempt
 
 
 def test_the_view_is_complete_only_with_joint_states_of_the_same_robots(graph):
@@ -131,43 +135,66 @@ def test_the_view_is_complete_only_with_joint_states_of_the_same_robots(graph):
 
 def test_work_on_a_later_attempt_waits_for_a_plane_as_new_as_its_targets_say(graph):
     plane, node, source = preset("desi", robots=7), graph("view"), graph("source")
-    view = PlaneCache(node, Reporter(node, "planner"))
-    layouts, states, asks = (
-        topic.publisher(source) for topic in (topics.LAYOUT, topics.JOINT_STATES, topics.TARGETS)
-    )
+    cache = PlaneCache(node, Reporter(node, "planner"))
+    layouts, states = topics.LAYOUT.publisher(source), topics.JOINT_STATES.publisher(source)
     still, done = np.zeros((7, 2)), []
 
-    def tell_layout(ns):
+    def publish_layout(ns):
         layouts.publish(layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(ns)))
-        graph.until(lambda: view._layout_ns == ns)
+        graph.until(lambda: cache._layout_ns == ns)
 
-    def tell_states(ns):
+    def publish_states(ns):
         states.publish(joint_states.encode(plane.ids, still, still, ns))
-        graph.until(lambda: view._states_ns == ns)
+        graph.until(lambda: cache._states_ns == ns)
 
-    def ask(stamp, since_ns):
-        graph.until(lambda: node.count_subscribers(topics.TARGETS.name) == 1)
-        asks.publish(targets.encode([1], [[0.0, 0.0]], stamp, since_ns))
-        graph.until(lambda: view._since is not None and view._since[0] == stamp)
-
-    view.when_new_enough(PlanStamp(5), lambda: done.append("first"))
+    first = Attempt.first(PlanStamp(5))
+    second = first.next(PlanStamp(6), since_ns=20)
+    cache.when_current(first, lambda: done.append("first"))
     assert done == ["first"]  # nothing to wait for
-    tell_layout(10)
-    tell_states(10)
-    view.when_new_enough(PlanStamp(5, 2), lambda: done.append("second"))
-    assert done == ["first"]  # its targets are not there yet
-    ask(PlanStamp(5, 2), 20)
-    tell_layout(20)
-    tell_states(19)
+    publish_layout(10)
+    publish_states(10)
+    cache.when_current(second, lambda: done.append("second"))
+    publish_layout(20)
+    publish_states(19)
     assert done == ["first"]
-    tell_states(20)
+    publish_states(20)
     assert done == ["first", "second"]
     # newer work takes the place of what waits, and is done once
-    view.when_new_enough(PlanStamp(5, 3), lambda: done.append("third"))
-    view.when_new_enough(PlanStamp(6), lambda: done.append("newer"))
-    ask(PlanStamp(5, 3), 15)
-    tell_states(30)
+    third = second.next(PlanStamp(7), since_ns=25)
+    cache.when_current(third, lambda: done.append("third"))
+    cache.when_current(Attempt.first(PlanStamp(8)), lambda: done.append("newer"))
+    publish_layout(30)
+    publish_states(30)
     assert done == ["first", "second", "newer"]
+
+
+def test_work_on_a_trajectory_waits_until_its_attempt_is_announced(graph):
+    node, source = graph("discretizer"), graph("source")
+    listener, done = AttemptListener(node), []
+    plan = Attempt.first(PlanStamp(5))
+    second = plan.next(PlanStamp(6), since_ns=20)
+    # in a graph without targets a stamp names a plan
+    assert listener.when_announced(PlanStamp(4), done.append)
+    assert done == [Attempt.first(PlanStamp(4))]
+
+    asks = topics.TARGETS.publisher(source)
+    reports = topics.PROGRESS.publisher(source)
+    graph.until(lambda: node.count_publishers(topics.TARGETS.name) == 1)
+    graph.until(lambda: asks.get_subscription_count() == reports.get_subscription_count() == 1)
+    assert not listener.when_announced(second.stamp, done.append)  # overtook its targets
+    asks.publish(targets.encode([1], [[0.0, 0.0]], plan.plan))
+    asks.publish(targets.encode_attempt([1], [[0.0, 0.0]], second))
+    graph.until(lambda: len(done) == 2)
+    assert done[1] == second
+    assert listener.when_announced(plan.stamp, done.append) and done[2] == plan
+
+    # the progress of a stage announces an attempt as well; newer work takes the place of older
+    third = second.next(PlanStamp(7), since_ns=30)
+    assert not listener.when_announced(PlanStamp(99), done.append)
+    assert not listener.when_announced(third.stamp, done.append)
+    reports.publish(progress.encode(Progress("planner", 0.0, "begins", third)))
+    graph.until(lambda: len(done) == 4)
+    assert done[3] == third
 
 
 def test_a_malformed_layout_is_refused_and_the_old_one_stays(graph):

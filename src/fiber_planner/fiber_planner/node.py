@@ -12,7 +12,7 @@ from fiber_core.array_types import Ids, Pairs, Points
 from fiber_core.assignment import Assignment, assign
 from fiber_core.errors import FiberError
 from fiber_msgs_py import (
-    PlanStamp,
+    Attempt,
     Stage,
     held,
     targets,
@@ -37,7 +37,7 @@ class PlannerNode(Node):
     def __init__(self, **options):
         super().__init__("planner", **options)
         self._planner = _declared_planner(self)
-        self._stamp: PlanStamp | None = None  # of the latest plan
+        self._newest: Attempt | None = None  # that was planned
         self._report = Reporter(self, "planner")
         self._plane_cache = PlaneCache(self, self._report)
         self._held = topics.HELD_BY_PLANNER.publisher(self)
@@ -46,63 +46,64 @@ class PlannerNode(Node):
 
     def _on_targets(self, message: PointCloud2) -> None:
         try:
-            stamp = PlanStamp.of(message)
+            attempt = targets.decode_attempt(message)
             ids, xy_mm = targets.decode(message)
         except FiberError as error:
             self._report.refuse(f"targets refused: {error}")
             return
-        self._plane_cache.when_new_enough(stamp, lambda: self._handle(stamp, ids, xy_mm))
+        self._plane_cache.when_current(attempt, lambda: self._handle(attempt, ids, xy_mm))
 
-    def _handle(self, stamp: PlanStamp, ids: Ids, xy_mm: Points) -> None:
+    def _handle(self, attempt: Attempt, ids: Ids, xy_mm: Points) -> None:
         try:
-            if self._stamp is not None and stamp <= self._stamp:
-                self._report.drop(f"targets {stamp} dropped: plan {self._stamp} is not older")
+            newest = self._newest
+            if newest is not None and attempt.stamp <= newest.stamp:
+                self._report.drop(f"targets {attempt} dropped: plan {newest} is not older")
                 return
             if self._plane_cache.moving:
-                self._report.refuse(f"targets {stamp} refused: robots are moving")
+                self._report.refuse(f"targets {attempt} refused: robots are moving")
                 return
             start = self._plane_cache.angles
             assignment = assign(self._plane_cache.plane, start, ids, xy_mm)
-            self._stamp = stamp  # malformed targets were refused before and take no stamp
-            self._warn_of_refused(assignment, stamp)
+            self._newest = attempt  # malformed targets were refused before and take no stamp
+            self._warn_of_refused(assignment, attempt)
             result = plan_assignment(
                 start,
                 assignment,
                 self._planner,
-                lambda fraction, text: self._report.progress(stamp, fraction, text),
+                lambda fraction, text: self._report.progress(attempt, fraction, text),
             )
-            self._publish(result, stamp)
+            self._publish(result, attempt)
         except FiberError as error:
             self._report.refuse(f"targets refused: {error}")
 
-    def _publish(self, result: PlanStageResult, stamp: PlanStamp) -> None:
+    def _publish(self, result: PlanStageResult, attempt: Attempt) -> None:
         ids, motion, is_held = result.problem.plane.ids, result.planned.motion, result.held
-        self._warn_of_tangled(result.planned.tangled, ids, stamp)
-        self._held.publish(held.encode(ids[is_held], result.reason[is_held], Stage.PLANNER, stamp))
-        self._trajectory.publish(trajectory.encode(ids, motion, stamp))
+        self._warn_of_tangled(result.planned.tangled, ids, attempt)
+        self._held.publish(held.encode(ids[is_held], result.reason[is_held], Stage.PLANNER, attempt.stamp))
+        self._trajectory.publish(trajectory.encode(ids, motion, attempt.stamp))
         arriving, holds = (int(np.count_nonzero(mask)) for mask in (result.arriving, is_held))
         self._report.counters |= {
-            "plan": stamp,
+            "plan": attempt,
             "arriving": arriving,
             "held": holds,
             "tangled": len(result.planned.tangled),
             "makespan_s": f"{motion.makespan_s:.3f}",
         }
         self._report.done(
-            stamp, f"{arriving} robots arrive in {motion.makespan_s:.2f} s, {holds} held"
+            attempt, f"{arriving} robots arrive in {motion.makespan_s:.2f} s, {holds} held"
         )
 
-    def _warn_of_refused(self, assignment: Assignment, stamp: PlanStamp) -> None:
+    def _warn_of_refused(self, assignment: Assignment, attempt: Attempt) -> None:
         for robot in assignment.refused_ids:
-            self.get_logger().warning(f"plan {stamp}: {assignment.explain(int(robot))}")
+            self.get_logger().warning(f"plan {attempt}: {assignment.explain(int(robot))}")
 
-    def _warn_of_tangled(self, tangled: Pairs, ids: Ids, stamp: PlanStamp) -> None:
+    def _warn_of_tangled(self, tangled: Pairs, ids: Ids, attempt: Attempt) -> None:
         for pair in tangled:
             names = " and ".join(
                 f"robot {ids[row]}" if row < len(ids) else f"obstacle {row - len(ids)}"
                 for row in pair
             )
-            self.get_logger().warning(f"plan {stamp}: {names} start too close to each other")
+            self.get_logger().warning(f"plan {attempt}: {names} start too close to each other")
 
 
 def _declared_planner(node: Node) -> Planner:

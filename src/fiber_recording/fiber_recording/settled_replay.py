@@ -22,12 +22,12 @@ def settled_replay(client: PlaneClient, ended: PlanOutcome, counts, timeout_s: f
     Raises:
         WaitError: they did not; names the first robot that is elsewhere.
     """
-    told = None
+    plan, told = PlanStamp(ended.stamp_ns), None
 
     def elsewhere():
         nonlocal told
-        last = client.last_attempt(PlanStamp(ended.stamp_ns))
-        before = counts if last.attempt == 1 else client.before[last]
+        last = client.last_attempt(plan)
+        before = counts if last == plan else client.before[last]
         told = replay(client.plane, client.units, before, client.frames.get(last, ()))
         off = unexplained(client.plane, told, ended, client.units.to_counts(client.angles))
         return client.plane.ids[off]

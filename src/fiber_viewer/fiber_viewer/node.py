@@ -71,9 +71,9 @@ class ViewerNode(Node):
         self._publish(self._plane_points, plane_cloud(self._plane))
 
     def _on_targets(self, message):
-        if PlanStamp.of(message).attempt > 1:
-            return  # some of those that were asked before
         try:
+            if targets.decode_attempt(message).number > 1:
+                return  # some of the targets that are shown already
             xy_mm = targets.decode(message)[1]
         except FiberError:
             return  # the planner says so

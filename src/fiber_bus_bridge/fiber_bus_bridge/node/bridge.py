@@ -23,7 +23,7 @@ from fiber_bus_bridge.simulation.config import SimulationConfig
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Outcome
-from fiber_msgs_py import MessageError, PlanStamp, targets, topics
+from fiber_msgs_py import Attempt, AttemptTable, MessageError, PlanStamp, targets, topics
 from fiber_node import Reporter, declare_parameters_of, run
 
 __all__ = ["BridgeNode", "main"]
@@ -70,11 +70,12 @@ class BridgeNode(Node):
         self._session = Session(plane, self._units, safety, buses, hardware.start, config)
         self._lock, self._halt = threading.Lock(), threading.Event()
         self._time_s = self._due_s = 0.0
-        self._stamp: PlanStamp | None = None
+        self._current: Attempt | None = None  # the attempt whose orders the session has
+        self._announced = AttemptTable()  # later attempts that this node has asked for
         self._notes = PlanInputs(plane)
         self._attempts = Replanning(np.full((plane.n, 2), np.nan), 1)
         self._ordered = np.zeros(plane.n, dtype=bool)  # robots with orders in this attempt
-        self._again: PlanStamp | None = None  # the attempt whose orders are waited for
+        self._again: Attempt | None = None  # the attempt whose orders are waited for
         self._again_until_s = 0.0
         self._roster = declare_availability(self, plane)
         self._session.enable(self._roster.enabled)
@@ -116,7 +117,7 @@ class BridgeNode(Node):
         try:
             self._notes.hear_targets(message)
             with self._lock:
-                if self._again is not None and PlanStamp.of(message) > self._again:
+                if self._again is not None and PlanStamp.of(message) > self._again.stamp:
                     self._give_up_attempt("there are new targets")
         except FiberError:
             pass  # the planner says so
@@ -132,21 +133,23 @@ class BridgeNode(Node):
             again = False
             try:
                 stamp = PlanStamp.of(message)
-                again = stamp == self._again
-                if stamp.attempt > 1 and not again:
-                    self._report.drop(f"segments {stamp} dropped: nobody waits for this attempt")
-                elif self._stamp is not None and stamp <= self._stamp:
-                    self._report.drop(f"segments {stamp} dropped: plan {self._stamp} is not older")
+                attempt = self._announced.find(stamp) or Attempt.first(stamp)
+                again = attempt == self._again
+                if attempt.number > 1 and not again:
+                    self._report.drop(f"segments {attempt} dropped: this attempt has ended")
+                elif self._current is not None and stamp <= self._current.stamp:
+                    dropped = f"segments {attempt} dropped: plan {self._current} is not older"
+                    self._report.drop(dropped)
                 else:
-                    self._take_orders(stamp, message)
+                    self._take_orders(attempt, message)
             except FiberError as error:
                 self._report.refuse(f"segments refused: {error}")
                 if again:
                     self._give_up_attempt("its orders were refused")
 
-    def _take_orders(self, stamp, message):
+    def _take_orders(self, attempt, message):
         motion = self._notes.motion(message, self._units, self._session.counts)
-        asked, again = self._notes.asked(stamp), stamp == self._again
+        asked, again = self._notes.asked(attempt.stamp), attempt == self._again
         if not again:
             self._give_up_attempt("there are new orders")
         replaced = self._session.submit(motion, asked)
@@ -155,35 +158,37 @@ class BridgeNode(Node):
         if not again:
             unasked = np.full((self._session.plane.n, 2), np.nan)
             self._attempts = Replanning(*((unasked, 1) if asked is None else (asked, self._most)))
-        self._stamp, self._again = stamp, None
+        self._current, self._again = attempt, None
         self._ordered = np.diff(motion.offsets).reshape(-1, 2).any(axis=1)
-        self._report.done(stamp, f"ready: orders for {self._ordered.sum()} robots")
+        self._report.done(attempt, f"ready: orders for {self._ordered.sum()} robots")
         if again:  # start was asked for this plan
             self.get_logger().info(self._start())
 
     def _attempt_ends(self, result, last):
         """Take what came of an attempt; ask for another, or tell the outcome of the plan."""
-        result = result.explained_by(self._notes.reasons(self._stamp))
+        result = result.explained_by(self._notes.reasons(self._current.stamp))
         self._roster.leave_out(result, self._session.known)
-        asked = self._notes.asked(self._stamp)
+        asked = self._notes.asked(self._current.stamp)
         asked = False if asked is None else np.isfinite(asked).all(axis=1)
         self._attempts.add(self._roster.explain(result), asked)
         again = self._attempts.again(self._ordered, self._roster.commandable(self._session.known))
-        if last or self._halt.is_set() or not again.any():
+        stamp = self._notes.free_stamp_after(self._current.stamp)
+        if last or self._halt.is_set() or not again.any() or stamp is None:
             self._tell.plane()
             self._publish_outcome()
         else:
-            self._ask_again(again)
+            self._ask_again(again, stamp)
 
-    def _ask_again(self, robots):
+    def _ask_again(self, robots, stamp):
         """Have a plan planned again for some robots, with all others as obstacles."""
         self._session.clear(self._now_s())  # reads where all stand, the failed too if they answer
-        self._again = self._stamp.next_attempt
-        self._again_until_s = time.monotonic() + self._patience_s
         now_ns = self._tell.now_ns()
+        self._again = self._current.next(stamp, since_ns=now_ns)
+        self._announced.add(self._again)
+        self._again_until_s = time.monotonic() + self._patience_s
         self._tell.plane(always=True, now_ns=now_ns)
         ids, goals = self._session.plane.ids[robots], self._attempts.goals[robots]
-        message = targets.encode(ids, goals, self._again, since_ns=now_ns)
+        message = targets.encode_attempt(ids, goals, self._again)
         self._notes.hear_targets(message)
         self._targets.publish(message)
         held = int((robots & (self._attempts.result.outcome == Outcome.HELD)).sum())
@@ -207,15 +212,15 @@ class BridgeNode(Node):
                 self._give_up_attempt("no orders came")
 
     def _publish_outcome(self):
-        result, stamp = self._attempts.result, self._stamp.plan
-        self._tell.outcome(result, stamp)
+        result, plan = self._attempts.result, Attempt.first(self._current.plan)
+        self._tell.outcome(result, plan.stamp)
         counts = np.bincount(result.outcome, minlength=len(Outcome))
         said = ", ".join(f"{counts[o]} {o.name.lower()}" for o in Outcome)
         made = self._attempts.made
-        self._report.counters |= {"plan": stamp, "outcome": said, "attempts": made}
-        self._report.done(stamp, said if made == 1 else f"{said}, in {made} attempts")
+        self._report.counters |= {"plan": plan, "outcome": said, "attempts": made}
+        self._report.done(plan, said if made == 1 else f"{said}, in {made} attempts")
         if self._capture:
-            self._buses.write(Path(self._capture) / str(stamp))
+            self._buses.write(Path(self._capture) / str(plan))
 
     # --- services ------------------------------------------------------------
 
@@ -241,7 +246,7 @@ class BridgeNode(Node):
     def _home(self):
         self._give_up_attempt("the robots go home")
         self._session.home(self._now_s(), self._may_go)
-        self._stamp = PlanStamp(self._tell.now_ns())
+        self._current = Attempt.first(PlanStamp(self._tell.now_ns()))
         self._attempts = Replanning(np.full((self._session.plane.n, 2), np.nan), 1)
         return self._under_way()
 
@@ -250,12 +255,12 @@ class BridgeNode(Node):
 
     def _under_way(self):
         started = int(self._session.upload.started.sum())
-        stamp = self._stamp
+        current = self._current
         self._after()
         if self._session.state is SessionState.MOVING:
             self._due_s = self._time_s
             self._timer.reset()
-        return f"plan {stamp}: {started} robots started"
+        return f"plan {current}: {started} robots started"
 
     def _on_stop(self, request, response):
         self._halt.set()  # a start that is not through its checks yet will not go
@@ -328,15 +333,15 @@ class BridgeNode(Node):
     def _after(self, last=False):
         """Tell everybody what a call has changed; after the last a plan is not tried again."""
         self._now_s()
-        self._tell.frames(self._stamp)
+        self._tell.frames(None if self._current is None else self._current.stamp)
         self._tell.state()
         if self._session.state is SessionState.MOVING:
             motion = self._session.upload
             lasts = max(motion.motion.decoded().makespan_s, _TICK_S)
             gone = np.clip((self._time_s - motion.start_s) / lasts, 0.0, 1.0)
-            self._report.progress(self._stamp, gone, "robots are moving")
+            self._report.progress(self._current, gone, "robots are moving")
             return
-        if self._session.result is not None and self._stamp is not None:
+        if self._session.result is not None and self._current is not None:
             self._attempt_ends(self._session.take_result(), last)
 
 

@@ -28,6 +28,16 @@ class PlanInputs:
         """Return the targets of a plan [mm], shape (n, 2), nan = nothing asked; None if unheard."""
         return self._asked.get(stamp)
 
+    def free_stamp_after(self, stamp: PlanStamp) -> PlanStamp | None:
+        """Return the earliest stamp after another that no targets received have, None at the end.
+
+        An attempt with this stamp sorts before every plan that is newer than its own plan.
+        """
+        ns = stamp.ns + 1
+        while PlanStamp.fits(ns) and PlanStamp(ns) in self._asked:
+            ns += 1
+        return PlanStamp(ns) if PlanStamp.fits(ns) else None
+
     def reasons(self, stamp: PlanStamp) -> np.ndarray:
         """Return the first reason given to hold each robot of a plan, else OK, shape (n,)."""
         return self._reasons.get(stamp, np.full(self._plane.n, Reason.OK, dtype=np.int64))
