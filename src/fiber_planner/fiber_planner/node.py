@@ -79,7 +79,9 @@ class PlannerNode(Node):
     def _publish(self, result: PlanStageResult, attempt: Attempt) -> None:
         ids, motion, is_held = result.problem.plane.ids, result.planned.motion, result.held
         self._warn_of_tangled(result.planned.tangled, ids, attempt)
-        self._held.publish(held.encode(ids[is_held], result.reason[is_held], Stage.PLANNER, attempt.stamp))
+        self._held.publish(
+            held.encode(ids[is_held], result.reason[is_held], Stage.PLANNER, attempt.stamp)
+        )
         self._trajectory.publish(trajectory.encode(ids, motion, attempt.stamp))
         arriving, holds = (int(np.count_nonzero(mask)) for mask in (result.arriving, is_held))
         self._report.counters |= {
