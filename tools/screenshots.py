@@ -57,13 +57,13 @@ def main(argv: list[str] | None = None) -> int:
         page = Path(folder) / "player.html"
         write_player(page, args.recording)
         for name, (size, part, more) in _SHOTS.items():
-            moment = f"#t={part * recording.decoded.makespan_s:.3f}&{more}"
+            moment = f"#t={part * recording.executed.makespan_s:.3f}&{more}"
             _picture(browser, page, moment, args.out / name, size, folder)
         if args.faults:
             write_player(page, args.faults)
             name, size, more = _FAULTS
             wrong = load_recording(args.faults)
-            t = wrong.pauses_s[-1][0] if wrong.pauses_s else wrong.decoded.makespan_s
+            t = wrong.pauses_s[-1][0] if wrong.pauses_s else wrong.executed.makespan_s
             robot = wrong.problem.plane.ids[(wrong.outcome == Outcome.FAILED).argmax()]
             moment = f"#t={t:.3f}&robots={robot}&{more}"
             _picture(browser, page, moment, args.out / name, size, folder)

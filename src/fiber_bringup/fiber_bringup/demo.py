@@ -75,7 +75,7 @@ def main(argv=None) -> int:
             report = _report(run)
             for note in run.recording.about["notes"]:
                 display.say(note)
-            if options.faults and not run.recording.events.bad.any():
+            if options.faults and not run.recording.events.unexpected.any():
                 display.say("the faults met nobody on the way: another --seed may")
         except (FiberError, OSError) as error:
             display.say(f"demo: {error}")
@@ -194,7 +194,7 @@ def _report(run) -> dict:
 
 def _write(out, run, report):
     recording, ended = run.recording, run.ended
-    motion = recording.decoded
+    motion = recording.executed
     save_plan(out / "plan.npz", motion, ended.outcome, ended.reason)
     before_and_after(recording.problem, motion, ended.outcome).savefig(out / "plane.png", dpi=110)
     write_player(out / "player.html", out / "recording.npz")

@@ -63,8 +63,8 @@ def test_a_bag_says_the_same(run, tmp_path):
     times = np.diff([time_ns for time_ns, _ in found["/focal_plane/joint_states"]])
     assert (times == 100_000_000).all()
     rows = found["/focal_plane/segments"][0][1]
-    moved = SegmentMotion(run.done.decoded.start, *_segments(rows, run.done))
-    np.testing.assert_allclose(moved.end, run.done.decoded.end)
+    moved = SegmentMotion(run.done.executed.start, *_segments(rows, run.done))
+    np.testing.assert_allclose(moved.end, run.done.executed.end)
 
 
 def test_speeds_keep_their_limits_and_add_up_however_seldom_encoders_were_read(run, tmp_path):
@@ -82,7 +82,7 @@ def test_speeds_keep_their_limits_and_add_up_however_seldom_encoders_were_read(r
 def test_a_bag_shows_the_arms_as_they_moved(run, tmp_path):
     write_bag(tmp_path / "bag", run.done)
     found = heard(tmp_path / "bag")
-    plane, moved = run.done.problem.plane, run.done.decoded
+    plane, moved = run.done.problem.plane, run.done.executed
     pictures = found["/focal_plane/view/arms"]
     stamp_ns = run.ended.stamp_ns
     for time_ns, message in pictures:
@@ -142,4 +142,4 @@ def test_a_bag_overwrites_nothing(run, tmp_path, capsys):
     with pytest.raises(PlaneError, match="exists"):
         write_bag(tmp_path, run.done)
     assert main([str(tmp_path / "none.npz"), str(tmp_path / "bag")]) == 1
-    assert "no recording" in capsys.readouterr().err
+    assert "not a recording" in capsys.readouterr().err

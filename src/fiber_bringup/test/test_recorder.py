@@ -39,14 +39,14 @@ def test_what_was_asked_and_what_became_of_it(run):
 
 
 def test_the_certificate_is_that_of_the_motion(run):
-    certificate = certify(run.done.problem.plane, run.done.decoded, Safety())
+    certificate = certify(run.done.problem.plane, run.done.executed, Safety())
     assert run.done.about["certificate"]["ok"] is certificate.ok is True
     assert run.done.about["report"]["min_clearance_mm"] == certificate.min_gap_mm
 
 
 def test_the_margins_are_those_of_the_orders(run):
     recording = run.done
-    exact = joint_corridors(recording.problem.plane, recording.decoded, Safety())
+    exact = joint_corridors(recording.problem.plane, recording.executed, Safety())
     for name in ("low", "high"):
         recorded, wall = getattr(recording.corridors, name), getattr(exact, name)
         np.testing.assert_allclose(recorded, wall, atol=1.1e-3)  # rounded inwards
@@ -56,13 +56,13 @@ def test_the_margins_are_those_of_the_orders(run):
 
 
 def test_planned_curves_begin_and_end_with_the_motion(run):
-    planned, motion = run.done.planned, run.done.decoded
+    planned, motion = run.done.planned, run.done.executed
     np.testing.assert_allclose(planned.start, motion.start, atol=1e-5)
     np.testing.assert_allclose(planned.end, motion.end, atol=2e-3)
 
 
 def test_encoders_follow_the_orders(run):
-    measured, motion, units = run.done.measured, run.done.decoded, run.done.units
+    measured, motion, units = run.done.measured, run.done.executed, run.done.units
     moving = measured.time_us > 0
     assert moving.sum() > len(run.before) and set(measured.row[moving]) == set(
         range(len(run.before))
@@ -81,7 +81,7 @@ def test_all_frames_are_counted_and_a_go_is_told(run):
     assert load.edges_s[0] < 0 < load.edges_s[-1]
     assert events.kind.tolist() == [EventKind.GO]
     assert -0.2 < events.time_s[0] < 0.0  # robots count down from there
-    assert not events.bad.any()
+    assert not events.unexpected.any()
     assert run.done.about["codes"]["fault"]["33"] == "memory"
 
 
@@ -91,26 +91,26 @@ def test_a_stopped_plan_is_recorded_as_far_as_it_went(run):
     assert kinds.count(EventKind.GO) == 1 and kinds.count(EventKind.STOP) >= 1
     at_s = stopped.events.time_s[kinds.index(EventKind.STOP)]
     # robots hear the STOP at its end, and are then where their encoders say
-    assert 0 < at_s < stopped.decoded.makespan_s < at_s + 3e-4
+    assert 0 < at_s < stopped.executed.makespan_s < at_s + 3e-4
     assert any("stopped at" in note for note in stopped.about["notes"])
     assert (stopped.reason == Reason.STOPPED).any()
     np.testing.assert_array_equal(stopped.outcome, run.halted.outcome)
     np.testing.assert_array_equal(stopped.phases[-1].end, run.at_rest)
     np.testing.assert_allclose(
-        stopped.decoded.end, stopped.units.to_angles(run.at_rest), atol=1e-12
+        stopped.executed.end, stopped.units.to_angles(run.at_rest), atol=1e-12
     )
 
 
 def test_home_is_recorded_though_nobody_asked_for_targets(run):
     home = run.home
     assert not home.problem.asked.any() and home.planned is None
-    assert home.started.any() and (home.decoded.end[:, 1] > 3.0).any()
+    assert home.started.any() and (home.executed.end[:, 1] > 3.0).any()
     np.testing.assert_array_equal(home.motion.start, run.after)
 
 
 def test_a_plan_that_was_replaced_is_recorded_as_one_that_did_not_run(run):
     replaced = run.replaced
-    assert not replaced.started.any() and replaced.decoded.makespan_s == 0.0
+    assert not replaced.started.any() and replaced.executed.makespan_s == 0.0
     assert replaced.problem.asked.any() and replaced.planned is not None
     assert (replaced.reason == Reason.STOPPED).any()
     assert replaced.about["notes"] == ["no frames were received: no robot was started"]

@@ -100,7 +100,7 @@ def test_the_recording_replays_the_same_motion_from_the_frames(result):
     assert recording.started.all()
     times = np.linspace(0.0, result.motion.makespan_s, 7)
     for t in times:
-        assert np.allclose(recording.decoded(t), result.motion(t), atol=1e-9)
+        assert np.allclose(recording.executed(t), result.motion(t), atol=1e-9)
     assert recording.about["report"]["reached"] == result.report["reached"]
     assert recording.about["planner"] == "direct" and not recording.about["notes"]
 

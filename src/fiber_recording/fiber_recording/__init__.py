@@ -3,7 +3,7 @@
 from fiber_recording.build_recording import build_recording
 from fiber_recording.closest import closest_approaches
 from fiber_recording.errors import RecordingError
-from fiber_recording.phases import Phase, counts_at, executed
+from fiber_recording.phases import Phase, counts_at, executed_motion
 from fiber_recording.recording import (
     SOFTWARE,
     Approaches,
@@ -30,7 +30,7 @@ __all__ = [
     "build_recording",
     "closest_approaches",
     "counts_at",
-    "executed",
+    "executed_motion",
     "load_recording",
     "replay",
     "save_recording",

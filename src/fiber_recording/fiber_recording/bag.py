@@ -127,12 +127,12 @@ def _joint_states(recording, stamp):
         heard = order[begin:end]
         counts[measured.row[heard]] = measured.counts[heard]
         begin, at = end, stamp.ns + now
-        speeds = recording.decoded.velocity(now / _SECOND)
+        speeds = recording.executed.velocity(now / _SECOND)
         yield at, topics.JOINT_STATES, joint_states.encode(ids, units.to_angles(counts), speeds, at)
 
 
 def _view(recording, stamp, end_ns):
-    plane, motion = recording.problem.plane, recording.decoded
+    plane, motion = recording.problem.plane, recording.executed
     asked = recording.problem.targets[recording.problem.asked]
     yield stamp.ns, topics.VIEW_PLANE, encode_table(plane_cloud(plane), stamp)
     yield stamp.ns, topics.VIEW_TARGETS, encode_table(points_cloud(asked, ViewState.REACHED), stamp)

@@ -1,4 +1,4 @@
-"""Errors of this package."""
+"""The error of this package."""
 
 from fiber_core.errors import FiberError
 
@@ -6,4 +6,4 @@ __all__ = ["RecordingError"]
 
 
 class RecordingError(FiberError):
-    """A recording is malformed, or of a version this software does not know."""
+    """A recording is malformed, or its version is newer than this software."""

@@ -26,7 +26,7 @@ from fiber_core.presets import preset
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.closest import closest_approaches
-from fiber_recording.phases import Phase, counts_at, executed
+from fiber_recording.phases import Phase, counts_at, executed_motion
 from fiber_recording.recording import (
     SOFTWARE,
     BusLoad,
@@ -66,7 +66,7 @@ def random_recording(
     started = ~np.isin(np.arange(_ROBOTS), [_HELD, _DISABLED])
     orders = _random_orders(plane, units, started, rng)
     phases = _interrupted(orders, rng) if interrupted else (Phase.whole(orders),)
-    motion = executed(phases)
+    motion = executed_motion(phases)
     targets = kinematics.forward(plane, motion.end)[1]
     targets[_NO_TARGET] = np.nan
     problem = Problem(plane, motion.start, targets)

@@ -1,16 +1,21 @@
-"""A recording as one .npz file: standard arrays that numpy, a browser or anything else reads.
+"""Writes and reads recordings: one .npz file of plain arrays, which numpy and a browser can read.
 
-The arrays of a problem.npz are in it under the same names, so it opens as one of those
-too. What is long and smooth is kept as small whole numbers, which deflate well: planned
-curves as steps of a microradian, encoder readings as their distance from the orders.
-docs/recording.md names every array.
+The file has the arrays of a problem.npz under the same names, so it can be opened as a problem,
+too. Long smooth series are stored as differences in small whole numbers, which compress well: a
+trajectory as steps of a microradian, encoder readings as their distance from the orders.
+docs/recording.md lists every array. Two prefixes are older than the names used in the code:
+`leg_` is a phase, and `margin_` is a corridor.
 """
 
 import json
 import zipfile
+from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fiber_core.corridor import JointCorridors
 from fiber_core.errors import FiberError
@@ -33,31 +38,38 @@ __all__ = ["FORMAT", "VERSION", "load_recording", "save_recording"]
 
 FORMAT = "fiber recording"
 VERSION = 2
-_PLANNED_RAD = 1e-6  # planned angles are rounded to this
-_MARGIN_RAD = 1e-3  # walls are rounded inwards to this
-_NAMES = {"outcome": Outcome, "reason": Reason, "event": EventKind}
-_EVENTS = {"time_s": "<f8", "kind": "u1", "bus": "<i4", "row": "<i4", "detail": "<i4"}
+_PLANNED_STEP_RAD = 1e-6  # to which planned angles are rounded
+_CORRIDOR_STEP_RAD = 1e-3  # to which corridors are rounded, inwards
+_ENUMERATIONS = {"outcome": Outcome, "reason": Reason, "event": EventKind}
+_EVENT_COLUMNS = {"time_s": "<f8", "kind": "u1", "bus": "<i4", "row": "<i4", "detail": "<i4"}
+
+_Columns = Mapping[str, NDArray[Any]]  # the arrays of a file, of various types, by name
 
 
-def save_recording(path, recording: Recording) -> None:
-    """Write a recording; the file is complete or not there.
+def save_recording(path: Path, recording: Recording) -> None:
+    """Write a recording to a file; a failure leaves no incomplete file at `path`.
 
     Args:
-        path: where, as pathlib.Path; should end in .npz.
-        recording: what.
+        path: the file, its name should end in .npz.
+        recording: the recording.
+
+    Raises:
+        OSError: the file cannot be written.
     """
     partial = path.with_name(path.name + ".part")
     with open(partial, "wb") as file:
-        np.savez_compressed(file, **_columns(recording))
+        # the stub takes every array for its argument allow_pickle
+        np.savez_compressed(file, **_columns(recording))  # pyright: ignore[reportArgumentType]
     partial.replace(path)
 
 
-def _columns(recording):
+def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
     about = recording.about | {
         "format": FORMAT,
         "version": VERSION,
         "names": {
-            key: {int(code): code.name.lower() for code in codes} for key, codes in _NAMES.items()
+            key: {int(code): code.name.lower() for code in codes}
+            for key, codes in _ENUMERATIONS.items()
         },
         "units": asdict(recording.units),
         "bus_begin_s": recording.load.begin_s,
@@ -76,13 +88,13 @@ def _columns(recording):
         "velocity": np.concatenate([phase.motion.velocity for phase in phases]).astype("<i4"),
         "leg_begin_us": np.array([phase.begin_us for phase in phases], "<i4"),
         "leg_stop_us": np.stack([phase.stop_us for phase in phases]).astype("<i4"),
-        "leg_stop_counts": np.stack([phase.stop for phase in phases]).astype("<i4"),
+        "leg_stop_counts": np.stack([phase.stop_counts for phase in phases]).astype("<i4"),
         "started": recording.started,
         "outcome": recording.outcome.astype("u1"),
         "reason": recording.reason.astype("u1"),
         "error_mm": recording.error_mm,
         "measured_row": measured.row.astype("<i4"),
-        "measured_step_us": _steps(measured.time_us),
+        "measured_step_us": _differences(measured.time_us),
         "measured_off_counts": off.astype("<i4"),
         "bus_id": recording.load.buses.astype("<i4"),
         "bus_frames": recording.load.frames.astype("<i4"),
@@ -91,69 +103,78 @@ def _columns(recording):
         "pair_gap_mm": recording.approaches.gap_mm.astype("<f4"),
         "pair_time_s": recording.approaches.time_s.astype("<f4"),
     }
-    for name, kind in _EVENTS.items():
+    for name, kind in _EVENT_COLUMNS.items():
         columns[f"event_{name}"] = getattr(recording.events, name).astype(kind)
     if recording.planned is not None:
         columns["planned_time_s"] = recording.planned.time_s
-        columns["planned_step_urad"] = _steps(np.rint(recording.planned.angles / _PLANNED_RAD))
+        columns["planned_step_urad"] = _differences(
+            np.rint(recording.planned.angles / _PLANNED_STEP_RAD)
+        )
     if recording.corridors is not None:
         corridors = recording.corridors
-        walls = [np.ceil(corridors.low / _MARGIN_RAD), np.floor(corridors.high / _MARGIN_RAD)]
+        walls = [
+            np.ceil(corridors.low / _CORRIDOR_STEP_RAD),
+            np.floor(corridors.high / _CORRIDOR_STEP_RAD),
+        ]
         columns["margin_lasts_s"] = corridors.lasts_s.astype("<f4")
-        columns["margin_step_mrad"] = _steps(np.stack(walls, axis=2), "<i2")
+        columns["margin_step_mrad"] = _differences(np.stack(walls, axis=2), "<i2")
     return columns
 
 
-def _steps(values, kind="<i4"):
-    # from each value to the next, the first as it is
+def _differences(values: NDArray[Any], kind: str = "<i4") -> NDArray[Any]:
+    """The first value and the differences of all others from the ones before them."""
     steps = np.diff(values.astype(np.int64), axis=-1, prepend=0)
     return np.ascontiguousarray(steps.astype(kind))
 
 
-def load_recording(path) -> Recording:
+def load_recording(path: Path) -> Recording:
     """Read a recording of this or an older version.
 
+    Args:
+        path: the file.
+
     Raises:
-        RecordingError: the file is no recording, is newer than this software, or a value
-            in it does not fit; names it.
+        RecordingError: the file is not a recording, its version is newer than this software, or
+            a value in it does not fit; names the file and the value.
     """
     data = _read(path)
     about = json.loads(bytes(data["about"]))
     if about.get("format") != FORMAT:
-        raise RecordingError(f"{path} is no recording")
+        raise RecordingError(f"{path} is not a recording: its format is {about.get('format')!r}")
     if about["version"] > VERSION:
         raise RecordingError(
-            f"{path} is of version {about['version']}, this software reads up to {VERSION}"
+            f"{path} has version {about['version']}, this software reads versions up to {VERSION}: "
+            "use a newer release"
         )
     try:
         return _recording(data, about, str(path))
     except KeyError as missing:
-        raise RecordingError(f"{path} has no {missing}") from None
+        raise RecordingError(f"{path} has no array or value {missing}") from None
     except FiberError as error:
         raise RecordingError(f"{path}: {error}") from None
 
 
-def _read(path):
+def _read(path: Path) -> dict[str, NDArray[Any]]:
     try:
         with np.load(path) as file:
             data = dict(file)
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as reason:
-        raise RecordingError(f"{path} is no recording: {reason}") from None
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise RecordingError(f"{path} is not a recording: {error}") from None
     if "about" not in data:
-        raise RecordingError(f"{path} is no recording: it does not say what it is")
+        raise RecordingError(f"{path} is not a recording: it has no array 'about'")
     return data
 
 
-def _recording(data, about, name) -> Recording:
+def _recording(data: _Columns, about: dict[str, Any], name: str) -> Recording:
     units = WireUnits(**about.pop("units"))
     phases = _phases(data, units)
     row, time_us = data["measured_row"], np.cumsum(data["measured_step_us"], dtype=np.int64)
     counts = counts_at(phases, row, time_us) + data["measured_off_counts"]
     planned = None
     if "planned_time_s" in data:
-        angles = np.cumsum(data["planned_step_urad"], axis=-1, dtype=np.int64) * _PLANNED_RAD
+        angles = np.cumsum(data["planned_step_urad"], axis=-1, dtype=np.int64) * _PLANNED_STEP_RAD
         planned = SampledMotion(data["planned_time_s"], angles)
-    for key in ("format", "version", "names"):  # of the file, not of what it tells
+    for key in ("format", "version", "names"):  # they describe the file
         del about[key]
     begin_s, bin_s = about.pop("bus_begin_s"), about.pop("bus_bin_s")
     load = BusLoad(data["bus_id"], begin_s, bin_s, data["bus_frames"], data["bus_bytes"])
@@ -166,7 +187,7 @@ def _recording(data, about, name) -> Recording:
         corridors=_corridors(data),
         measured=Measured(row, time_us, counts),
         load=load,
-        events=Events(**{name: data[f"event_{name}"] for name in _EVENTS}),
+        events=Events(**{name: data[f"event_{name}"] for name in _EVENT_COLUMNS}),
         outcome=data["outcome"],
         reason=data["reason"],
         error_mm=data["error_mm"],
@@ -175,8 +196,8 @@ def _recording(data, about, name) -> Recording:
     )
 
 
-def _phases(data, units):
-    # version 1 has one, which was cut where it was stopped
+def _phases(data: _Columns, units: WireUnits) -> tuple[Phase, ...]:
+    # version 1 has one phase, and its orders are cut where robots were stopped
     offsets, start = np.atleast_2d(data["offsets"]), data["start_counts"]
     phases = []
     for k, own in enumerate(offsets):
@@ -191,10 +212,10 @@ def _phases(data, units):
     return tuple(phases)
 
 
-def _corridors(data):
+def _corridors(data: _Columns) -> JointCorridors | None:
     if "margin_lasts_s" not in data:
         return None
-    walls = _MARGIN_RAD * np.cumsum(data["margin_step_mrad"], axis=-1, dtype=np.int64)
+    walls = _CORRIDOR_STEP_RAD * np.cumsum(data["margin_step_mrad"], axis=-1, dtype=np.int64)
     low, high = walls[:, :, 0], walls[:, :, 1]
-    # walls nearer to each other than they are rounded are one
+    # rounding inwards can put the low wall above the high one: then the corridor is one angle
     return JointCorridors(data["margin_lasts_s"], np.minimum(low, high), high)

@@ -13,7 +13,7 @@ from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.executed_orders import follow
-from fiber_recording.phases import Phase, executed
+from fiber_recording.phases import Phase, executed_motion
 from fiber_recording.status_replies import StatusReplies, rows_of_frames
 from fiber_recording.stop_time import stop_time_s
 
@@ -60,7 +60,7 @@ class Replay:
     @cached_property
     def executed(self) -> SegmentMotion:
         """The motion as it was carried out."""
-        return executed(self.phases)
+        return executed_motion(self.phases)
 
     @property
     def bus_time_s(self) -> float:

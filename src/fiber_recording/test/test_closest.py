@@ -19,7 +19,7 @@ def test_every_pair_is_told_once_nearest_first(recording):
 def test_a_gap_is_that_of_its_moment(recording):
     plane, found = recording.problem.plane, recording.approaches
     for at in range(0, len(found.pairs), 7):
-        angles = recording.decoded(found.time_s[at])
+        angles = recording.executed(found.time_s[at])
         assert gaps(plane, found.pairs[at : at + 1], angles)[0] == pytest.approx(found.gap_mm[at])
 
 

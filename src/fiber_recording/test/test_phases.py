@@ -6,27 +6,27 @@ import numpy as np
 import pytest
 
 from fiber_core.wire_units import WireMotion
-from fiber_recording import Phase, RecordingError, counts_at, executed
+from fiber_recording import Phase, RecordingError, counts_at, executed_motion
 
 STOP_S, ON_S = 0.3003, 0.455001
 
 
 def test_one_leg_is_its_orders_to_the_last_bit(recording):
     (phase,) = recording.phases
-    motion, orders = executed([phase]), phase.motion.decoded()
+    motion, orders = executed_motion([phase]), phase.motion.decoded()
     for name in ("start", "offsets", "duration_s", "velocity_rad_s"):
         np.testing.assert_array_equal(getattr(motion, name), getattr(orders, name))
 
 
 def test_it_is_followed_until_the_stop_and_rests_until_it_goes_on(resumed):
     first, again = resumed.phases
-    motion, orders = resumed.decoded, first.motion.decoded()
+    motion, orders = resumed.executed, first.motion.decoded()
     by_itself = np.flatnonzero(first.stopped & (first.stop_us < 300_000))
     assert len(by_itself) == 1
     others = np.delete(np.arange(motion.n), by_itself)
     for t in np.linspace(-0.1, STOP_S - 1e-6, 40):
         np.testing.assert_allclose(motion(t)[others], orders(t)[others], atol=1e-12)
-    stands = resumed.units.to_angles(np.where(first.stopped[:, None], first.stop, 0))
+    stands = resumed.units.to_angles(np.where(first.stopped[:, None], first.stop_counts, 0))
     for t in np.linspace(STOP_S + 2e-4, ON_S - 1e-6, 9):
         at = motion(t)
         np.testing.assert_allclose(at[first.stopped], stands[first.stopped], atol=1e-12)
@@ -39,7 +39,7 @@ def test_it_is_followed_until_the_stop_and_rests_until_it_goes_on(resumed):
 
 
 def test_whole_numbers_say_the_same(resumed):
-    motion, rng = resumed.decoded, np.random.default_rng(0)
+    motion, rng = resumed.executed, np.random.default_rng(0)
     row = rng.integers(0, motion.n, 400)
     time_us = rng.integers(-100_000, 2_000_000, 400)
     counts = counts_at(resumed.phases, row, time_us)
@@ -55,7 +55,7 @@ def test_going_on_without_a_stop_is_no_pause(recording):
     rest = WireMotion(motion.units, motion.end, np.zeros_like(motion.offsets), [], [])
     again = replace(recording, phases=(Phase.whole(motion), Phase.whole(rest, 9_000_000)))
     assert again.pauses_s == []
-    np.testing.assert_allclose(again.decoded(9.5), recording.decoded.end)
+    np.testing.assert_allclose(again.executed(9.5), recording.executed.end)
 
 
 def test_shapes_are_checked(recording):

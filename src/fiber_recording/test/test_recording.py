@@ -72,7 +72,7 @@ def test_the_same_recording_is_the_same_arrays_and_leaves_nothing_else(recording
 
 
 def test_orders_in_whole_numbers_are_the_motion(recording):
-    motion, rng = recording.decoded, np.random.default_rng(0)
+    motion, rng = recording.executed, np.random.default_rng(0)
     row = rng.integers(0, len(recording.outcome), 400)
     time_us = rng.integers(-100_000, 4_000_000, 400)
     counts = counts_at(recording.phases, row, time_us)
@@ -92,7 +92,7 @@ def changed(path, tmp_path, **about):
 
 
 def test_a_newer_version_is_refused_by_number(recording_file, tmp_path):
-    with pytest.raises(RecordingError, match=r"version 99, this software reads up to 2"):
+    with pytest.raises(RecordingError, match=r"version 99, this software reads versions up to 2"):
         load_recording(changed(recording_file, tmp_path, version=99))
 
 
@@ -101,7 +101,7 @@ def test_what_is_no_recording_is_refused(recording_file, tmp_path):
     (tmp_path / "text.npz").write_text("hello")
     other = changed(recording_file, tmp_path, format="something else")
     for path in (tmp_path / "other.npz", tmp_path / "text.npz", tmp_path / "none.npz", other):
-        with pytest.raises(RecordingError, match="no recording"):
+        with pytest.raises(RecordingError, match="not a recording"):
             load_recording(path)
 
 
@@ -139,7 +139,7 @@ def test_recordings_of_older_versions_still_open(path):
     told = json.loads((DATA / f"{path.stem}.json").read_text())
     plane = read.problem.plane
     assert plane.n == told["robots"] and plane.name == told["plane"]
-    assert read.decoded.makespan_s == pytest.approx(told["makespan_s"])
+    assert read.executed.makespan_s == pytest.approx(told["makespan_s"])
     assert read.measured.counts.sum() == told["sum_of_counts"]
     assert read.outcome.tolist() == told["outcome"]
     assert read.about["seed"] == told["seed"]

@@ -73,7 +73,7 @@ def test_command_draws_from_the_exchange_files(tmp_path):
 @pytest.mark.parametrize("t", [0.0, 0.37, np.inf])
 def test_the_plane_is_drawn_at_its_time(recording, t):
     (axes,) = figures.plane(recording, t).axes
-    motion = recording.decoded
+    motion = recording.executed
     elbow, tip = kinematics.forward(recording.problem.plane, motion(min(t, motion.makespan_s)))
     drawn = np.array(_second_arms(axes).get_segments())
     np.testing.assert_allclose(drawn, np.stack([elbow, tip], axis=1))
@@ -100,7 +100,7 @@ def test_a_conflict_is_six_moments_with_the_nearest_among_them(recording):
     for axes in panels:
         time_s, gap = (float(word) for word in axes.get_title().split()[::2])
         times.append(time_s)
-        angles = recording.decoded(time_s)
+        angles = recording.executed(time_s)
         assert gap == pytest.approx(
             gaps(recording.problem.plane, pairs, angles).min(), abs=0.02
         )  # the title's time is rounded to a millisecond
@@ -112,7 +112,7 @@ def test_an_outline_is_drawn_as_wide_as_it_is(recording):
     rows = figures.conflict_rows(recording)
     axes = figures.conflict(recording, rows).axes[0]
     plane, t = recording.problem.plane, float(axes.get_title().split()[0])
-    elbow, tip = kinematics.forward(plane, recording.decoded(t))
+    elbow, tip = kinematics.forward(plane, recording.executed(t))
     outlines = [p.get_xy() for p in axes.patches if isinstance(p, Polygon)]
     for row in rows:
         middle = 0.5 * (elbow + tip)[row]
@@ -129,7 +129,7 @@ def test_an_outline_is_drawn_as_wide_as_it_is(recording):
 def test_velocities_are_steps_of_the_segments_and_slopes_of_the_plan(recording):
     rows = [0, 6]
     panels = np.reshape(figures.velocities(recording, rows).axes, (2, 2))
-    motion, planned = recording.decoded, recording.planned
+    motion, planned = recording.executed, recording.planned
     for row, pair in zip(rows, panels):
         for joint, axes in enumerate(pair):
             chosen = slice(*motion.offsets[2 * row + joint : 2 * row + joint + 2])
@@ -156,7 +156,7 @@ def test_positions_are_curve_band_segments_and_readings(request, name):
         )
         sent = _line(axes, "sent")
         for t, angle in zip(*sent.get_data()):
-            assert angle == pytest.approx(np.rad2deg(recording.decoded(t)[row, joint]))
+            assert angle == pytest.approx(np.rad2deg(recording.executed(t)[row, joint]))
         chosen = recording.measured.row == row
         counts = recording.measured.counts[chosen, joint]
         read = _line(axes, "encoder")
@@ -199,7 +199,7 @@ def test_robots_moving_go_down_to_none_at_the_makespan(recording):
     (axes,) = figures.makespan(recording).axes
     (steps,) = axes.patches
     values, edges, _ = steps.get_data()
-    motion = recording.decoded
+    motion = recording.executed
     for t in (0.1, 0.5, 0.9 * motion.makespan_s):
         moving = (motion.durations.max(axis=1) > t).sum()
         assert values[np.searchsorted(edges, t, side="right") - 1] == moving
@@ -218,7 +218,7 @@ def test_nobody_moves_while_all_are_stopped(resumed):
 
 def test_every_moving_motor_is_in_the_figure_of_segments(recording):
     (axes,) = figures.segments(recording).axes
-    counts = recording.decoded.counts
+    counts = recording.executed.counts
     for joint, name in enumerate(("theta", "phi")):
         bars = next(c for c in axes.containers if c.get_label() == name)
         assert [bar.get_height() for bar in bars] == [

@@ -137,7 +137,7 @@ def distance(points, a, b) -> np.ndarray:
 @pytest.mark.parametrize("t", [0.0, 0.31, 0.9])
 def test_every_pixel_of_an_arm_is_where_python_says(opened, recording, t):
     plane, scale = recording.problem.plane, 25.0
-    elbow, tip = kinematics.forward(plane, recording.decoded(t))
+    elbow, tip = kinematics.forward(plane, recording.executed(t))
     view = 0.5 * (elbow + tip)[8]
     opened.execute_script(
         """
@@ -171,7 +171,7 @@ def test_every_pixel_of_an_arm_is_where_python_says(opened, recording, t):
 
 
 def test_a_click_on_a_robot_shows_its_curves(opened, recording):
-    plane, motion = recording.problem.plane, recording.decoded
+    plane, motion = recording.problem.plane, recording.executed
     row = 16
     opened.execute_script("player.robots = []; player.list.showWatched(); player.seek(0.5)")
     drawn(opened)

@@ -61,7 +61,7 @@ def node(tmp_path):
 
 def drawn_times(recording, rng):
     """Times before, in and after the motion, and every instant at which a segment ends."""
-    motion = recording.decoded
+    motion = recording.executed
     ends = [motion.duration_s[a:b].sum() for a, b in zip(motion.offsets[:-1], motion.offsets[1:])]
     # sums of stops and of rests have a last digit of their own
     ends = np.array(ends) + (1e-9 if len(recording.phases) > 1 else 0.0)
@@ -73,7 +73,7 @@ def test_angles_speeds_and_segments_are_those_of_the_motion(node, request, name)
     recording, recording_file = (request.getfixturevalue(n) for n in (name, f"{name}_file"))
     rng = np.random.default_rng(3)
     times = drawn_times(recording, rng)
-    profiles = rng.integers(0, 2 * recording.decoded.n, len(times))
+    profiles = rng.integers(0, 2 * recording.executed.n, len(times))
     told = node(
         recording_file,
         """
@@ -84,7 +84,7 @@ def test_angles_speeds_and_segments_are_those_of_the_motion(node, request, name)
         times=times.tolist(),
         profiles=profiles.tolist(),
     )
-    motion = recording.decoded
+    motion = recording.executed
     angle, speed, segment = np.array(told).T
     np.testing.assert_allclose(
         angle, [motion(t).ravel()[p] for t, p in zip(times, profiles)], rtol=0, atol=1e-9
@@ -191,7 +191,7 @@ def test_the_page_reads_what_python_wrote(node, recording, recording_file):
     )
     plane, quantum = recording.problem.plane, recording.units.quantum_rad
     assert told["ids"] == plane.ids.tolist()
-    assert told["makespan"] == pytest.approx(recording.decoded.makespan_s)
+    assert told["makespan"] == pytest.approx(recording.executed.makespan_s)
     np.testing.assert_allclose(
         np.reshape(told["planned"], recording.planned.angles.shape),
         recording.planned.angles,

@@ -53,7 +53,7 @@ def conflict(recording: Recording, rows=None) -> Figure:
         the tips' ways up to then are lines, targets are crosses.
     """
     rows = conflict_rows(recording) if rows is None else np.asarray(rows)
-    plane, motion = recording.problem.plane, recording.decoded
+    plane, motion = recording.problem.plane, recording.executed
     among = np.isin(recording.approaches.pairs, rows).all(axis=1)
     pairs = recording.approaches.pairs[among]
     end_s = float(motion.durations[rows].max(initial=0.0)) or motion.makespan_s

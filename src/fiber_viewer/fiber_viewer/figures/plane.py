@@ -84,7 +84,7 @@ def plane(recording: Recording, t: float = np.inf) -> Figure:
     """Draw the whole plane at a time from the GO on [s], coloured by what became of each robot."""
     figure = Figure(figsize=(9, 9.4), layout="constrained")
     axes = figure.subplots()
-    motion = recording.decoded
+    motion = recording.executed
     t = min(t, motion.makespan_s)
     states = states_of(recording.problem, recording.outcome)
     _draw(axes, recording.problem, motion(t), states)

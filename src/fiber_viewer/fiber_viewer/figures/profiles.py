@@ -22,7 +22,7 @@ def _panels(recording, rows, name):
             for begin_s, end_s in recording.pauses_s:
                 axes.axvspan(begin_s, end_s, color=STOPPED, alpha=0.15, lw=0, label="all stopped")
         pair[0].set_ylabel(name)
-    ends_s = recording.decoded.durations[rows].max(initial=0.0)
+    ends_s = recording.executed.durations[rows].max(initial=0.0)
     for axes in panels[-1]:
         axes.set_xlabel("time [s]")
         if ends_s > 0:  # not the whole plane's time: others may move for long
@@ -43,7 +43,7 @@ def velocities(recording: Recording, rows) -> Figure:
         rows: robots, shape (k,); one row of panels each.
     """
     figure, rows, panels = _panels(recording, rows, "velocity [deg/s]")
-    motion, planned = recording.decoded, recording.planned
+    motion, planned = recording.executed, recording.planned
     for row, pair in zip(rows, panels):
         for joint, axes in enumerate(pair):
             if planned is not None:
@@ -74,7 +74,7 @@ def positions(recording: Recording, rows) -> Figure:
         rows: robots, shape (k,); one row of panels each.
     """
     figure, rows, panels = _panels(recording, rows, "position [deg]")
-    motion, planned, measured = recording.decoded, recording.planned, recording.measured
+    motion, planned, measured = recording.executed, recording.planned, recording.measured
     for row, pair in zip(rows, panels):
         heard = measured.row == row
         for joint, axes in enumerate(pair):

@@ -39,7 +39,7 @@ def clearances(recording: Recording) -> Figure:
 
 def makespan(recording: Recording) -> Figure:
     """Draw how many robots still move over time, the makespan, and the bound below it."""
-    report, motion = recording.about["report"], recording.decoded
+    report, motion = recording.about["report"], recording.executed
     begins, ends = recording.active_s[np.isfinite(recording.active_s[..., 0])].T
     times, at = np.unique(np.concatenate([begins, ends, [0.0]]), return_inverse=True)
     change = np.concatenate([np.ones(len(begins)), -np.ones(len(ends)), [0.0]])
@@ -94,7 +94,7 @@ def bus_load(recording: Recording) -> Figure:
     )
     figure.colorbar(mesh, label="kB/s")
     rows = np.searchsorted(load.buses, events.bus)
-    bad = events.bad
+    bad = events.unexpected
     if bad.any():
         axes.plot(events.time_s[bad], rows[bad], "X", color="#D55E00", ms=7, label="fault")
         axes.legend()
