@@ -31,7 +31,7 @@ __all__ = [
     "Velocities",
 ]
 
-Floats: TypeAlias = NDArray[np.float64]
+Floats: TypeAlias = NDArray[np.floating[Any]]
 Ints: TypeAlias = NDArray[np.integer[Any]]  # rows are np.intp, which type checkers tell apart
 Bools: TypeAlias = NDArray[np.bool_]
 

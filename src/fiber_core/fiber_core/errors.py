@@ -1,6 +1,9 @@
 """Errors of the focal plane core."""
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from fiber_core.array_types import Codes, Ids
 
 __all__ = ["FiberError", "FieldError", "LayoutError", "MotionError", "TargetsError"]
 
@@ -18,28 +21,28 @@ class MotionError(FiberError):
 
 
 class TargetsError(FiberError):
-    """A table of targets is malformed, so none of it is taken.
+    """A table of targets is malformed, so all of its targets are refused.
 
     Args:
-        message: what is wrong, with robot ids and values.
-        ids: the robots concerned, shape (k,).
+        message: the error, with robot ids and values.
+        ids: ids of the robots concerned, shape (k,).
         reasons: Reason of each, shape (k,).
     """
 
-    def __init__(self, message: str, ids=(), reasons=()):
+    def __init__(self, message: str, ids: ArrayLike = (), reasons: ArrayLike = ()):
         super().__init__(message)
-        self.ids = np.array(ids, dtype=np.int64)
-        self.reasons = np.array(reasons, dtype=np.int64)
+        self.ids: Ids = np.array(ids, dtype=np.int64)
+        self.reasons: Codes = np.array(reasons, dtype=np.int64)
 
 
 class FieldError(FiberError):
-    """No random field could be drawn: the robots cannot be placed apart from each other.
+    """No random field could be drawn: some robots cannot be placed apart from the others.
 
     Args:
-        message: what could not be placed.
-        ids: the robots left without a place, shape (k,).
+        message: which robots could not be placed, and with which gap.
+        ids: ids of the robots that could not be placed, shape (k,).
     """
 
-    def __init__(self, message: str, ids=()):
+    def __init__(self, message: str, ids: ArrayLike = ()):
         super().__init__(message)
-        self.ids = np.array(ids, dtype=np.int64)
+        self.ids: Ids = np.array(ids, dtype=np.int64)

@@ -1,10 +1,12 @@
-"""Where a robot's elbow and fibre are for given joint angles, and the reverse."""
+"""Forward and inverse kinematics: joint angles to elbow and tip, and back."""
 
 import math
 
 import numba as nb
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Bools, Floats, Ints, Points
 from fiber_core.focal_plane import FocalPlane
 
 __all__ = ["RIM_MM", "configurations", "forward", "inverse", "jacobian", "most_configurations"]
@@ -17,12 +19,13 @@ RIM_MM = 1e-9  # a point this far outside the annulus is on its rim
 _STOP_RAD = 1e-6
 
 
-def _unit(angle):
+def _unit(angle: Floats) -> Floats:
+    # unit vectors in the direction of each angle
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def forward(plane: FocalPlane, angles) -> tuple[np.ndarray, np.ndarray]:
-    """Return where elbows and tips are (equation 1 of both papers).
+def forward(plane: FocalPlane, angles: ArrayLike) -> tuple[Points, Points]:
+    """Return the positions of elbows and tips for given joint angles.
 
     Args:
         plane: the focal plane.
@@ -30,18 +33,23 @@ def forward(plane: FocalPlane, angles) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         Elbows and tips [mm], both shape (n, 2).
+
+    Source: equation 1 of Makarem et al. (2014a) and (2014b).
     """
     theta, phi = np.moveaxis(np.asarray(angles, dtype=float), -1, 0)
     elbow = plane.centers + plane.arms[:, :1] * _unit(theta)
     return elbow, elbow + plane.arms[:, 1:] * _unit(theta + phi)
 
 
-def jacobian(plane: FocalPlane, angles) -> np.ndarray:
-    """Return d tip / d (theta, phi) [mm/rad], shape (n, 2, 2): row x or y, column joint.
+def jacobian(plane: FocalPlane, angles: ArrayLike) -> Floats:
+    """Return the derivative of each tip by its two joint angles.
 
     Args:
         plane: the focal plane.
         angles: joint angles theta, phi [rad], shape (n, 2).
+
+    Returns:
+        d tip / d (theta, phi) [mm/rad], shape (n, 2, 2): robot, x or y, joint.
     """
     theta, phi = np.moveaxis(np.asarray(angles, dtype=float), -1, 0)
     quarter = np.pi / 2
@@ -50,7 +58,7 @@ def jacobian(plane: FocalPlane, angles) -> np.ndarray:
     return np.stack([by_theta, by_phi], axis=-1)
 
 
-def inverse(plane: FocalPlane, tips) -> tuple[np.ndarray, np.ndarray]:
+def inverse(plane: FocalPlane, tips: ArrayLike) -> tuple[Floats, Bools]:
     """Return every configuration that puts a tip on a point: both elbows, all turns in range.
 
     Args:
@@ -59,11 +67,11 @@ def inverse(plane: FocalPlane, tips) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         Joint angles [rad], shape (n, s, 2), and which of them are solutions inside the
-        joint limits, shape (n, s). Those of a robot come first in its row, phi turned
-        counter-clockwise before clockwise; the rest is nan. A point up to 1e-9 mm
+        joint limits, shape (n, s). The solutions come first in the row of a robot, phi
+        turned counter-clockwise before clockwise; the other entries are nan. A point up to 1e-9 mm
         outside the annulus counts as on its rim, an angle up to 1e-6 rad beyond a stop
-        as on the stop. On the centre of a robot with equal arms every theta is a
-        solution; the middle of its range stands for them.
+        counts as on the stop. At the centre of a robot with equal arms every theta is a
+        solution; the middle of the range of theta represents them.
     """
     offsets = np.asarray(tips, dtype=float) - plane.centers
     angles = np.full((plane.n, most_configurations(plane), 2), np.nan)
@@ -73,27 +81,30 @@ def inverse(plane: FocalPlane, tips) -> tuple[np.ndarray, np.ndarray]:
 
 
 def most_configurations(plane: FocalPlane) -> int:
-    """Return how many rows `configurations` may need for any robot of a plane."""
+    """Return the most rows that `configurations` needs for any robot of a plane."""
     span = np.diff(plane.limits, axis=2).reshape(-1, 2).max(axis=0, initial=0.0)
-    turns = np.floor((span + 2 * _STOP_RAD) / _TURN).astype(int) + 1
-    return int(2 * np.prod(turns + 1))  # one spare turn a joint, for rounding at the ends
+    theta_turns, phi_turns = (math.floor((most + 2 * _STOP_RAD) / _TURN) + 1 for most in span)
+    return (
+        2 * (theta_turns + 1) * (phi_turns + 1)
+    )  # one spare turn a joint, for rounding at the ends
 
 
 @nb.njit(cache=True)
-def configurations(arm1, arm2, x, y, limits, out):
-    """Write the configurations of one robot that put its tip on a point; return how many.
+def configurations(
+    arm1: float, arm2: float, x: float, y: float, limits: Floats, out: Floats
+) -> int:
+    """Write the configurations of one robot that put its tip on a point; return their number.
 
     With d the distance of the point, the law of cosines in half angles reads
     tan(phi / 2)^2 = ((l1 + l2)^2 - d^2) / (d^2 - (l1 - l2)^2), which keeps its digits
     where the arm is nearly stretched or folded.
 
     Args:
-        arm1: length of the first arm [mm].
-        arm2: length of the second arm [mm].
-        x: the point relative to the robot's centre [mm].
-        y: the same.
+        arm1: length of the theta arm [mm].
+        arm2: length of the phi arm [mm].
+        x, y: the point relative to the centre of the robot [mm].
         limits: joint ranges [rad], shape (2, 2).
-        out: where to write theta, phi [rad], shape (s, 2); see most_configurations.
+        out: receives theta, phi [rad], shape (s, 2); s from most_configurations.
     """
     distance = math.hypot(x, y)
     longest, shortest = arm1 + arm2, abs(arm1 - arm2)
@@ -125,7 +136,8 @@ def configurations(arm1, arm2, x, y, limits, out):
 
 
 @nb.njit(cache=True)
-def _inverse(arms, offsets, limits, angles):
+def _inverse(arms: Floats, offsets: Points, limits: Floats, angles: Floats) -> Ints:
+    # Fills in the configurations of each robot; returns their number, shape (n,).
     count = np.zeros(len(arms), dtype=np.int64)
     for i in range(len(arms)):
         x, y = offsets[i]

@@ -1,4 +1,4 @@
-"""How joints move in time: sampled profiles and constant-velocity segments.
+"""Motions of all joints in time: sampled profiles and constant-velocity segments.
 
 A motion is called: ``motion(t)`` gives joint angles, ``motion.velocity(t)`` joint
 speeds. Before its first and after its last instant a motion rests.
@@ -9,19 +9,21 @@ from functools import cached_property
 
 import numba as nb
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Angles, Floats, Ints, Offsets, Times, Velocities
 from fiber_core.errors import MotionError
 from fiber_core.validation import frozen_array
 
 __all__ = ["SampledMotion", "SegmentMotion"]
 
 
-def _finite(value, shape, name):
-    value = frozen_array(value, np.float64, shape, name, MotionError)
-    if not np.isfinite(value).all():
-        at = np.argwhere(~np.isfinite(value))[0]
-        raise MotionError(f"{name}{at.tolist()} is {value[tuple(at)]}")
-    return value
+def _finite(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Floats:
+    array = frozen_array(value, np.float64, shape, name, MotionError)
+    if not np.isfinite(array).all():
+        at = np.argwhere(~np.isfinite(array))[0]
+        raise MotionError(f"{name}{at.tolist()} must be finite, got {array[tuple(at)]}")
+    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +38,8 @@ class SampledMotion:
         MotionError: shapes do not fit, times do not increase, or a value is not finite.
     """
 
-    time_s: np.ndarray
-    angles: np.ndarray
+    time_s: Times
+    angles: Floats
 
     def __post_init__(self):
         time_s = _finite(self.time_s, (None,), "time_s")
@@ -45,7 +47,7 @@ class SampledMotion:
             raise MotionError("a motion needs at least one sample")
         if np.any(np.diff(time_s) <= 0):
             at = int(np.argmax(np.diff(time_s) <= 0))
-            raise MotionError(f"time {time_s[at + 1]} s does not follow {time_s[at]} s")
+            raise MotionError(f"times must increase: {time_s[at + 1]} s follows {time_s[at]} s")
         object.__setattr__(self, "time_s", time_s)
         angles = _finite(self.angles, (None, 2, len(time_s)), "angles")
         object.__setattr__(self, "angles", angles)
@@ -56,23 +58,23 @@ class SampledMotion:
         return len(self.angles)
 
     @property
-    def start(self) -> np.ndarray:
+    def start(self) -> Angles:
         """Joint angles before the motion [rad], shape (n, 2)."""
         return self.angles[:, :, 0]
 
     @property
-    def end(self) -> np.ndarray:
+    def end(self) -> Angles:
         """Joint angles after the motion [rad], shape (n, 2)."""
         return self.angles[:, :, -1]
 
     @cached_property
     def makespan_s(self) -> float:
-        """Instant after which nobody moves any more [s]."""
+        """Instant after which no joint moves [s]."""
         moves = np.any(self.angles != self.angles[:, :, -1:], axis=(0, 1))
         return float(self.time_s[np.flatnonzero(moves)[-1] + 1]) if moves.any() else 0.0
 
-    def __call__(self, t: float) -> np.ndarray:
-        """Joint angles at time t [s]: [rad], shape (n, 2)."""
+    def __call__(self, t: float) -> Angles:
+        """Return the joint angles at time t [s]: [rad], shape (n, 2)."""
         if len(self.time_s) == 1 or t <= self.time_s[0]:
             return self.start.copy()
         if t >= self.time_s[-1]:
@@ -81,8 +83,11 @@ class SampledMotion:
         w = (t - self.time_s[k]) / (self.time_s[k + 1] - self.time_s[k])
         return (1 - w) * self.angles[:, :, k] + w * self.angles[:, :, k + 1]
 
-    def velocity(self, t: float) -> np.ndarray:
-        """Joint speeds at time t [s], of the piece that begins there: [rad/s], shape (n, 2)."""
+    def velocity(self, t: float) -> Velocities:
+        """Return the joint velocities at time t [s]: [rad/s], shape (n, 2).
+
+        At a sample, they are those of the piece that begins there.
+        """
         if len(self.time_s) == 1 or not self.time_s[0] <= t < self.time_s[-1]:
             return np.zeros_like(self.start)
         k = int(np.searchsorted(self.time_s, t, side="right")) - 1
@@ -101,16 +106,16 @@ class SegmentMotion:
         start: joint angles at time zero [rad], shape (n, 2).
         offsets: first segment of each profile, shape (2 n + 1,).
         duration_s: duration of each segment [s], positive, shape (m,).
-        velocity_rad_s: joint speed in each segment [rad/s], shape (m,).
+        velocity_rad_s: joint velocity in each segment [rad/s], shape (m,).
 
     Raises:
         MotionError: shapes do not fit, offsets decrease, or a value is out of range.
     """
 
-    start: np.ndarray
-    offsets: np.ndarray
-    duration_s: np.ndarray
-    velocity_rad_s: np.ndarray
+    start: Angles
+    offsets: Offsets
+    duration_s: Floats
+    velocity_rad_s: Floats
 
     def __post_init__(self):
         start = _finite(self.start, (None, 2), "start")
@@ -123,7 +128,9 @@ class SegmentMotion:
         if np.any(duration <= 0):
             at = int(np.argmax(duration <= 0))
             row = int(np.searchsorted(offsets, at, side="right") - 1) // 2
-            raise MotionError(f"robot row {row}: segment {at} lasts {duration[at]} s")
+            raise MotionError(
+                f"robot row {row}: segment {at} must last longer than 0 s, got {duration[at]}"
+            )
         velocity = _finite(self.velocity_rad_s, (m,), "velocity_rad_s")
         for name, value in (
             ("start", start),
@@ -134,8 +141,12 @@ class SegmentMotion:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def at_rest(cls, angles) -> "SegmentMotion":
-        """Return the motion in which everybody stays at the angles [rad], shape (n, 2)."""
+    def at_rest(cls, angles: ArrayLike) -> "SegmentMotion":
+        """Return the motion in which all robots stay where they are.
+
+        Args:
+            angles: their joint angles [rad], shape (n, 2).
+        """
         angles = np.asarray(angles, dtype=float)
         return cls(angles, np.zeros(2 * len(angles) + 1, dtype=np.int64), np.zeros(0), np.zeros(0))
 
@@ -145,58 +156,68 @@ class SegmentMotion:
         return len(self.start)
 
     @property
-    def counts(self) -> np.ndarray:
+    def counts(self) -> Ints:
         """Number of segments of each profile, shape (n, 2)."""
         return np.diff(self.offsets).reshape(-1, 2)
 
     @cached_property
-    def _profile(self) -> np.ndarray:
+    def _profile(self) -> Ints:
+        # the profile to which each segment belongs, shape (m,)
         return np.repeat(np.arange(2 * self.n), np.diff(self.offsets))
 
-    def _per_profile(self, values: np.ndarray) -> np.ndarray:
+    def _sum_by_profile(self, values: Floats) -> Floats:
         # Each profile is summed by itself, in order: no robot's last digit depends on another.
-        return np.bincount(self._profile, values, minlength=2 * self.n).reshape(-1, 2)
+        sums = np.bincount(self._profile, values, minlength=2 * self.n)
+        return np.asarray(sums, dtype=np.float64).reshape(-1, 2)
 
     @cached_property
-    def durations(self) -> np.ndarray:
-        """Time each joint takes [s], shape (n, 2)."""
-        return self._per_profile(self.duration_s)
+    def durations(self) -> Floats:
+        """Time that each joint takes [s], shape (n, 2)."""
+        return self._sum_by_profile(self.duration_s)
 
     @cached_property
-    def end(self) -> np.ndarray:
+    def end(self) -> Angles:
         """Joint angles after the motion [rad], shape (n, 2)."""
-        return self.start + self._per_profile(self.duration_s * self.velocity_rad_s)
+        return self.start + self._sum_by_profile(self.duration_s * self.velocity_rad_s)
 
     @property
     def makespan_s(self) -> float:
-        """Time the slowest joint takes [s]."""
+        """Time that the slowest joint takes [s]."""
         return float(self.durations.max(initial=0.0))
 
     @cached_property
-    def _begin_s(self) -> np.ndarray:
+    def _begin_s(self) -> Times:
         return _begins(self.offsets, self.duration_s)
 
-    def __call__(self, t: float) -> np.ndarray:
-        """Joint angles at time t [s]: [rad], shape (n, 2)."""
+    def __call__(self, t: float) -> Angles:
+        """Return the joint angles at time t [s]: [rad], shape (n, 2)."""
         elapsed = np.clip(t - self._begin_s, 0.0, self.duration_s)
-        return self.start + self._per_profile(elapsed * self.velocity_rad_s)
+        return self.start + self._sum_by_profile(elapsed * self.velocity_rad_s)
 
-    def velocity(self, t: float) -> np.ndarray:
-        """Joint speeds at time t [s], of the segment that begins there: [rad/s], shape (n, 2)."""
+    def velocity(self, t: float) -> Velocities:
+        """Return the joint velocities at time t [s]: [rad/s], shape (n, 2).
+
+        Between two segments, they are those of the segment that begins there.
+        """
         active = (self._begin_s <= t) & (t < self._begin_s + self.duration_s)
-        return self._per_profile(np.where(active, self.velocity_rad_s, 0.0))
+        return self._sum_by_profile(np.where(active, self.velocity_rad_s, 0.0))
 
-    def without(self, held) -> "SegmentMotion":
-        """Return the motion with the robots `held` (bool, shape (n,)) resting at their start."""
-        keep = np.repeat(np.repeat(~np.asarray(held, dtype=bool), 2), np.diff(self.offsets))
-        counts = np.where(np.repeat(held, 2), 0, np.diff(self.offsets))
+    def without(self, held: ArrayLike) -> "SegmentMotion":
+        """Return the same motion with some robots resting at their start.
+
+        Args:
+            held: whether each robot rests, shape (n,).
+        """
+        rests = np.repeat(np.asarray(held, dtype=bool), 2)
+        keep = np.repeat(~rests, np.diff(self.offsets))
+        counts = np.where(rests, 0, np.diff(self.offsets))
         offsets = np.concatenate([[0], np.cumsum(counts)])
         return SegmentMotion(self.start, offsets, self.duration_s[keep], self.velocity_rad_s[keep])
 
 
 @nb.njit(cache=True)
-def _begins(offsets, duration_s):
-    # When each segment begins: the very number at which the one before it ends.
+def _begins(offsets: Offsets, duration_s: Floats) -> Times:
+    # When each segment begins: exactly the number at which the segment before it ends.
     begin_s = np.empty(len(duration_s))
     for profile in range(len(offsets) - 1):
         t = 0.0

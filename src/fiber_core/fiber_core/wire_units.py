@@ -1,7 +1,7 @@
-"""Whole-number units of time and angle that travel on the bus.
+"""Whole-number units of time and angle in which orders travel on a bus.
 
 A segment on the wire is a whole number of ticks and a whole number of velocity
-units. One velocity unit is one quantum of angle per tick, so a joint's position
+units. One velocity unit is one quantum of angle per tick, so the position of a joint
 is a whole number of quanta at every tick and a positioner integrates its orders
 without rounding.
 """
@@ -9,7 +9,9 @@ without rounding.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Counts, Floats, Ints, Offsets
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -17,7 +19,8 @@ from fiber_core.validation import frozen_array
 
 __all__ = ["WireMotion", "WireUnits"]
 
-_HEADROOM = 1.02  # velocity range kept above the speed limit, so that rounding never saturates
+_HEADROOM = 1.02  # velocity range above the speed limit, so that rounding never saturates
+_FASTEST_TICK_RAD = np.deg2rad(0.72)  # the fastest joint turns this far in one tick
 
 
 @dataclass(frozen=True)
@@ -47,20 +50,25 @@ class WireUnits:
             ("duration_bits", 1, 32),
         ):
             if not low <= getattr(self, name) <= high:
-                raise MotionError(f"{name} is {getattr(self, name)}, expected {low}..{high}")
+                raise MotionError(f"{name} must be {low}..{high}, got {getattr(self, name)}")
 
     @classmethod
     def for_plane(
         cls, plane: FocalPlane, velocity_bits: int = 14, duration_bits: int = 10
     ) -> "WireUnits":
-        """Choose the finest units that still carry the plane's highest speed.
+        """Choose the finest units that still carry the highest speed of a plane.
 
-        A tick is the time the fastest joint takes for 0.72 deg (4 ms at 180 deg/s),
+        A tick is the time that the fastest joint takes for 0.72 deg (4 ms at 180 deg/s),
         in whole tens of microseconds: slow instruments get longer ticks, so that a
         half turn always fits the duration field.
+
+        Args:
+            plane: the focal plane.
+            velocity_bits: width of the signed velocity field.
+            duration_bits: width of the unsigned duration field.
         """
         fastest = float(plane.speeds.max(initial=0.0)) or np.pi
-        tick_us = int(np.clip(10 * round(np.deg2rad(0.72) / fastest * 1e5), 10, 65_535 * 10))
+        tick_us = int(np.clip(10 * round(_FASTEST_TICK_RAD / fastest * 1e5), 10, 65_535 * 10))
         full_scale = 2 ** (velocity_bits - 1) - 1
         quantum = int(np.ceil(_HEADROOM * fastest * tick_us * 1e-6 / full_scale * 1e12))
         return cls(tick_us, quantum, velocity_bits, duration_bits)
@@ -95,23 +103,30 @@ class WireUnits:
         """Bytes of one segment on the wire."""
         return (self.velocity_bits + self.duration_bits + 7) // 8
 
-    def to_counts(self, angles) -> np.ndarray:
-        """Nearest whole number of quanta for angles [rad]; int64, same shape."""
+    def to_counts(self, angles: ArrayLike) -> Ints:
+        """Return the nearest whole number of quanta for angles [rad]; int64, same shape."""
         return np.rint(np.asarray(angles) / self.quantum_rad).astype(np.int64)
 
-    def to_angles(self, counts) -> np.ndarray:
-        """Angles [rad] of positions in quanta; same shape."""
+    def to_angles(self, counts: ArrayLike) -> Floats:
+        """Return the angles [rad] of positions in quanta; same shape."""
         return np.asarray(counts) * self.quantum_rad
 
-    def range_counts(self, plane: FocalPlane) -> np.ndarray:
-        """Lowest and highest positions inside the joint limits [quanta], shape (n, 2, 2)."""
+    def range_counts(self, plane: FocalPlane) -> Ints:
+        """Return the lowest and highest positions inside the joint limits [quanta].
+
+        Args:
+            plane: the focal plane.
+
+        Returns:
+            Positions, shape (n, 2, 2): robot, joint (theta, phi), (low, high).
+        """
         low, high = np.moveaxis(plane.limits, -1, 0) / self.quantum_rad
         return np.stack([np.ceil(low), np.floor(high)], axis=-1).astype(np.int64)
 
-    def encoder_counts(self, plane: FocalPlane, angles) -> np.ndarray:
-        """What the encoders of robots at some angles read [quanta], shape (n, 2).
+    def encoder_counts(self, plane: FocalPlane, angles: ArrayLike) -> Counts:
+        """Return the encoder counts of robots at some angles [quanta], shape (n, 2).
 
-        Rounding takes no joint across its stop; one that is beyond it stays there.
+        Rounding takes no joint across its stop; a joint beyond its stop stays there.
 
         Args:
             plane: the focal plane.
@@ -124,24 +139,24 @@ class WireUnits:
 
 @dataclass(frozen=True, eq=False)
 class WireMotion:
-    """A motion in whole wire units: what the discretizer decides and the bus carries.
+    """A motion in whole wire units, as the discretizer makes it and the bus carries it.
 
     Args:
         units: size of tick and quantum.
         start: joint positions at time zero [quanta], shape (n, 2).
         offsets: first segment of each profile, shape (2 n + 1,), as in SegmentMotion.
         ticks: duration of each segment [ticks], positive, shape (m,).
-        velocity: joint speed in each segment [velocity units], shape (m,).
+        velocity: joint velocity in each segment [velocity units], shape (m,).
 
     Raises:
         MotionError: shapes do not fit or a number does not fit its field.
     """
 
     units: WireUnits
-    start: np.ndarray
-    offsets: np.ndarray
-    ticks: np.ndarray
-    velocity: np.ndarray
+    start: Counts
+    offsets: Offsets
+    ticks: Ints
+    velocity: Ints
 
     def __post_init__(self):
         columns = {"start": (None, 2), "offsets": (None,), "ticks": (None,), "velocity": (None,)}
@@ -167,24 +182,28 @@ class WireMotion:
                 at = int(np.argmax(wrong))
                 robot = int(np.searchsorted(self.offsets, at, side="right") - 1) // 2
                 raise MotionError(
-                    f"robot row {robot}: {name} {value[at]} is outside {low}..{high} wire units"
+                    f"robot row {robot}: {name} must be {low}..{high} wire units, got {value[at]}"
                 )
 
     @property
-    def end(self) -> np.ndarray:
+    def end(self) -> Counts:
         """Joint positions after the motion [quanta], shape (n, 2)."""
         running = np.concatenate([[0], np.cumsum(self.ticks * self.velocity)])
         return self.start + (running[self.offsets[1:]] - running[self.offsets[:-1]]).reshape(-1, 2)
 
-    def without(self, held) -> "WireMotion":
-        """Return the motion with the robots `held` (bool, shape (n,)) resting at their start."""
-        counts = np.diff(self.offsets)
-        keep = np.repeat(np.repeat(~np.asarray(held, dtype=bool), 2), counts)
-        offsets = np.concatenate([[0], np.cumsum(np.where(np.repeat(held, 2), 0, counts))])
+    def without(self, held: ArrayLike) -> "WireMotion":
+        """Return the same motion with some robots resting at their start.
+
+        Args:
+            held: whether each robot rests, shape (n,).
+        """
+        rests, counts = np.repeat(np.asarray(held, dtype=bool), 2), np.diff(self.offsets)
+        keep = np.repeat(~rests, counts)
+        offsets = np.concatenate([[0], np.cumsum(np.where(rests, 0, counts))])
         return WireMotion(self.units, self.start, offsets, self.ticks[keep], self.velocity[keep])
 
     def decoded(self) -> SegmentMotion:
-        """Return the motion a perfect positioner makes of these numbers."""
+        """Return the motion that a perfect positioner makes from these numbers."""
         return SegmentMotion(
             self.units.to_angles(self.start),
             self.offsets,

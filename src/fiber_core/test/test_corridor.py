@@ -1,4 +1,4 @@
-"""Margins are walls that fit each other, or are refused by row."""
+"""Corridors have walls of one shape, the low wall below the high wall; others are refused."""
 
 import numpy as np
 import pytest
@@ -20,13 +20,13 @@ def test_instants_are_equally_spaced_over_each_motion():
     ("lasts", "low", "high", "words"),
     [
         ([1.0], LOW, LOW, "low has shape"),
-        ([1.0, -1.0], LOW, LOW, "lasts -1.0 s"),
+        ([1.0, -1.0], LOW, LOW, "lasts_s must be 0 or more, got -1.0"),
         ([1.0, 1.0], LOW + [[[0.0]], [[2.0]]], LOW + 1, "row 1: the low wall is above"),
-        ([1.0, 1.0], LOW, LOW + np.nan, "high holds nan"),
-        ([1.0, 1.0], LOW, LOW[:, :, 1:], "walls have shapes"),
-        ([1.0, 1.0], LOW[:, :, :1], LOW[:, :, :1], "walls have shapes"),
+        ([1.0, 1.0], LOW, LOW + np.nan, "high must be finite, but holds nan"),
+        ([1.0, 1.0], LOW, LOW[:, :, 1:], "walls must have the same shape"),
+        ([1.0, 1.0], LOW[:, :, :1], LOW[:, :, :1], "walls must have the same shape"),
     ],
 )
-def test_what_is_no_margin_is_refused(lasts, low, high, words):
+def test_walls_that_are_no_corridor_are_refused(lasts, low, high, words):
     with pytest.raises(MotionError, match=words):
         JointCorridors(lasts, low, high)

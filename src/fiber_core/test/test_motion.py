@@ -148,7 +148,7 @@ def test_bad_segments_are_refused(changes, words):
     "time, angles, words",
     [
         ([], np.zeros((1, 2, 0)), ["at least one"]),
-        ([0.0, 0.0], np.zeros((1, 2, 2)), ["0.0 s does not follow 0.0 s"]),
+        ([0.0, 0.0], np.zeros((1, 2, 2)), ["times must increase", "0.0 s follows 0.0 s"]),
         ([0.0, np.nan], np.zeros((1, 2, 2)), ["time_s[1]"]),
         ([0.0, 1.0], np.zeros((1, 2, 3)), ["angles", "(1, 2, 3)"]),
         ([0.0], np.full((1, 2, 1), np.nan), ["angles[0, 0, 0]"]),
