@@ -129,7 +129,7 @@ class SegmentMotion:
             at = int(np.argmax(duration <= 0))
             row = int(np.searchsorted(offsets, at, side="right") - 1) // 2
             raise MotionError(
-                f"robot row {row}: segment {at} must last longer than 0 s, got {duration[at]}"
+                f"robot row {row}: segment {at} must last longer than 0 s, got {duration[at]} s"
             )
         velocity = _finite(self.velocity_rad_s, (m,), "velocity_rad_s")
         for name, value in (
