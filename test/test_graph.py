@@ -37,7 +37,7 @@ def fast(problem_file, new_domain):
 def client(fast):
     """The client, with no orders left over from the test before."""
     yield fast
-    fast.call(topics.CLEAR, WAIT_S)
+    fast.call_service(topics.CLEAR, WAIT_S)
 
 
 def new_targets(client, seed):
@@ -87,7 +87,7 @@ def test_every_robot_ends_once_and_its_encoders_agree(client, problem):
 
 def test_the_stamp_of_the_targets_is_on_every_message(client):
     derived = {
-        topic.name: client.hear(topic)
+        topic.name: client.collect(topic)
         for topic in (
             topics.HELD_BY_PLANNER,
             topics.TRAJECTORY,
@@ -106,7 +106,7 @@ def test_the_stamp_of_the_targets_is_on_every_message(client):
             if all(PlanStamp.of(message) < PlanStamp(ended.stamp_ns) for message in heard)
         ]
 
-    client.until(lambda: not silent(), WAIT_S, lambda: f"this plan on {silent()}")
+    client.wait_for(lambda: not silent(), WAIT_S, lambda: f"this plan on {silent()}")
     for name, heard in derived.items():
         stamps = {PlanStamp.of(message) for message in heard}
         assert {stamp for stamp in stamps if stamp >= PlanStamp(ended.stamp_ns)} == {
@@ -119,9 +119,9 @@ def test_the_stamp_of_the_targets_is_on_every_message(client):
 
 def test_home_folds(client):
     ended = client.home(WAIT_S)
-    client.until(lambda: not client.moving, WAIT_S)
+    client.wait_for(lambda: not client.moving, WAIT_S)
     folded = ended.outcome == Outcome.REACHED
-    client.until(
+    client.wait_for(
         lambda: np.allclose(client.angles[folded, 1], client.plane.limits[folded, 1, 1], atol=1e-2),
         WAIT_S,
         "encoders at their upper limit",
@@ -169,24 +169,24 @@ BAD_TABLES = {
 def test_a_bad_table_is_refused_and_nothing_moves(client, name):
     make, said = BAD_TABLES[name]
     check_good_plan(client, 3)
-    before, ends = client.angles, set(client.ends)
-    trajectories = client.hear(topics.TRAJECTORY)
+    before, ends = client.angles, set(client.outcomes)
+    trajectories = client.collect(topics.TRAJECTORY)
     stamp = PlanStamp(client.node.get_clock().now().nanoseconds)
-    bad = client.publish(make(stamp))
+    bad = client.send_message(make(stamp))
     with pytest.raises(PlaneRefusal, match=said):
-        client.wait_ready(bad, WAIT_S)
+        client.wait_until_ready(bad, WAIT_S)
     with pytest.raises(PlaneRefusal, match="cannot start while IDLE"):
         client.start(WAIT_S)
     assert np.array_equal(client.angles, before) and not client.moving
-    assert set(client.ends) == ends
+    assert set(client.outcomes) == ends
     ended, _ = check_good_plan(client, 4)
-    assert bad not in {PlanStamp.of(message) for message in trajectories} | set(client.ends)
-    assert PlanStamp(ended.stamp_ns) in client.ends
+    assert bad not in {PlanStamp.of(message) for message in trajectories} | set(client.outcomes)
+    assert PlanStamp(ended.stamp_ns) in client.outcomes
 
 
 def test_the_client_itself_refuses_to_send_a_bad_table(client):
     with pytest.raises(targets.MessageError, match="robot 7: x, y .* nan"):
-        client.send([1, 7], [[0.0, 0.0], [np.nan, 0.0]])
+        client.send_targets([1, 7], [[0.0, 0.0], [np.nan, 0.0]])
 
 
 @pytest.mark.usefixtures("fast")
@@ -197,22 +197,22 @@ def test_in_the_middle_of_a_motion(problem_file, new_domain):
         client.wait_for_graph(WAIT_S)
         before = client.angles
         ids, xy_mm = new_targets(client, 5)
-        stamp = client.send(ids, xy_mm)
-        client.wait_ready(stamp, WAIT_S)
+        stamp = client.send_targets(ids, xy_mm)
+        client.wait_until_ready(stamp, WAIT_S)
         client.start(WAIT_S)
-        client.until(lambda: client.moving, WAIT_S, "motion")
+        client.wait_for(lambda: client.moving, WAIT_S, "motion")
 
         # targets, and every call but stop, are refused
         with pytest.raises(PlaneRefusal, match="moving"):
-            client.wait_ready(client.send(ids, xy_mm), WAIT_S)
+            client.wait_until_ready(client.send_targets(ids, xy_mm), WAIT_S)
         for service in (topics.START, topics.HOME, topics.CLEAR, topics.CONFIGURE):
             with pytest.raises(PlaneRefusal, match="while MOVING: wait for the end, or stop"):
-                client.call(service, WAIT_S)
-        assert stamp not in client.ends, "the motion was over before it could be disturbed"
+                client.call_service(service, WAIT_S)
+        assert stamp not in client.outcomes, "the motion was over before it could be disturbed"
 
-        client.call(topics.STOP, WAIT_S)
-        ended = client.wait_end(stamp, WAIT_S)
-        client.until(lambda: not client.moving, WAIT_S, "rest")
+        client.call_service(topics.STOP, WAIT_S)
+        ended = client.wait_for_outcome(stamp, WAIT_S)
+        client.wait_for(lambda: not client.moving, WAIT_S, "rest")
         stopped = ended.reason == Reason.STOPPED
         assert stopped.any() and not ended.count(Outcome.FAILED)
         told = replay(
@@ -227,7 +227,7 @@ def test_in_the_middle_of_a_motion(problem_file, new_domain):
 
         with pytest.raises(PlaneRefusal, match="while STOPPED: clear first"):
             client.start(WAIT_S)
-        client.call(topics.CLEAR, WAIT_S)
+        client.call_service(topics.CLEAR, WAIT_S)
         assert np.array_equal(client.angles, there)
         check_good_plan(client, 6)
         assert graph.running
@@ -256,8 +256,8 @@ def test_two_domains_do_not_see_each_other_and_send_the_same_bytes(
         assert np.array_equal(other.units.to_counts(other.angles), before)
         second = other.reconfigure(ids, xy_mm, WAIT_S)
         told_again = settled_replay(other, second, before, WAIT_S)
-        assert set(one.ends) == set(one.frames) == {PlanStamp(first.stamp_ns)}
-        assert set(other.ends) == set(other.frames) == {PlanStamp(second.stamp_ns)}
+        assert set(one.outcomes) == set(one.frames) == {PlanStamp(first.stamp_ns)}
+        assert set(other.outcomes) == set(other.frames) == {PlanStamp(second.stamp_ns)}
     for name in ("offsets", "ticks", "velocity"):
         assert np.array_equal(getattr(told.motion, name), getattr(told_again.motion, name)), name
     assert np.array_equal(first.outcome, second.outcome)

@@ -59,36 +59,36 @@ def graph(problem_file, new_domain, monkeypatch):
 
 
 def ask(client, problem):
-    stamp = client.send(problem.plane.ids[problem.asked], problem.targets[problem.asked])
-    client.wait_ready(stamp, COMPILE_S)
+    stamp = client.send_targets(problem.plane.ids[problem.asked], problem.targets[problem.asked])
+    client.wait_until_ready(stamp, COMPILE_S)
     return stamp
 
 
 def check_both_attempts(client, problem, stamp, before):
     """All but the lost arrive in the second attempt, and the bytes of both are safe."""
-    ended = client.wait_end(stamp, WAIT_S)
+    ended = client.wait_for_outcome(stamp, WAIT_S)
     asked, lost = problem.asked, np.isin(problem.plane.ids, LOST)
-    assert np.array_equal(ended.ids, problem.plane.ids) and set(client.ends) == {stamp}
+    assert np.array_equal(ended.ids, problem.plane.ids) and set(client.outcomes) == {stamp}
     assert np.all(ended.outcome[asked & ~lost] == Outcome.REACHED)
     assert np.all(ended.outcome[lost] == Outcome.HELD)
     first, second = client.attempts(stamp)
     assert first == stamp < second == client.last_attempt(stamp)
     moved = np.zeros(problem.plane.n, dtype=bool)
     for attempt in (stamp, second):
-        start = before if attempt == stamp else client.before[second]
+        start = before if attempt == stamp else client.counts_before[second]
         told = replay(client.plane, client.units, start, client.frames[attempt])
         assert certify(client.plane, told.motion.decoded(), Safety()).ok
         moves = (told.motion.end != start).any(axis=1)
         assert moves.any() and not moves[lost].any()
         if attempt == stamp:
-            np.testing.assert_array_equal(told.motion.end, client.before[second])
+            np.testing.assert_array_equal(told.motion.end, client.counts_before[second])
             waited = asked & ~lost & ~moves
             assert waited.any()
         else:
             assert moves[waited].all()
             end = told.motion.end
         moved |= moves
-    client.until(
+    client.wait_for(
         lambda: np.array_equal(client.units.to_counts(client.angles), end), WAIT_S, "all at the end"
     )
     off_mm = np.hypot(*(forward(problem.plane, client.angles)[1] - problem.targets).T)
@@ -98,8 +98,8 @@ def check_both_attempts(client, problem, stamp, before):
 
 def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tmp_path):
     client, robots = graph(recorder={"folder": str(tmp_path)}, viewer={})
-    received = {topic.name: client.hear(topic) for topic in STAMPED}
-    told = client.hear(topics.PROGRESS)
+    received = {topic.name: client.collect(topic) for topic in STAMPED}
+    told = client.collect(topics.PROGRESS)
     before = client.units.to_counts(client.angles)
     stamp = ask(client, problem)
     robots.power(LOST, False, 0.0)
@@ -108,7 +108,7 @@ def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tm
     assert np.all(ended.of(LOST).reason == Reason.NOT_ACKNOWLEDGED)
     stamps = client.attempts(stamp)
     for topic in DERIVED:
-        client.until(
+        client.wait_for(
             lambda heard=received[topic.name]: {PlanStamp.of(m) for m in heard} == set(stamps),
             WAIT_S,
             f"both attempts on {topic.name}",
@@ -119,7 +119,7 @@ def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tm
         (stamps[0], stamp, 1), (stamps[1], stamp, 2),
     ]  # fmt: skip
     assert not set(targets.decode(asked[1])[0]) & set(LOST)
-    client.until(lambda: all(received.values()), WAIT_S, "messages on all topics")
+    client.wait_for(lambda: all(received.values()), WAIT_S, "messages on all topics")
     assert [PlanStamp.of(message) for message in received[topics.OUTCOME.name]] == [stamp]
     announced = {progress.decode(message).attempt for message in told}
     assert set(attempts) <= announced
@@ -128,11 +128,11 @@ def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tm
         assert {message.header.frame_id for message in heard} == {FRAME_ID}, name
     assert client.plane.ids[~client.plane.enabled].tolist() == sorted([3, 17, 40, *LOST])
 
-    client.wait_recording(stamp, WAIT_S)
+    client.wait_for_recording(stamp, WAIT_S)
     recording = load_recording(tmp_path / recording_name(stamp))
     assert recording.about["attempts"] == 2 and "2 attempts" in recording.about["notes"][0]
     starts = [phase.motion.start for phase in recording.phases]
-    np.testing.assert_array_equal(starts, [before, client.before[stamps[1]]])
+    np.testing.assert_array_equal(starts, [before, client.counts_before[stamps[1]]])
     np.testing.assert_array_equal(recording.outcome, ended.outcome)
     assert recording.about["certificate"]["ok"]
     assert recording.problem.asked.sum() == problem.asked.sum()
@@ -155,38 +155,38 @@ def test_with_one_attempt_they_are_left_out_of_the_next_plan_until_cleared(graph
     stamp = ask(client, problem)
     robots.power(LOST, False, 0.0)
     client.start(WAIT_S)
-    ended = client.wait_end(stamp, WAIT_S)
+    ended = client.wait_for_outcome(stamp, WAIT_S)
     waited = ended.ids[ended.reason == Reason.UNSAFE_AS_LOADED]
     assert len(waited) and client.last_attempt(stamp) == stamp
-    client.until(lambda: not client.plane.enabled[LOST].any(), WAIT_S, "their layout")
+    client.wait_for(lambda: not client.plane.enabled[LOST].any(), WAIT_S, "their layout")
 
     stamp = ask(client, problem)
     client.start(WAIT_S)
-    again = client.wait_end(stamp, WAIT_S)
+    again = client.wait_for_outcome(stamp, WAIT_S)
     assert np.all(again.of(waited).outcome == Outcome.REACHED)
     # what they failed by is still their reason
     assert np.all(again.of(LOST).reason == Reason.NOT_ACKNOWLEDGED)
-    client.call(topics.CLEAR, WAIT_S)
-    client.until(lambda: client.plane.enabled[LOST].all(), WAIT_S, "all in the layout again")
+    client.call_service(topics.CLEAR, WAIT_S)
+    client.wait_for(lambda: client.plane.enabled[LOST].all(), WAIT_S, "all in the layout again")
 
 
 def test_who_configuration_does_not_find_is_not_planned_for(graph, problem):
     client, robots = graph()
     robots.power(LOST, False, 0.0)
-    client.call(topics.CONFIGURE, WAIT_S)
-    client.until(lambda: not client.plane.enabled[LOST].any(), WAIT_S, "their layout")
+    client.call_service(topics.CONFIGURE, WAIT_S)
+    client.wait_for(lambda: not client.plane.enabled[LOST].any(), WAIT_S, "their layout")
     stamp = ask(client, problem)
     client.start(WAIT_S)
-    ended = client.wait_end(stamp, WAIT_S)
+    ended = client.wait_for_outcome(stamp, WAIT_S)
     others = ended.of(np.setdiff1d(problem.plane.ids[problem.asked], LOST))
     assert np.all(others.outcome == Outcome.REACHED) and client.last_attempt(stamp) == stamp
     assert np.all(ended.of(LOST).reason == Reason.NOT_ACKNOWLEDGED)
-    client.until(
+    client.wait_for(
         lambda: "4 not found" in client.statuses["bridge: left out"].text, WAIT_S, "word of that"
     )
     robots.power(LOST, True, 0.0)
-    client.call(topics.CONFIGURE, WAIT_S)
-    client.until(lambda: client.plane.enabled[LOST].all(), WAIT_S, "all in the layout again")
+    client.call_service(topics.CONFIGURE, WAIT_S)
+    client.wait_for(lambda: client.plane.enabled[LOST].all(), WAIT_S, "all in the layout again")
 
 
 def test_who_was_stopped_for_one_that_fell_silent_goes_on_in_the_next_attempt(graph, problem):
@@ -196,7 +196,7 @@ def test_who_was_stopped_for_one_that_fell_silent_goes_on_in_the_next_attempt(gr
     before = client.units.to_counts(client.angles)
     stamp = ask(client, problem)
     client.start(WAIT_S)
-    ended = client.wait_end(stamp, WAIT_S)
+    ended = client.wait_for_outcome(stamp, WAIT_S)
     assert [stamp, client.last_attempt(stamp)] == client.attempts(stamp)
     assert (ended.outcome[silent], ended.reason[silent]) == (
         Outcome.FAILED,

@@ -39,7 +39,7 @@ def _reconfigure(planner: str) -> None:
         rng = np.random.default_rng(0)
         problem = random_field(client.plane, rng, start=client.angles).problem
         ended = client.reconfigure(client.plane.ids, problem.targets, _WAIT_S)
-        client.wait_recording(PlanStamp(ended.stamp_ns), _WAIT_S)
+        client.wait_for_recording(PlanStamp(ended.stamp_ns), _WAIT_S)
 
 
 def _plan(name: str) -> None:

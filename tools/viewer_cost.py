@@ -61,17 +61,19 @@ def _measure(processes, beside, watched, folder, args):
         client.wait_for_graph(_WAIT_S)
         times = []
         topics.JOINT_STATES.subscription(client.node, lambda _: times.append(time.monotonic()))
-        seen = [client.hear(topic) for topic in (ARMS, WATCHED)] if watched else [[]]
+        seen = [client.collect(topic) for topic in (ARMS, WATCHED)] if watched else [[]]
         for seed in range(args.plans + 1):
             rng = np.random.default_rng(seed)
             problem = random_field(client.plane, rng, start=client.angles).problem
-            stamp = client.send(client.plane.ids[problem.asked], problem.targets[problem.asked])
-            client.wait_ready(stamp, _WAIT_S)
+            stamp = client.send_targets(
+                client.plane.ids[problem.asked], problem.targets[problem.asked]
+            )
+            client.wait_until_ready(stamp, _WAIT_S)
             before, begin = _cpu_s(bridge), time.monotonic()
             times.clear()
             seen[0].clear()
             client.start(_WAIT_S)
-            client.wait_end(stamp, _WAIT_S)
+            client.wait_for_outcome(stamp, _WAIT_S)
             used.append(_cpu_s(bridge) - before)
             pauses.append(np.diff(times).max(initial=0.0))
             pictures.append(len(seen[0]) / (time.monotonic() - begin))

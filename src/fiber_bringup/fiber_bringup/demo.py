@@ -148,22 +148,22 @@ def _reconfigure(problem, options, display) -> _Run:
         processes.start("fiber_bus_bridge", "bridge", bridge)
         processes.start("fiber_planner", "planner", {"planner": options.planner})
         processes.start("fiber_discretizer", "discretizer", {})
-        processes.start("fiber_bringup", "recorder", _recorder(problem, options))
+        processes.start("fiber_recording", "recorder", _recorder(problem, options))
         with PlaneClient(
             on_progress=display, on_status=display.status, guard=processes.check
         ) as client:
             client.wait_for_graph(options.timeout, also=("recorder",))
             times.append(time.monotonic())
             asked = problem.asked
-            stamp = client.send(problem.plane.ids[asked], problem.targets[asked])
-            client.wait_ready(stamp, options.timeout)
+            stamp = client.send_targets(problem.plane.ids[asked], problem.targets[asked])
+            client.wait_until_ready(stamp, options.timeout)
             times.append(time.monotonic())
             client.start(options.timeout)
             times.append(time.monotonic())
-            ended = client.wait_end(stamp, options.timeout)
+            ended = client.wait_for_outcome(stamp, options.timeout)
             times.append(time.monotonic())
             heard = client.times[stamp]
-            client.wait_recording(stamp, options.timeout)
+            client.wait_for_recording(stamp, options.timeout)
     (options.out / recording_name(stamp)).replace(options.out / "recording.npz")
     graph, ready, start, move = np.diff(times)
     plan = heard["planner"] - heard["sent"]

@@ -15,7 +15,7 @@ COMPILE_S, WAIT_S, ROBOTS = 600.0, 60.0, 37
 
 
 def recorded(client, folder, stamp):
-    client.until(lambda: "recorder" in client.times[stamp], WAIT_S, "the recording")
+    client.wait_for(lambda: "recorder" in client.times[stamp], WAIT_S, "the recording")
     return load_recording(folder / recording_name(stamp))
 
 
@@ -43,10 +43,10 @@ class Run:
             self.after = client.units.to_counts(client.angles)
             self.done = recorded(client, folder, PlanStamp(self.ended.stamp_ns))
             self.home = recorded(client, folder, PlanStamp(client.home(WAIT_S).stamp_ns))
-            replaced = client.send(*self.targets)
-            client.wait_ready(replaced, WAIT_S)
-            client.wait_ready(client.send(*self.targets), WAIT_S)
-            client.wait_end(replaced, WAIT_S)
+            replaced = client.send_targets(*self.targets)
+            client.wait_until_ready(replaced, WAIT_S)
+            client.wait_until_ready(client.send_targets(*self.targets), WAIT_S)
+            client.wait_for_outcome(replaced, WAIT_S)
             self.replaced = recorded(client, folder, replaced)
             assert graph.running
         with (
@@ -54,12 +54,12 @@ class Run:
             PlaneClient(domain) as client,
         ):
             client.wait_for_graph(COMPILE_S, also=("recorder",))
-            stamp = client.send(*new_targets(client, 2))
-            client.wait_ready(stamp, WAIT_S)
+            stamp = client.send_targets(*new_targets(client, 2))
+            client.wait_until_ready(stamp, WAIT_S)
             client.start(WAIT_S)
-            client.until(lambda: client.moving, WAIT_S, "motion")
-            client.call(topics.STOP, WAIT_S)
-            self.halted = client.wait_end(stamp, WAIT_S)
+            client.wait_for(lambda: client.moving, WAIT_S, "motion")
+            client.call_service(topics.STOP, WAIT_S)
+            self.halted = client.wait_for_outcome(stamp, WAIT_S)
             self.stopped = recorded(client, folder, stamp)
             self.at_rest = client.units.to_counts(client.angles)
 

@@ -32,18 +32,18 @@ def run(graph, monkeypatch, capsys):
     yield call
     assert call(enable, "--all")[0] == 0
     assert "{}" in file.read_text()
-    client.until(lambda: client.plane.enabled.all(), WAIT_S, "a layout with all enabled")
+    client.wait_for(lambda: client.plane.enabled.all(), WAIT_S, "a layout with all enabled")
 
 
 def test_robots_go_out_of_use_and_come_back(run, graph):
     client, _, file = graph
     assert run(disable, "3", "17", "--why", "arm bent")[:2] == (0, "disabled: 3, 17\n")
     assert run(disable, "5")[0] == 0
-    client.until(lambda: client.plane.ids[~client.plane.enabled].tolist() == [3, 5, 17], WAIT_S)
+    client.wait_for(lambda: client.plane.ids[~client.plane.enabled].tolist() == [3, 5, 17], WAIT_S)
     assert "3: arm bent" in file.read_text()
     code, out, _ = run(enable, "17", "5")
     assert (code, out) == (0, "disabled: 3\n")
-    client.until(lambda: client.plane.ids[~client.plane.enabled].tolist() == [3], WAIT_S)
+    client.wait_for(lambda: client.plane.ids[~client.plane.enabled].tolist() == [3], WAIT_S)
     code, out, _ = run(disable, "3", "--list")
     assert code == 0 and [line.split() for line in out.splitlines()] == [
         ["robot", "out", "why"],

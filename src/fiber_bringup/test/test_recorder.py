@@ -131,7 +131,7 @@ def test_a_plan_that_ended_before_the_recorder_began_keeps_the_recording_it_may_
         before, after = PlanStamp(now_ns), PlanStamp(now_ns + 3600 * 10**9)
         for stamp in (before, after):
             ended.publish(outcome.encode(plane.ids, *told, stamp))
-        peer.host(RecorderNode, folder=str(tmp_path))
+        peer.add_node(RecorderNode, folder=str(tmp_path))
         later = tmp_path / recording_name(after)
-        peer.until(later.exists, 60.0, "the recording of a plan that ended later")
+        peer.wait_for(later.exists, 60.0, "the recording of a plan that ended later")
         assert [path.name for path in tmp_path.iterdir()] == [later.name]

@@ -58,7 +58,7 @@ class Rest:
     def __init__(self, peer, path, **parameters):
         self.peer = peer
         self.heard = {
-            topic.name: peer.hear(topic)
+            topic.name: peer.collect(topic)
             for topic in (
                 topics.LAYOUT,
                 topics.TARGETS,
@@ -72,14 +72,14 @@ class Rest:
         self.segments = topics.SEGMENTS.publisher(peer.node)
         self.targets = topics.TARGETS.publisher(peer.node)
         self.held = topics.HELD_BY_PLANNER.publisher(peer.node)
-        self.bridge = peer.host(BridgeNode, problem=path, **{"time_scale": 0.0} | parameters)
+        self.bridge = peer.add_node(BridgeNode, problem=path, **{"time_scale": 0.0} | parameters)
         self.until(
             lambda: self.heard[topics.JOINT_STATES.name] and self.heard[topics.DIAGNOSTICS.name]
         )
         self.until(lambda: self.segments.get_subscription_count() == 1)
 
     def until(self, condition):
-        self.peer.until(condition, WAIT_S)
+        self.peer.wait_for(condition, WAIT_S)
 
     def status(self):
         return diagnostics.decode(self.heard[topics.DIAGNOSTICS.name][-1])[0]

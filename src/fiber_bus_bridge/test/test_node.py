@@ -152,8 +152,8 @@ def test_settings_it_cannot_work_with_end_it(tmp_path):
     path = problem_file(tmp_path)
     with RosClient("rest") as peer:
         with pytest.raises(MessageError, match="time_scale -1.0"):
-            peer.host(BridgeNode, problem=path, time_scale=-1.0)
+            peer.add_node(BridgeNode, problem=path, time_scale=-1.0)
         with pytest.raises(MessageError, match="attempts 0 is less than one"):
-            peer.host(BridgeNode, problem=path, attempts=0)
+            peer.add_node(BridgeNode, problem=path, attempts=0)
         with pytest.raises(BridgeError, match="robots is -4"):
-            peer.host(BridgeNode, robots=-4)
+            peer.add_node(BridgeNode, robots=-4)

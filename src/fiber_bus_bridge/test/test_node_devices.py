@@ -51,7 +51,7 @@ def test_devices_that_cannot_be_used_end_it(tmp_path, devices, problem, said):
     pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
     path = problem_file(tmp_path)
     with RosClient("rest") as peer, pytest.raises(BridgeError, match=said):
-        peer.host(BridgeNode, devices=devices, problem=path if problem else "")
+        peer.add_node(BridgeNode, devices=devices, problem=path if problem else "")
 
 
 class Disowned:

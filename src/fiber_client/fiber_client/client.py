@@ -1,14 +1,18 @@
-"""A focal plane seen from outside: send targets, follow, start, learn what became of them."""
+"""A client of the focal-plane graph: it sends targets, follows the plan, and reads the outcome."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from numpy.typing import ArrayLike
 from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import JointState, PointCloud2
 
 from fiber_client.errors import PlaneError, PlaneRefusal
+from fiber_core.array_types import Angles, Counts, Ids
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
 from fiber_core.outcomes import PlanOutcome
@@ -35,24 +39,36 @@ from fiber_node import RosClient
 __all__ = ["PlaneClient"]
 
 _STAGES = ("planner", "discretizer", "bridge")
-_LISTENERS = ("planner", "bridge")
-_PLANS_KEPT = 8  # attempts of one count as plans of their own
+_TARGET_RECEIVERS = ("planner", "discretizer", "bridge")
+_STAMPS_KEPT = 8  # attempts of one plan count as plans of their own
+
+_Entry = TypeVar("_Entry")
 
 
 class PlaneClient:
-    """Talks to a graph as an observatory would: through its topics and services only.
+    """Talks to the graph through its topics and services only, as an observatory would.
 
-    It listens while it waits, and only then. Every wait ends: with what was waited for,
-    with the refusal of a node, or after its time-out with a WaitError. `frames`, `held` and
-    `before`, the encoders before the first frame [quanta], are kept of each attempt of a plan;
-    `ends` and `times` of the plan.
+    One plan takes four calls: `send_targets`, `wait_until_ready`, `start`, `wait_for_outcome`.
+    The client receives messages while it waits, and only then. Every wait ends: with what it
+    waits for, with a PlaneRefusal when a node refuses the plan, or with a WaitError after its
+    time-out.
+
+    The newest eight entries of these tables are kept, by stamp:
+
+    - `outcomes`: the outcome of each plan.
+    - `times`: when each stage was done with a plan, by name of the stage [s of the clock];
+      "sent" and "ended" are the times of its targets and its outcome.
+    - `frames`: the frames on the buses of each attempt of a plan, as they were received.
+    - `counts_before`: the encoders before the first frame of each attempt [quanta], shape (n, 2).
+    - `held`: the robots that the stages hold, of each attempt: ids, Reason and Stage.
 
     Args:
-        domain: ROS domain of the graph; by default that of the environment.
-        on_progress: told of all progress heard.
-        on_status: told of every status heard, with the one of that name before it, or None.
-        guard: called over and over while waiting; ends the wait by raising.
-        clock: seconds, for time-outs and for `times`.
+        domain: ROS domain of the graph; by default the domain of the environment.
+        on_progress: called with the progress of every stage.
+        on_status: called with every diagnostic status, and with the status of the same name that
+            was received before, or None.
+        guard: called again and again while the client waits; it ends the wait by raising.
+        clock: returns seconds, for time-outs and for `times`.
     """
 
     def __init__(
@@ -66,21 +82,20 @@ class PlaneClient:
         clock: Callable[[], float] = time.monotonic,
     ):
         self._on_progress, self._on_status, self._clock = on_progress, on_status, clock
-        self._peer = RosClient("plane_client", domain, guard, clock)
-        self.plane: FocalPlane | None = None
-        self.units: WireUnits | None = None
-        self.moving = False
-        self.frames: dict[PlanStamp, list[FrameLog]] = {}
-        self.before: dict[PlanStamp, np.ndarray] = {}
-        self.held: dict[PlanStamp, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
-        self.ends: dict[PlanStamp, PlanOutcome] = {}
+        self._ros = RosClient("plane_client", domain, guard, clock)
+        self.outcomes: dict[PlanStamp, PlanOutcome] = {}
         self.times: dict[PlanStamp, dict[str, float]] = {}
+        self.frames: dict[PlanStamp, list[FrameLog]] = {}
+        self.counts_before: dict[PlanStamp, Counts] = {}
+        self.held: dict[PlanStamp, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
+        self.moving = False
+        self._layout: tuple[FocalPlane, WireUnits] | None = None
+        self._states: tuple[Ids, Angles] | None = None
+        self._angles_at_rest: Angles | None = None  # when last no robot moved
         self._attempts = AttemptTable()
-        self._states: tuple[np.ndarray, np.ndarray] | None = None
-        self._rest: np.ndarray | None = None  # angles when last nothing moved
         self._statuses: dict[str, diagnostics.Status] = {}
         self._refusals: list[PlaneRefusal] = []  # since targets were last sent
-        self._asked: PlanStamp | None = None  # when that was
+        self._sent: PlanStamp | None = None  # the time of that
 
         self._targets = topics.TARGETS.publisher(self.node)
         self._services = {
@@ -89,7 +104,7 @@ class PlaneClient:
                 topics.START, topics.STOP, topics.HOME, topics.CLEAR, topics.CONFIGURE
             )
         }  # fmt: skip
-        for topic, heard in (
+        for topic, callback in (
             (topics.LAYOUT, self._on_layout),
             (topics.TARGETS, self._on_targets),
             (topics.JOINT_STATES, self._on_joint_states),
@@ -98,259 +113,342 @@ class PlaneClient:
             (topics.FRAMES, self._on_frames),
             (topics.OUTCOME, self._on_outcome),
             (topics.PROGRESS, self._on_progress_message),
-            # last: a node that is heard here has heard of all the others
+            # last: when diagnostics of a node come in, its other topics are connected too
             (topics.DIAGNOSTICS, self._on_diagnostics),
         ):
-            topic.subscription(self.node, heard)
+            topic.subscription(self.node, callback)
 
     def __enter__(self) -> "PlaneClient":
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def node(self) -> Node:
-        """The node it speaks through, for whatever else is to be heard or said."""
-        return self._peer.node
 
     def close(self) -> None:
         """Leave the graph."""
-        self._peer.close()
+        self._ros.close()
 
-    # --- what is asked -------------------------------------------------------
+    # --- one plan ------------------------------------------------------------
 
     def wait_for_graph(self, timeout_s: float, also: Sequence[str] = ()) -> None:
-        """Wait until all three stages know the plane and can be reached.
+        """Wait until planner, discretizer and bridge know the plane and can be reached.
 
         Args:
-            timeout_s: for all of it [s].
-            also: other nodes that must be there and listen to targets, as "recorder".
+            timeout_s: time-out for all of it [s].
+            also: names of other nodes that must be there and receive targets, such as "recorder".
 
         Raises:
             WaitError: names what was missing.
         """
         missing = partial(self._missing, also)
-        self.until(lambda: not missing(), timeout_s, lambda: ", ".join(missing()))
+        self.wait_for(lambda: not missing(), timeout_s, lambda: ", ".join(missing()))
 
-    def send(self, ids, xy_mm) -> PlanStamp:
-        """Ask robots to bring their fibres somewhere; return the name of the plan.
+    def send_targets(self, ids: ArrayLike, xy_mm: ArrayLike) -> PlanStamp:
+        """Send targets for the fibres of some robots; planning begins at once.
 
         Args:
             ids: robot ids, shape (k,).
             xy_mm: targets in the focal plane [mm], shape (k, 2).
 
+        Returns:
+            The stamp that names the plan.
+
         Raises:
-            MessageError: the table is malformed, so it was not sent.
+            MessageError: the table is malformed and was not sent; names robot and value.
         """
         now = PlanStamp(self.node.get_clock().now().nanoseconds)
-        return self.publish(targets.encode(ids, xy_mm, now))
+        return self.send_message(targets.encode(ids, xy_mm, now))
 
-    def publish(self, message: PointCloud2) -> PlanStamp:
-        """Send a targets message as it is; return its stamp."""
+    def send_message(self, message: PointCloud2) -> PlanStamp:
+        """Send a targets message as it is; return its stamp, which names the plan."""
         stamp = PlanStamp.of(message)
         self._refusals.clear()
-        self._asked = PlanStamp(self.node.get_clock().now().nanoseconds)
-        self._of(self.times, stamp, dict)["sent"] = self._clock()
+        self._sent = PlanStamp(self.node.get_clock().now().nanoseconds)
+        _entry(self.times, stamp, dict)["sent"] = self._clock()
         self._targets.publish(message)
         return stamp
 
-    def wait_ready(self, stamp: PlanStamp, timeout_s: float) -> None:
-        """Wait until the bridge has the orders of a plan and could start it.
+    def wait_until_ready(self, stamp: PlanStamp, timeout_s: float) -> None:
+        """Wait until the bridge has the orders of a plan, so that it can be started.
+
+        Args:
+            stamp: names the plan.
+            timeout_s: time-out [s].
 
         Raises:
-            PlaneRefusal: a node refused the plan.
+            PlaneRefusal: a node refused the plan; gives its reason.
             WaitError: no orders came.
         """
-        known = self._of(self.times, stamp, dict)
+        times = _entry(self.times, stamp, dict)
 
-        def ready():
+        def ready() -> bool:
             if self._refusals:
                 raise self._refusals[0]
-            return "bridge" in known
+            return "bridge" in times
 
-        self.until(ready, timeout_s, f"orders of plan {stamp}")
+        self.wait_for(ready, timeout_s, f"orders of plan {stamp}")
 
-    def call(self, service: Service, timeout_s: float) -> str:
-        """Call a service of the bridge; return what it answered.
+    def start(self, timeout_s: float) -> str:
+        """Start the plan that is ready: load, verify, go. Return the answer of the bridge.
 
         Raises:
-            PlaneRefusal: the bridge refused, with its reason.
+            PlaneRefusal: the bridge refused; gives its reason.
+            WaitError: no answer.
+        """
+        return self.call_service(topics.START, timeout_s)
+
+    def wait_for_outcome(self, stamp: PlanStamp, timeout_s: float) -> PlanOutcome:
+        """Wait until a plan has ended, with all its attempts.
+
+        Args:
+            stamp: names the plan.
+            timeout_s: time-out [s].
+
+        Returns:
+            The outcome of every robot.
+
+        Raises:
+            WaitError: the plan did not end.
+        """
+        self.wait_for(
+            lambda: stamp in self.outcomes and not self._has_unannounced_frames(stamp),
+            timeout_s,
+            f"outcome of plan {stamp}",
+        )
+        return self.outcomes[stamp]
+
+    def reconfigure(self, ids: ArrayLike, xy_mm: ArrayLike, timeout_s: float) -> PlanOutcome:
+        """Carry out one plan: send targets, wait for the orders, start, wait for the outcome.
+
+        Args:
+            ids: robot ids, shape (k,).
+            xy_mm: targets in the focal plane [mm], shape (k, 2).
+            timeout_s: time-out of each of the four steps [s].
+
+        Returns:
+            The outcome of every robot.
+
+        Raises:
+            MessageError, PlaneRefusal, WaitError: as in the four steps.
+        """
+        stamp = self.send_targets(ids, xy_mm)
+        self.wait_until_ready(stamp, timeout_s)
+        self.start(timeout_s)
+        return self.wait_for_outcome(stamp, timeout_s)
+
+    def wait_for_recording(self, stamp: PlanStamp, timeout_s: float) -> None:
+        """Wait until a recorder in the graph has written the recording of a plan.
+
+        Args:
+            stamp: names the plan.
+            timeout_s: time-out [s].
+
+        Raises:
+            PlaneRefusal: the recorder could not write it; gives its reason.
+            WaitError: no recording was written.
+        """
+        times = _entry(self.times, stamp, dict)
+
+        def written() -> bool:
+            status = self._statuses.get("recorder")
+            if status is not None and status.level is diagnostics.Level.ERROR:
+                raise PlaneRefusal("recorder", status.text)
+            return "recorder" in times
+
+        self.wait_for(written, timeout_s, f"recording of plan {stamp}")
+
+    def attempts(self, stamp: PlanStamp) -> list[PlanStamp]:
+        """Return the stamps of all attempts of a plan in their order; the first is the plan's."""
+        return [attempt.stamp for attempt in self._attempts.of_plan(stamp)]
+
+    def last_attempt(self, stamp: PlanStamp) -> PlanStamp:
+        """Return the stamp of the last attempt of a plan with frames, else that of the plan."""
+        return max(set(self.attempts(stamp)) & set(self.frames), default=stamp)
+
+    # --- services ------------------------------------------------------------
+
+    def home(self, timeout_s: float) -> PlanOutcome:
+        """Fold all robots that can be folded; return the outcome of every robot.
+
+        Raises:
+            PlaneRefusal: the bridge refused; gives its reason.
+            WaitError: no answer, or the motion did not end.
+        """
+        before = set(self.outcomes)
+        self.call_service(topics.HOME, timeout_s)
+        self.wait_for(lambda: set(self.outcomes) - before, timeout_s, "outcome of home")
+        return self.outcomes[max(set(self.outcomes) - before)]
+
+    def call_service(self, service: Service, timeout_s: float) -> str:
+        """Call a service of the bridge, such as `fiber_msgs_py.topics.STOP`; return its answer.
+
+        Raises:
+            PlaneRefusal: the bridge refused; gives its reason.
             WaitError: no answer.
         """
         client = self._services[service]
-        self.until(client.service_is_ready, timeout_s, f"service {service.name}")
+        self.wait_for(client.service_is_ready, timeout_s, f"service {service.name}")
         future = client.call_async(service.type.Request())
-        self.until(future.done, timeout_s, f"answer of {service.name}")
+        self.wait_for(future.done, timeout_s, f"answer of {service.name}")
         answer = future.result()
+        if answer is None:
+            raise PlaneError(f"service {service.name} gave no answer")
         if not answer.success:
             raise PlaneRefusal("bridge", answer.message)
         return answer.message
 
-    def start(self, timeout_s: float) -> str:
-        """Start the orders that wait; return what the bridge answered."""
-        return self.call(topics.START, timeout_s)
-
-    def wait_end(self, stamp: PlanStamp, timeout_s: float) -> PlanOutcome:
-        """Wait until a plan has ended; return what became of its robots.
-
-        Raises:
-            WaitError: it did not end.
-        """
-        self.until(
-            lambda: stamp in self.ends and not self._unannounced(stamp),
-            timeout_s,
-            f"outcome of plan {stamp}",
-        )
-        return self.ends[stamp]
-
-    def attempts(self, stamp: PlanStamp) -> list[PlanStamp]:
-        """Return the stamps of all attempts of a plan, in their order; the first is the plan's."""
-        return [attempt.stamp for attempt in self._attempts.of_plan(stamp)]
-
-    def last_attempt(self, stamp: PlanStamp) -> PlanStamp:
-        """Return the last attempt of a plan of which frames were received, else the first."""
-        return max(set(self.attempts(stamp)) & set(self.frames), default=stamp)
-
-    def _unannounced(self, plan):
-        # frames can overtake the targets and the progress that tell which plan they belong to
-        return any(each > plan and self._attempts.find(each) is None for each in self.frames)
-
-    def wait_recording(self, stamp: PlanStamp, timeout_s: float) -> None:
-        """Wait until a recorder of the graph has written the recording of a plan.
-
-        Raises:
-            PlaneRefusal: it could not.
-            WaitError: it did not.
-        """
-        known = self._of(self.times, stamp, dict)
-
-        def written():
-            status = self._statuses.get("recorder")
-            if status is not None and status.level is diagnostics.Level.ERROR:
-                raise PlaneRefusal("recorder", status.text)
-            return "recorder" in known
-
-        self.until(written, timeout_s, f"recording of plan {stamp}")
-
-    def home(self, timeout_s: float) -> PlanOutcome:
-        """Fold the robots that can be; return what became of all.
-
-        Raises:
-            PlaneRefusal: the bridge refused.
-            WaitError: no answer, or it did not end.
-        """
-        known = set(self.ends)
-        self.call(topics.HOME, timeout_s)
-        self.until(lambda: set(self.ends) - known, timeout_s, "outcome of home")
-        return self.ends[max(set(self.ends) - known)]
-
-    def reconfigure(self, ids, xy_mm, timeout_s: float) -> PlanOutcome:
-        """Send targets, wait for the orders, start them, wait for the end.
-
-        Args:
-            ids: robot ids, shape (k,).
-            xy_mm: targets in the focal plane [mm], shape (k, 2).
-            timeout_s: of each of these [s].
-
-        Raises:
-            MessageError, PlaneRefusal, WaitError: as the four calls do.
-        """
-        stamp = self.send(ids, xy_mm)
-        self.wait_ready(stamp, timeout_s)
-        self.start(timeout_s)
-        return self.wait_end(stamp, timeout_s)
-
-    def hear(self, topic: Topic) -> list:
-        """Return a list to which every message of a topic is added from now on."""
-        return self._peer.hear(topic)
-
-    def until(self, condition: Callable[[], object], timeout_s: float, what="it") -> None:
-        """Listen until a condition holds; see fiber_node.RosClient.until."""
-        self._peer.until(condition, timeout_s, what)
-
-    # --- what is heard -------------------------------------------------------
+    # --- the plane as it is --------------------------------------------------
 
     @property
-    def angles(self) -> np.ndarray:
+    def plane(self) -> FocalPlane:
+        """The focal plane; its `enabled` tells which robots can be commanded.
+
+        Raises:
+            PlaneError: no layout received yet; wait for the graph first.
+        """
+        return self._received_layout()[0]
+
+    @property
+    def units(self) -> WireUnits:
+        """Tick and quantum of the hardware.
+
+        Raises:
+            PlaneError: no layout received yet; wait for the graph first.
+        """
+        return self._received_layout()[1]
+
+    @property
+    def angles(self) -> Angles:
         """Joint angles by the robots' encoders [rad], shape (n, 2).
 
         Raises:
-            PlaneError: none heard yet, or of other robots than the layout's.
+            PlaneError: none received yet, or they are of other robots than the layout.
         """
-        if not self._complete():
-            raise PlaneError("no joint states of this layout heard yet")
-        return self._states[1]
+        states = self._states_of_layout()
+        if states is None:
+            raise PlaneError("no joint states of this layout received yet: wait for the graph")
+        return states
 
     @property
     def statuses(self) -> dict[str, diagnostics.Status]:
-        """Latest diagnostics by name."""
+        """The newest diagnostics by name."""
         return dict(self._statuses)
 
-    def _complete(self):
-        known = self.plane is not None and self._states is not None
-        return known and np.array_equal(self._states[0], self.plane.ids)
+    # --- for anything else ---------------------------------------------------
 
-    def _missing(self, also):
-        missing = [s.name for s, c in self._services.items() if not c.service_is_ready()]
-        if not self._complete():
-            return missing + ["layout" if self.plane is None else "joint_states"]
+    @property
+    def node(self) -> Node:
+        """The ROS node of the client, for further topics and services."""
+        return self._ros.node
+
+    def collect(self, topic: Topic) -> list[Any]:
+        """Subscribe to a topic; return a list that grows by every message received."""
+        return self._ros.collect(topic)
+
+    def wait_for(
+        self,
+        condition: Callable[[], object],
+        timeout_s: float,
+        what: str | Callable[[], str] = "what was waited for",
+    ) -> None:
+        """Receive messages until a condition holds.
+
+        Args:
+            condition: evaluated after every message.
+            timeout_s: time-out [s].
+            what: names what is waited for, in the error.
+
+        Raises:
+            WaitError: the condition did not hold in time.
+        """
+        self._ros.wait_for(condition, timeout_s, what)
+
+    # --- messages ------------------------------------------------------------
+
+    def _received_layout(self) -> tuple[FocalPlane, WireUnits]:
+        if self._layout is None:
+            raise PlaneError("no layout received yet: wait for the graph")
+        return self._layout
+
+    def _states_of_layout(self) -> Angles | None:
+        if self._layout is None or self._states is None:
+            return None
+        ids, angles = self._states
+        return angles if np.array_equal(ids, self._layout[0].ids) else None
+
+    def _missing(self, also: Sequence[str]) -> list[str]:
+        return list(self._iterate_missing(also))
+
+    def _iterate_missing(self, also: Sequence[str]) -> Iterator[str]:
+        for service, client in self._services.items():
+            if not client.service_is_ready():
+                yield service.name
+        if self._states_of_layout() is None:
+            yield "layout" if self._layout is None else "joint_states"
+            return
         for stage in _STAGES:
             status = self._statuses.get(stage)
             if status is None:
-                missing.append(f"diagnostics of {stage}")
+                yield f"diagnostics of {stage}"
             elif stage != "bridge" and status.values.get("robots") != str(self.plane.n):
-                missing.append(f"{stage} to know the plane")
-        missing += [f"diagnostics of {name}" for name in also if name not in self._statuses]
-        return missing + [f"{name} to listen to targets" for name in self._deaf(also)]
-
-    def _deaf(self, also):
-        # others may listen too, so counting alone would not tell that these two do
+                yield f"{stage} to know the plane"
+        for name in also:
+            if name not in self._statuses:
+                yield f"diagnostics of {name}"
+        # other nodes may subscribe too, so a count alone would not tell that these do
         found = self.node.get_subscriptions_info_by_topic(self._targets.topic_name)
-        names = {info.node_name for info in found}
         if self._targets.get_subscription_count() < len(found):
-            return ["everybody known"]
-        return [name for name in (*_LISTENERS, *also) if name not in names]
+            yield "a connection to every subscription of targets"
+            return
+        names = {info.node_name for info in found}
+        for name in (*_TARGET_RECEIVERS, *also):
+            if name not in names:
+                yield f"{name} to subscribe to targets"
 
-    def _on_layout(self, message):
-        self.plane, self.units = layout.decode(message)
+    def _has_unannounced_frames(self, plan: PlanStamp) -> bool:
+        # frames can overtake the targets and the progress that tell which plan they belong to
+        return any(each > plan and self._attempts.find(each) is None for each in self.frames)
 
-    def _on_targets(self, message):
+    def _on_layout(self, message: PointCloud2) -> None:
+        self._layout = layout.decode(message)
+
+    def _on_targets(self, message: PointCloud2) -> None:
         try:
             self._attempts.add(targets.decode_attempt(message))
         except MessageError:
             pass  # the planner refuses them
 
-    def _on_joint_states(self, message):
+    def _on_joint_states(self, message: JointState) -> None:
         ids, angles, velocities, _ = joint_states.decode(message)
         self._states, self.moving = (ids, angles), bool(np.any(velocities))
         if not self.moving:
-            self._rest = angles
+            self._angles_at_rest = angles
 
-    def _on_held(self, message):
-        self._of(self.held, PlanStamp.of(message), list).append(held.decode(message))
+    def _on_held(self, message: PointCloud2) -> None:
+        _entry(self.held, PlanStamp.of(message), list).append(held.decode(message))
 
-    def _on_frames(self, message):
+    def _on_frames(self, message: PointCloud2) -> None:
+        stamp, at_rest = PlanStamp.of(message), self._angles_at_rest
+        if stamp not in self.counts_before and at_rest is not None and self._layout is not None:
+            _entry(self.counts_before, stamp, lambda: self.units.to_counts(at_rest))
+        _entry(self.frames, stamp, list).append(frames.decode(message))
+
+    def _on_outcome(self, message: PointCloud2) -> None:
         stamp = PlanStamp.of(message)
-        if stamp not in self.before and self._rest is not None and self.units is not None:
-            self._of(self.before, stamp, lambda: self.units.to_counts(self._rest))
-        self._of(self.frames, stamp, list).append(frames.decode(message))
+        _entry(self.outcomes, stamp, lambda: PlanOutcome(stamp.ns, *outcome.decode(message)))
+        _entry(self.times, stamp, dict).setdefault("ended", self._clock())
 
-    def _on_outcome(self, message):
-        stamp = PlanStamp.of(message)
-        self._of(self.ends, stamp, lambda: PlanOutcome(stamp.ns, *outcome.decode(message)))
-        self._of(self.times, stamp, dict).setdefault("ended", self._clock())
+    def _on_progress_message(self, message: DiagnosticStatus) -> None:
+        received = progress.decode(message)
+        self._attempts.add(received.attempt)
+        if received.fraction == 1.0 or received.stage == "bridge":
+            times = _entry(self.times, received.attempt.plan, dict)
+            times.setdefault(received.stage, self._clock())
+        self._on_progress(received)
 
-    def _on_progress_message(self, message):
-        heard = progress.decode(message)
-        self._attempts.add(heard.attempt)
-        if heard.fraction == 1.0 or heard.stage == "bridge":
-            self._of(self.times, heard.attempt.plan, dict).setdefault(heard.stage, self._clock())
-        self._on_progress(heard)
-
-    def _on_diagnostics(self, message):
-        # word of an earlier refusal may come late, after new targets were sent
-        recent = self._asked is not None and PlanStamp.of(message) >= self._asked
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        # the report of an earlier refusal may come late, after new targets were sent
+        recent = self._sent is not None and PlanStamp.of(message) >= self._sent
         for status in diagnostics.decode(message):
             before = self._statuses.get(status.name)
             if recent and before is not None and _refused(status) > _refused(before):
@@ -358,15 +456,15 @@ class PlaneClient:
             self._statuses[status.name] = status
             self._on_status(status, before)
 
-    @staticmethod
-    def _of(table, stamp, make):
-        # the entry of a plan, made when there is none; the oldest plans are forgotten
-        if stamp not in table:
-            table[stamp] = make()
-            for old in sorted(table)[:-_PLANS_KEPT]:
-                del table[old]
-        return table[stamp] if stamp in table else make()
+
+def _entry(table: dict[PlanStamp, _Entry], stamp: PlanStamp, make: Callable[[], _Entry]) -> _Entry:
+    """Return the entry of a stamp, made when there is none; the oldest stamps are forgotten."""
+    if stamp not in table:
+        table[stamp] = make()
+        for old in sorted(table)[:-_STAMPS_KEPT]:
+            del table[old]
+    return table[stamp] if stamp in table else make()
 
 
-def _refused(status) -> int:
-    return sum(int(status.values.get(name, 0)) for name in ("refused", "dropped"))
+def _refused(status: diagnostics.Status) -> int:
+    return sum(int(str(status.values.get(name, 0))) for name in ("refused", "dropped"))

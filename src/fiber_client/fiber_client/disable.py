@@ -71,7 +71,7 @@ class OperatorsList:
             WaitError: the bridge does not tell.
         """
         before = self._client.statuses.get(_LEFT_OUT)  # which may be older than what was changed
-        self._client.until(
+        self._client.wait_for(
             lambda: self._client.statuses.get(_LEFT_OUT) is not before,
             self._timeout_s,
             "word of who is left out",
@@ -80,7 +80,7 @@ class OperatorsList:
         return {int(name.removeprefix("robot ")): why for name, why in told.items()}
 
     def _call(self, ask):
-        wait = self._client.until
+        wait = self._client.wait_for
         wait(self._parameters.services_are_ready, self._timeout_s, f"parameters of {_BRIDGE}")
         future = ask()
         wait(future.done, self._timeout_s, f"answer of {_BRIDGE}")

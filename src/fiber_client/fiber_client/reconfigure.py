@@ -69,15 +69,15 @@ def _run(client, options, display) -> int:
         ended = _moved(client, lambda: client.home(options.timeout), options.timeout)
         display.say(f"home: {ended.count(Outcome.REACHED)} of {len(ended.ids)} robots folded")
     ids, xy_mm = _targets(client, options.targets)
-    stamp = client.send(ids, xy_mm)
-    client.wait_ready(stamp, options.timeout)
+    stamp = client.send_targets(ids, xy_mm)
+    client.wait_until_ready(stamp, options.timeout)
     if options.no_start:
         display.say(f"plan {stamp}: its orders wait for start")
         return 0
 
     def run() -> PlanOutcome:
         client.start(options.timeout)
-        return client.wait_end(stamp, options.timeout)
+        return client.wait_for_outcome(stamp, options.timeout)
 
     ended = _moved(client, run, options.timeout).of(ids)
     if options.json:
@@ -95,7 +95,7 @@ def _moved(client, move, timeout_s) -> PlanOutcome:
     try:
         return move()
     except KeyboardInterrupt:
-        client.call(topics.STOP, timeout_s)
+        client.call_service(topics.STOP, timeout_s)
         raise
 
 

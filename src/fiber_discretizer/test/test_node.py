@@ -45,19 +45,19 @@ class Rest:
 
     def __init__(self, peer):
         self.peer = peer
-        self.held = peer.hear(topics.HELD_BY_DISCRETIZER)
-        self.segments = peer.hear(topics.SEGMENTS)
-        self.diagnostics = peer.hear(topics.DIAGNOSTICS)
+        self.held = peer.collect(topics.HELD_BY_DISCRETIZER)
+        self.segments = peer.collect(topics.SEGMENTS)
+        self.diagnostics = peer.collect(topics.DIAGNOSTICS)
         self.layout = topics.LAYOUT.publisher(peer.node)
         self.states = topics.JOINT_STATES.publisher(peer.node)
         self.trajectory = topics.TRAJECTORY.publisher(peer.node)
-        peer.host(DiscretizerNode)
-        peer.until(lambda: self.diagnostics, WAIT_S)
+        peer.add_node(DiscretizerNode)
+        peer.wait_for(lambda: self.diagnostics, WAIT_S)
 
     def show_plane(self):
         self.layout.publish(layout.encode(PLANE, UNITS, PlanStamp(1)))
         self.states.publish(joint_states.encode(PLANE.ids, START, np.zeros((7, 2)), 1))
-        self.peer.until(lambda: self.status().values.get("robots") == "7", WAIT_S)
+        self.peer.wait_for(lambda: self.status().values.get("robots") == "7", WAIT_S)
 
     def status(self):
         return diagnostics.decode(self.diagnostics[-1])[0]
@@ -65,7 +65,7 @@ class Rest:
     def discretize(self, message):
         """Send a trajectory; return the held and the motion that come back, all of its stamp."""
         self.trajectory.publish(message)
-        self.peer.until(lambda: self.segments and self.held, WAIT_S, "segments")
+        self.peer.wait_for(lambda: self.segments and self.held, WAIT_S, "segments")
         answers = self.segments + self.held
         assert {PlanStamp.of(m) for m in answers} == {PlanStamp.of(message)}
         ids, reason, stage = held.decode(self.held[0])
@@ -75,7 +75,9 @@ class Rest:
         return dict(zip(ids.tolist(), reason.tolist())), table.motion(UNITS, COUNTS)
 
     def wait_refusal(self, word):
-        self.peer.until(lambda: word in self.status().text, WAIT_S, f"a refusal that says {word}")
+        self.peer.wait_for(
+            lambda: word in self.status().text, WAIT_S, f"a refusal that says {word}"
+        )
         assert not self.held and not self.segments
 
 
@@ -98,12 +100,12 @@ def test_a_trajectory_becomes_certified_segments_that_end_where_it_ends(rest):
 def test_margins_are_made_for_whoever_listens(rest):
     rest.show_plane()
     rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(9)))
-    heard = rest.peer.hear(topics.CORRIDORS)
-    rest.peer.until(lambda: rest.peer.node.count_publishers("focal_plane/corridors"), WAIT_S)
+    heard = rest.peer.collect(topics.CORRIDORS)
+    rest.peer.wait_for(lambda: rest.peer.node.count_publishers("focal_plane/corridors"), WAIT_S)
     rest.segments.clear()
     rest.held.clear()
     _, motion = rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(10)))
-    rest.peer.until(lambda: heard, WAIT_S, "corridors")
+    rest.peer.wait_for(lambda: heard, WAIT_S, "corridors")
     # those of the first plan nobody wanted, so nobody made them
     assert [PlanStamp.of(message) for message in heard] == [PlanStamp(10)]
     ids, room = corridors.decode(heard[0])
@@ -158,5 +160,5 @@ def test_an_older_trajectory_is_dropped_and_says_so(rest):
     rest.show_plane()
     rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(20)))
     rest.trajectory.publish(trajectory.encode(PLANE.ids, turning(), PlanStamp(19)))
-    rest.peer.until(lambda: f"{PlanStamp(19)} dropped" in rest.status().text, WAIT_S)
+    rest.peer.wait_for(lambda: f"{PlanStamp(19)} dropped" in rest.status().text, WAIT_S)
     assert len(rest.segments) == len(rest.held) == 1

@@ -1,7 +1,8 @@
-"""A party to a graph that does one thing after another: a client, or a test."""
+"""A node that does one thing after another and receives messages in between."""
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import rclpy
 from rclpy.context import Context
@@ -14,15 +15,15 @@ from fiber_msgs_py import Topic
 
 __all__ = ["RosClient", "WaitError"]
 
-_SLICE_S = 0.05  # how long a wait listens before it asks condition and guard again
+_SLICE_S = 0.05  # longest time without a message after which condition and guard are evaluated
 
 
 class WaitError(FiberError):
-    """What was waited for did not come.
+    """A condition that was waited for did not hold in time.
 
     Args:
         what: what was missing.
-        timeout_s: how long it was waited for [s].
+        timeout_s: how long the client waited [s].
     """
 
     def __init__(self, what: str, timeout_s: float):
@@ -31,15 +32,15 @@ class WaitError(FiberError):
 
 
 class RosClient:
-    """A node that listens while its owner waits, and only then.
+    """A node that receives messages while its owner waits, and only then.
 
-    It has a context of its own, so that one process can hold peers in several domains.
+    It has a context of its own, so that one process can hold clients in several domains.
 
     Args:
-        name: of its node.
-        domain: ROS domain; by default that of the environment.
-        guard: called over and over while waiting; ends a wait by raising.
-        clock: seconds, for time-outs.
+        name: name of the node.
+        domain: ROS domain; by default the domain of the environment.
+        guard: called again and again while the client waits; it ends the wait by raising.
+        clock: returns seconds, for time-outs.
     """
 
     def __init__(
@@ -54,20 +55,20 @@ class RosClient:
         rclpy.init(args=[], context=self._context, domain_id=domain)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._nodes: list[Node] = []
-        self.node = self.host(lambda **options: Node(name, enable_rosout=False, **options))
+        self.node = self.add_node(lambda **options: Node(name, enable_rosout=False, **options))
 
     def __enter__(self) -> "RosClient":
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def host(self, make_node: Callable[..., Node], **parameters) -> Node:
-        """Run another node beside its own, while it waits.
+    def add_node(self, make_node: Callable[..., Node], **parameters: Any) -> Node:
+        """Run another node in the same process; it works while the client waits.
 
         Args:
             make_node: called with `context` and `parameter_overrides`.
-            parameters: parameters of the node; a double underscore stands for a dot.
+            parameters: parameters of the node; a double underscore in a name stands for a dot.
         """
         overrides = [
             Parameter(name.replace("__", "."), value=value) for name, value in parameters.items()
@@ -77,27 +78,27 @@ class RosClient:
         self._executor.add_node(node)
         return node
 
-    def hear(self, topic: Topic) -> list:
-        """Return a list to which every message of a topic is added from now on."""
-        heard = []
-        topic.subscription(self.node, heard.append)
-        return heard
+    def collect(self, topic: Topic) -> list[Any]:
+        """Subscribe to a topic; return a list that grows by every message received."""
+        received: list[Any] = []
+        topic.subscription(self.node, received.append)
+        return received
 
-    def until(
+    def wait_for(
         self,
         condition: Callable[[], object],
         timeout_s: float,
         what: str | Callable[[], str] = "what was waited for",
     ) -> None:
-        """Listen until a condition holds.
+        """Receive messages until a condition holds.
 
         Args:
-            condition: asked after everything that is heard.
-            timeout_s: how long at most [s].
-            what: what is waited for, for the error.
+            condition: evaluated after every message.
+            timeout_s: time-out [s].
+            what: names what is waited for, in the error.
 
         Raises:
-            WaitError: the time is up.
+            WaitError: the condition did not hold in time.
         """
         deadline = self._clock() + timeout_s
         while not condition():

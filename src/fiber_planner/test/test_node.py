@@ -37,20 +37,20 @@ class Rest:
 
     def __init__(self, peer, **parameters):
         self.peer = peer
-        self.held = peer.hear(topics.HELD_BY_PLANNER)
-        self.trajectories = peer.hear(topics.TRAJECTORY)
-        self.diagnostics = peer.hear(topics.DIAGNOSTICS)
+        self.held = peer.collect(topics.HELD_BY_PLANNER)
+        self.trajectories = peer.collect(topics.TRAJECTORY)
+        self.diagnostics = peer.collect(topics.DIAGNOSTICS)
         self.layout = topics.LAYOUT.publisher(peer.node)
         self.states = topics.JOINT_STATES.publisher(peer.node)
         self.targets = topics.TARGETS.publisher(peer.node)
-        self.planner = peer.host(PlannerNode, **parameters)
-        peer.until(lambda: self.targets.get_subscription_count() and self.diagnostics, WAIT_S)
+        self.planner = peer.add_node(PlannerNode, **parameters)
+        peer.wait_for(lambda: self.targets.get_subscription_count() and self.diagnostics, WAIT_S)
 
     def show_plane(self, velocity=0.0):
         speeds = np.full_like(PROBLEM.start, velocity)
         self.layout.publish(layout.encode(PLANE, UNITS, PlanStamp(1)))
         self.states.publish(joint_states.encode(PLANE.ids, PROBLEM.start, speeds, 1))
-        self.peer.until(lambda: self.status().values.get("robots") == "7", WAIT_S)
+        self.peer.wait_for(lambda: self.status().values.get("robots") == "7", WAIT_S)
 
     def status(self):
         return diagnostics.decode(self.diagnostics[-1])[0]
@@ -59,7 +59,9 @@ class Rest:
         self.targets.publish(targets.encode(ids, xy_mm, PlanStamp(ns)))
 
     def wait_refusal(self, word):
-        self.peer.until(lambda: word in self.status().text, WAIT_S, f"a refusal that says {word}")
+        self.peer.wait_for(
+            lambda: word in self.status().text, WAIT_S, f"a refusal that says {word}"
+        )
         assert not self.held and not self.trajectories
 
 
@@ -74,7 +76,7 @@ def test_targets_become_one_trajectory_from_where_the_encoders_are(rest):
     ids, xy_mm = np.append(IDS, 5), np.vstack([XY_MM, [PLANE.centers[5] + 1.0]])
     xy_mm[0] = PLANE.centers[ids[0]] + [40.0, 0.0]
     rest.ask(9, ids, xy_mm)
-    rest.peer.until(lambda: rest.trajectories and rest.held, WAIT_S, "a plan")
+    rest.peer.wait_for(lambda: rest.trajectories and rest.held, WAIT_S, "a plan")
     assert {PlanStamp.of(m) for m in rest.trajectories + rest.held} == {PlanStamp(9)}
 
     held_ids, reason, stage = held.decode(rest.held[0])
@@ -96,7 +98,7 @@ def test_targets_before_the_layout_are_refused(rest):
     rest.wait_refusal("layout: not heard yet")
     rest.show_plane()
     rest.ask(10)
-    rest.peer.until(lambda: rest.trajectories, WAIT_S)
+    rest.peer.wait_for(lambda: rest.trajectories, WAIT_S)
 
 
 def test_targets_while_robots_move_are_refused(rest):
@@ -114,19 +116,19 @@ def test_a_robot_the_plane_does_not_have_is_refused_by_name(rest):
 def test_an_older_table_is_dropped_and_says_so(rest):
     rest.show_plane()
     rest.ask(20)
-    rest.peer.until(lambda: rest.trajectories and rest.held, WAIT_S)
+    rest.peer.wait_for(lambda: rest.trajectories and rest.held, WAIT_S)
     rest.ask(20)
     rest.ask(19)
-    rest.peer.until(lambda: f"{PlanStamp(19)} dropped" in rest.status().text, WAIT_S)
+    rest.peer.wait_for(lambda: f"{PlanStamp(19)} dropped" in rest.status().text, WAIT_S)
     assert len(rest.trajectories) == len(rest.held) == 1
     assert rest.status().values["dropped"] == "2"
 
 
 def test_it_declares_the_parameters_of_every_planner_and_uses_those_of_the_one_chosen():
     with RosClient("rest") as peer:
-        node = peer.host(PlannerNode, planner="direct", direct__seed=4)
+        node = peer.add_node(PlannerNode, planner="direct", direct__seed=4)
         assert node.get_parameter("direct.seed").value == 4
         assert node._planner.parameters == parameters_of("direct")(seed=4)
         assert node.get_parameter("dnf.lambda1").value == parameters_of("dnf")().lambda1
         with pytest.raises(PlannerError, match="'fastest'"):
-            peer.host(PlannerNode, planner="fastest")
+            peer.add_node(PlannerNode, planner="fastest")

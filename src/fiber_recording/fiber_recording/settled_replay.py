@@ -27,12 +27,12 @@ def settled_replay(client: PlaneClient, ended: PlanOutcome, counts, timeout_s: f
     def elsewhere():
         nonlocal told
         last = client.last_attempt(plan)
-        before = counts if last == plan else client.before[last]
+        before = counts if last == plan else client.counts_before[last]
         told = replay(client.plane, client.units, before, client.frames.get(last, ()))
         off = unexplained(client.plane, told, ended, client.units.to_counts(client.angles))
         return client.plane.ids[off]
 
-    client.until(
+    client.wait_for(
         lambda: not len(elsewhere()),
         timeout_s,
         lambda: f"frames that explain where robot {elsewhere()[0]} is",

@@ -73,14 +73,14 @@ class Scene:
 
     def __init__(self, peer, plane):
         self.peer, self.plane = peer, plane
-        self.viewer = peer.host(ViewerNode, watch=[int(plane.ids[3])])
+        self.viewer = peer.add_node(ViewerNode, watch=[int(plane.ids[3])])
         self.publishers = {
             topic.name: topic.publisher(peer.node)
             for topic in (topics.LAYOUT, topics.JOINT_STATES, topics.TARGETS, topics.OUTCOME)
         }
         units = WireUnits.for_plane(plane)
         heard = self.publishers[topics.TARGETS.name].get_subscription_count
-        peer.until(lambda: heard() == 1, WAIT_S, "the viewer")
+        peer.wait_for(lambda: heard() == 1, WAIT_S, "the viewer")
         self.say(topics.LAYOUT, layout.encode(plane, units, PlanStamp(1)))
 
     def say(self, topic, message):
@@ -104,13 +104,13 @@ def spun(peer, slices):
     """Serve callbacks for a number of turns, each of them answered by a timer of the viewer."""
     turns = []
     timer = peer.node.create_timer(0.05, lambda: turns.append(1))
-    peer.until(lambda: len(turns) >= slices, WAIT_S)
+    peer.wait_for(lambda: len(turns) >= slices, WAIT_S)
     peer.node.destroy_timer(timer)
 
 
 def test_unwatched_it_does_not_even_listen(scene, plane, angles):
     peer = scene.peer
-    peer.until(lambda: scene.viewer._plane is not None, WAIT_S)
+    peer.wait_for(lambda: scene.viewer._plane is not None, WAIT_S)
     scene.move(angles, np.ones((N, 2)), 1)
     spun(peer, 8)
     assert scene.pictures == 0
@@ -121,9 +121,9 @@ def test_watched_it_shows_arms_until_nobody_moves(scene, plane, angles):
     peer, speeds = scene.peer, np.full((N, 2), 0.5)
     seen = []
     listening = topics.VIEW_ARMS.subscription(peer.node, seen.append)
-    latched = peer.hear(topics.VIEW_PLANE)
+    latched = peer.collect(topics.VIEW_PLANE)
     scene.move(angles, speeds, 1)
-    peer.until(lambda: len(seen) >= 3, WAIT_S, "pictures of moving arms")
+    peer.wait_for(lambda: len(seen) >= 3, WAIT_S, "pictures of moving arms")
     for message in seen:
         rows = np.frombuffer(message.data, arms_cloud(plane, angles, np.zeros(N, int)).dtype)
         tips = points(rows).reshape(2, N, POINTS, 2)[1, :, -1] * 1e3
@@ -138,7 +138,7 @@ def test_watched_it_shows_arms_until_nobody_moves(scene, plane, angles):
         atol=1e-3,
     )
     scene.move(angles, 0 * speeds, 2)
-    peer.until(lambda: scene.viewer._states[3] == 2, WAIT_S)
+    peer.wait_for(lambda: scene.viewer._states[3] == 2, WAIT_S)
     spun(peer, 4)
     count = scene.pictures
     spun(peer, 8)
@@ -146,10 +146,10 @@ def test_watched_it_shows_arms_until_nobody_moves(scene, plane, angles):
     ended = np.full(N, Outcome.FAILED)
     errors = np.zeros(N)
     scene.say(topics.OUTCOME, outcome.encode(plane.ids, ended, ended * 0, errors, PlanStamp(3)))
-    peer.until(lambda: scene.pictures > count, WAIT_S, "a picture of the outcome")
+    peer.wait_for(lambda: scene.pictures > count, WAIT_S, "a picture of the outcome")
     peer.node.destroy_subscription(listening)
     joint_states_heard = scene.publishers[topics.JOINT_STATES.name].get_subscription_count
-    peer.until(lambda: joint_states_heard() == 0, WAIT_S, "the viewer to stop listening")
+    peer.wait_for(lambda: joint_states_heard() == 0, WAIT_S, "the viewer to stop listening")
 
 
 def watched(message):
@@ -160,27 +160,29 @@ def watched(message):
 
 
 def test_at_rest_it_answers_whoever_comes_and_asks(scene, plane, angles):
-    peer, seen = scene.peer, scene.peer.hear(topics.VIEW_ARMS)
+    peer, seen = scene.peer, scene.peer.collect(topics.VIEW_ARMS)
     scene.move(angles, 0 * angles, 1)
-    peer.until(lambda: seen, WAIT_S, "arms at rest")
+    peer.wait_for(lambda: seen, WAIT_S, "arms at rest")
     spun(peer, 8)
-    outlined = peer.hear(WATCHED)
-    peer.until(lambda: outlined, WAIT_S, "outlines for one who came later")
+    outlined = peer.collect(WATCHED)
+    peer.wait_for(lambda: outlined, WAIT_S, "outlines for one who came later")
     other = [int(plane.ids[7])]
     scene.viewer.set_parameters([Parameter("watch", value=other)])
-    peer.until(lambda: watched(outlined[-1]) == {str(other[0])}, WAIT_S, "the outlines asked for")
+    peer.wait_for(
+        lambda: watched(outlined[-1]) == {str(other[0])}, WAIT_S, "the outlines asked for"
+    )
 
 
 def test_only_watched_robots_have_outlines(scene, plane, angles):
     peer = scene.peer
-    seen, asked = peer.hear(WATCHED), peer.hear(topics.VIEW_TARGETS)
+    seen, asked = peer.collect(WATCHED), peer.collect(topics.VIEW_TARGETS)
     scene.move(angles, 0 * angles, 1)
-    peer.until(lambda: seen, WAIT_S)
+    peer.wait_for(lambda: seen, WAIT_S)
     assert watched(seen[-1]) == {str(plane.ids[3])}
     line = np.array([[p.x, p.y] for p in seen[-1].markers[1].points])
     np.testing.assert_allclose(line * 1e3, outlines(plane, 3, angles)[0], atol=1e-9)
     xy_mm = np.array([[1.0, 2.0], [3.0, 4.0]])
     scene.say(topics.TARGETS, targets.encode(plane.ids[:2], xy_mm, PlanStamp(5)))
-    peer.until(lambda: asked, WAIT_S)
+    peer.wait_for(lambda: asked, WAIT_S)
     rows = np.frombuffer(asked[-1].data, plane_cloud(plane).dtype)
     np.testing.assert_allclose(points(rows) * 1e3, xy_mm, atol=1e-4)
