@@ -182,7 +182,7 @@ class WireMotion:
                 at = int(np.argmax(wrong))
                 robot = int(np.searchsorted(self.offsets, at, side="right") - 1) // 2
                 raise MotionError(
-                    f"robot row {robot}: {name} must be {low}..{high} wire units, got {value[at]}"
+                    f"robot row {robot}: {name} {value[at]} is outside {low}..{high} wire units"
                 )
 
     @property
