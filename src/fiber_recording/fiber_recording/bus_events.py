@@ -1,11 +1,13 @@
-"""What the frames of a plan tell beside its orders: readings, load, and what went wrong."""
+"""Reads encoder readings, bus load and faults from the frames of a plan."""
 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.bus import Ack
 from fiber_bus_bridge.wire import CALL_PREFIX, Opcode
+from fiber_core.array_types import Floats, Ints, Rows
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
 from fiber_recording.recording import BusLoad, EventKind, Events, Measured
@@ -13,29 +15,29 @@ from fiber_recording.status_replies import StatusReplies, rows_of_frames
 
 __all__ = ["bus_events"]
 
-_BINS = 400  # of the bus load over a plan, at most
-_FINEST_S = 0.005
-_FAILED = {Ack.NO_ADDRESS: EventKind.NO_ADDRESS, Ack.REFUSED: EventKind.REFUSED}
-_SENT = (Ack.OK, Ack.NO_ADDRESS, Ack.REFUSED)  # others never got onto the wire as a whole
-_LINES = (Ack.LOST, Ack.STUCK, Ack.TIMED_OUT)
-_BURST_S = 0.05  # failures of the lines of a bus that follow each other faster are one
-_CALLS = {Opcode.GO: EventKind.GO, Opcode.STOP: EventKind.STOP}
+_MOST_BINS = 400  # of the bus load
+_SHORTEST_BIN_S = 0.005
+_NOT_ACKNOWLEDGED = {Ack.NO_ADDRESS: EventKind.NO_ADDRESS, Ack.REFUSED: EventKind.REFUSED}
+_CARRIED = (Ack.OK, Ack.NO_ADDRESS, Ack.REFUSED)  # frames with another end did not occupy the bus
+_LINE_FAILURES = (Ack.LOST, Ack.STUCK, Ack.TIMED_OUT)
+_BURST_S = 0.05  # line failures of a bus with a shorter time between them are one event
+_GENERAL_CALLS = {Opcode.GO: EventKind.GO, Opcode.STOP: EventKind.STOP}
 
 
 def bus_events(
     plane: FocalPlane, logs: Sequence[FrameLog], start_s: float
 ) -> tuple[Measured, BusLoad, Events]:
-    """Read the frames of a plan.
+    """Return the encoder readings, the bus load and the events in the frames of a plan.
 
     Args:
         plane: the focal plane.
-        logs: its frames, in the order they were published.
-        start_s: when robots began to move, in the time of the frames [s]; with nan times
-            count from the first frame.
+        logs: the frames of the plan, in the order in which the buses carried them.
+        start_s: begin of the motion, in the time of the frames [s]; nan if there was none: then
+            times count from the first frame.
     """
     log = FrameLog.joined(logs)
     if not np.isfinite(start_s):
-        start_s = log.time_s.min(initial=np.inf) if len(log) else 0.0
+        start_s = float(log.time_s.min()) if len(log) else 0.0
     time_s = log.time_s - start_s
     row = rows_of_frames(plane, log)
     status = StatusReplies(log, row)
@@ -46,52 +48,54 @@ def bus_events(
     )
 
 
-def _measured(status, time_s):
+def _measured(status: StatusReplies, time_s: Floats) -> Measured:
     placed = status.placed
     time_us = np.rint(time_s[status.frame[placed]] * 1e6).astype(np.int64)
     return Measured(status.row[placed], time_us, status.position[placed])
 
 
-def _load(plane, log, time_s):
+def _load(plane: FocalPlane, log: FrameLog, time_s: Floats) -> BusLoad:
     buses = np.unique(plane.bus)
     if not len(log):
-        return BusLoad(buses, 0.0, _FINEST_S, *np.zeros((2, len(buses), 1)))
+        nothing = np.zeros((len(buses), 1), dtype=np.int64)
+        return BusLoad(buses, 0.0, _SHORTEST_BIN_S, nothing, nothing)
     begin, end = time_s.min(), time_s.max()
-    bin_s = max(_FINEST_S, (end - begin) / (_BINS - 1))
+    bin_s = max(_SHORTEST_BIN_S, (end - begin) / (_MOST_BINS - 1))
     begin = np.floor(begin / bin_s) * bin_s  # so that the GO is at the edge of a bin
     count = int((end - begin) / bin_s) + 1
-    sent = np.isin(log.ack, _SENT)
-    bus, passed_s, size = log.bus[sent], (time_s - begin)[sent], np.diff(log.offsets)[sent]
+    carried = np.isin(log.ack, _CARRIED)
+    bus, passed_s = log.bus[carried], (time_s - begin)[carried]
+    size = np.diff(log.offsets)[carried]
     at = np.searchsorted(buses, bus) * count + (passed_s / bin_s).astype(int)
     shape = (len(buses), count)
     frames = np.bincount(at, minlength=shape[0] * count).reshape(shape)
-    size = np.bincount(at, size, minlength=shape[0] * count).reshape(shape)
+    size = np.bincount(at, size, minlength=shape[0] * count).reshape(shape).astype(np.int64)
     return BusLoad(buses, float(begin), float(bin_s), frames, size)
 
 
-def _events(status, log, time_s, row):
+def _events(status: StatusReplies, log: FrameLog, time_s: Floats, row: Rows) -> Events:
     found = []  # frame, kind, detail
 
-    def add(frames, kind, detail=0):
+    def add(frames: Ints, kind: EventKind, detail: ArrayLike = 0) -> None:
         found.append(np.broadcast_arrays(frames, int(kind), detail))
 
-    for ack, kind in _FAILED.items():
+    for ack, kind in _NOT_ACKNOWLEDGED.items():
         add(np.flatnonzero(log.ack == ack), kind)
-    failed = np.flatnonzero(np.isin(log.ack, _LINES))
+    failed = np.flatnonzero(np.isin(log.ack, _LINE_FAILURES))
     for bus in np.unique(log.bus[failed]):
-        mine = failed[log.bus[failed] == bus]
-        mine = mine[np.argsort(time_s[mine], kind="stable")]
-        begins = mine[np.diff(time_s[mine], prepend=-np.inf) > _BURST_S]
-        add(begins, EventKind.LINE, log.ack[begins])
+        on_bus = failed[log.bus[failed] == bus]
+        on_bus = on_bus[np.argsort(time_s[on_bus], kind="stable")]
+        bursts = on_bus[np.diff(time_s[on_bus], prepend=-np.inf) > _BURST_S]
+        add(bursts, EventKind.LINE, log.ack[bursts])
     calls = np.flatnonzero((log.address == 0) & ~log.ten_bit & (np.diff(log.offsets) > 1))
     calls = calls[log.data[log.offsets[calls]] == CALL_PREFIX]
     opcode = log.data[log.offsets[calls] + 1] >> 4
-    for code, kind in _CALLS.items():
+    for code, kind in _GENERAL_CALLS.items():
         add(calls[opcode == code], kind)
     add(status.frame[~status.ok], EventKind.BAD_REPLY)
-    for said, kind in ((status.fault, EventKind.FAULT), (status.alerts, EventKind.ALERT)):
-        new = _first(status.row, said)
-        add(status.frame[new], kind, said[new])
+    for reported, kind in ((status.fault, EventKind.FAULT), (status.alerts, EventKind.ALERT)):
+        new = _first_reports(status.row, reported)
+        add(status.frame[new], kind, reported[new])
     frame, kind, detail = (np.concatenate(column) for column in zip(*found))
     order = np.lexsort([frame, time_s[frame]])
     frame = frame[order]
@@ -100,8 +104,8 @@ def _events(status, log, time_s, row):
     return Events(time_s[frame], kind, log.bus[frame], rows, detail[order])
 
 
-def _first(row, said):
-    # where a robot says something that it did not say before
-    told = np.flatnonzero(said != 0)
-    _, first = np.unique(np.stack([row[told], said[told]]), axis=1, return_index=True)
-    return told[first]
+def _first_reports(row: Rows, value: Ints) -> Ints:
+    """Return the replies in which a robot reports a value other than 0 for the first time."""
+    reports = np.flatnonzero(value != 0)
+    _, first = np.unique(np.stack([row[reports], value[reports]]), axis=1, return_index=True)
+    return reports[first]

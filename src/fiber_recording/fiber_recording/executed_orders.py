@@ -1,4 +1,4 @@
-"""Which orders robots were started with and when they were stopped, from the frames of a plan."""
+"""Finds the orders that robots started, and when they were stopped, in the frames of a plan."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -6,93 +6,123 @@ from typing import NamedTuple
 import numpy as np
 
 from fiber_bus_bridge.wire import CALL_PREFIX, COUNTDOWN_S, Opcode
+from fiber_core.array_types import Bools, Ints, Rows, Times
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
 
-__all__ = ["Runs", "follow"]
+__all__ = ["StartedOrders", "started_orders"]
 
-_TOLD = (Opcode.LOAD, Opcode.CLEAR, Opcode.GO, Opcode.STOP, Opcode.RESET)
+_FOLLOWED = (Opcode.LOAD, Opcode.CLEAR, Opcode.GO, Opcode.STOP, Opcode.RESET)
 
 
-class Runs(NamedTuple):
-    """Orders that were told to go, in the order in which they were.
+class StartedOrders(NamedTuple):
+    """Orders that received a GO, in the order of the GOs; times are those of the frames.
 
     Args:
-        row: robot, row of the plane, shape (r,).
-        frame: the LOAD that brought the order, shape (r,).
-        go_s: when its GO began, in the time of the frames [s], shape (r,).
-        begin_s: when its countdown was over [s], shape (r,).
-        stop_s: when a STOP for it began [s], inf without one, shape (r,).
-        off: whether that was before the countdown was over, so that nothing began, shape (r,).
-        load_s: when the first LOAD of all began [s], nan without one.
+        row: row of the robot in the plane, shape (r,).
+        frame: index of the LOAD frame that carried the order, shape (r,).
+        go_s: begin of its GO [s], shape (r,).
+        begin_s: end of its countdown [s], shape (r,).
+        stop_s: begin of the STOP that ended it [s], inf without one, shape (r,).
+        cancelled: whether the STOP came during the countdown, so that the robot never moved,
+            shape (r,).
+        load_s: begin of the first LOAD of the plan [s], nan without one.
     """
 
-    row: np.ndarray
-    frame: np.ndarray
-    go_s: np.ndarray
-    begin_s: np.ndarray
-    stop_s: np.ndarray
-    off: np.ndarray
+    row: Rows
+    frame: Ints
+    go_s: Times
+    begin_s: Times
+    stop_s: Times
+    cancelled: Bools
     load_s: float
 
-    def only(self, chosen) -> "Runs":
-        """Return some of them, by index or flag."""
-        return Runs(*(column[chosen] for column in self[:-1]), self.load_s)
+    def only(self, chosen: Ints | Bools) -> "StartedOrders":
+        """Return some of the orders, chosen by an index or mask array."""
+        return StartedOrders(
+            row=self.row[chosen],
+            frame=self.frame[chosen],
+            go_s=self.go_s[chosen],
+            begin_s=self.begin_s[chosen],
+            stop_s=self.stop_s[chosen],
+            cancelled=self.cancelled[chosen],
+            load_s=self.load_s,
+        )
 
 
-def follow(plane: FocalPlane, log: FrameLog) -> Runs:
-    """Follow frames as the robots do: store, forget, count down, start, stop.
+def started_orders(plane: FocalPlane, log: FrameLog) -> StartedOrders:
+    """Follow the frames as robots do, and return the orders that robots started.
 
-    An acknowledged LOAD replaces what a robot had stored, a CLEAR forgets it, and a GO lets
-    every robot it reaches that stores an order of its sequence number start after a
-    countdown. A STOP or RESET before that calls the start off.
+    An acknowledged LOAD replaces the order that a robot stores, a CLEAR deletes it. A GO starts
+    every robot of its bus that stores an order with the sequence number of the GO, after a
+    countdown. A STOP or RESET before the end of the countdown cancels the start.
+
+    Args:
+        plane: the focal plane, with bus and address of every robot.
+        log: the frames of a plan.
     """
-    rows_of = {
+    rows_at = {
         (bus, address): np.array([row])
         for row, (bus, address) in enumerate(zip(plane.bus.tolist(), plane.address.tolist()))
     }
     rows_on = {bus: np.flatnonzero(plane.bus == bus) for bus in np.unique(plane.bus).tolist()}
+    nothing = np.zeros(0, dtype=np.int64)
     stored, sequence, current = np.full((3, plane.n), -1)
-    started, stops, off = [], [], []  # of each run: row, frame, GO, begin; STOP; called off
+    started: list[tuple[int, int, float, float]] = []  # row, LOAD, GO, end of the countdown
+    stops: list[float] = []
+    cancelled: list[bool] = []
     load_s = np.nan
-    for frame, opcode, number, countdown_s, called in _orders(log):
-        bus, time_s = int(log.bus[frame]), float(log.time_s[frame])
-        rows = rows_on[bus] if called else rows_of.get((bus, int(log.address[frame])), [])
-        if opcode == Opcode.LOAD:
-            stored[rows], sequence[rows] = frame, number
+    for command in _commands(log):
+        bus, time_s = int(log.bus[command.frame]), float(log.time_s[command.frame])
+        if command.general_call:
+            rows = rows_on[bus]
+        else:
+            rows = rows_at.get((bus, int(log.address[command.frame])), nothing)
+        if command.opcode == Opcode.LOAD:
+            stored[rows], sequence[rows] = command.frame, command.sequence
             load_s = np.fmin(load_s, time_s)
-        elif opcode == Opcode.CLEAR:
+        elif command.opcode == Opcode.CLEAR:
             stored[rows] = -1
-        elif opcode == Opcode.GO:
-            rows = rows[(stored[rows] >= 0) & (sequence[rows] == number)]
+        elif command.opcode == Opcode.GO:
+            rows = rows[(stored[rows] >= 0) & (sequence[rows] == command.sequence)]
             current[rows] = len(started) + np.arange(len(rows))
-            begin_s = time_s + countdown_s
-            started += [(row, stored[row], time_s, begin_s) for row in rows.tolist()]
+            begin_s = time_s + command.countdown_s
+            started += [(row, int(stored[row]), time_s, begin_s) for row in rows.tolist()]
             stops += [np.inf] * len(rows)
-            off += [False] * len(rows)
+            cancelled += [False] * len(rows)
             stored[rows] = -1
         else:
-            for run in current[rows][current[rows] >= 0].tolist():
-                stops[run], off[run] = time_s, started[run][3] > time_s
+            for k in current[rows][current[rows] >= 0].tolist():
+                stops[k], cancelled[k] = time_s, started[k][3] > time_s
             stored[rows] = current[rows] = -1
-    columns = np.array(started).reshape(-1, 4).T
-    return Runs(
-        columns[0].astype(np.int64), columns[1].astype(np.int64), columns[2], columns[3],
-        np.array(stops), np.array(off, dtype=bool), float(load_s),
+    row, frame, go_s, begin_s = np.array(started).reshape(-1, 4).T
+    return StartedOrders(
+        row.astype(np.int64), frame.astype(np.int64), go_s, begin_s,
+        np.array(stops), np.array(cancelled, dtype=bool), float(load_s),
     )  # fmt: skip
 
 
-def _orders(log) -> Iterator[tuple]:
-    # What makes robots store, forget, start or stop: frame, opcode, sequence number, countdown
-    # of a GO [s], and whether it is a general call, which has a prefix.
+class _Command(NamedTuple):
+    """A command that makes robots store, delete, start or stop."""
+
+    frame: int
+    opcode: int
+    sequence: int
+    countdown_s: float  # of a GO
+    general_call: bool
+
+
+def _commands(log: FrameLog) -> Iterator[_Command]:
     written = np.flatnonzero(~log.read & (log.ack == 0) & (np.diff(log.offsets) > 0))
-    called = (log.address[written] == 0) & ~log.ten_bit[written]
-    first = log.offsets[written] + called * (log.data[log.offsets[written]] == CALL_PREFIX)
-    opcode, number = log.data[first] >> 4, log.data[first] & 15
-    for at in np.flatnonzero(np.isin(opcode, _TOLD)):
+    general = (log.address[written] == 0) & ~log.ten_bit[written]
+    # the bytes of a general call begin with a prefix
+    first = log.offsets[written] + general * (log.data[log.offsets[written]] == CALL_PREFIX)
+    opcode, sequence = log.data[first] >> 4, log.data[first] & 15
+    for at in np.flatnonzero(np.isin(opcode, _FOLLOWED)):
         countdown_s = 0.0
         if opcode[at] == Opcode.GO:
-            countdown_s = (
-                int.from_bytes(log.data[first[at] + 1 : first[at] + 3].tobytes()) * COUNTDOWN_S
-            )
-        yield written[at], opcode[at], number[at], countdown_s, called[at]
+            units = log.data[first[at] + 1 : first[at] + 3].tobytes()
+            countdown_s = int.from_bytes(units) * COUNTDOWN_S
+        yield _Command(
+            int(written[at]), int(opcode[at]), int(sequence[at]), countdown_s, bool(general[at])
+        )

@@ -1,42 +1,48 @@
-"""What robots said about themselves, read back from the frames of a plan."""
+"""Reads the status replies of robots back from the frames of a plan."""
 
 import numpy as np
 
 from fiber_bus_bridge.wire import STATUS_BYTES, VERIFY_BYTES, Addresses, decode_status
+from fiber_core.array_types import Bools, Rows
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
 
 __all__ = ["StatusReplies", "rows_of_frames"]
 
 
-def rows_of_frames(plane: FocalPlane, log: FrameLog) -> np.ndarray:
-    """Return the robot of each frame, row of the plane, -1 for all of a bus, shape (f,)."""
-    of = {hung: row for row, hung in enumerate(zip(plane.bus.tolist(), plane.address.tolist()))}
-    hung, inverse = np.unique(np.stack([log.bus, log.address]), axis=1, return_inverse=True)
-    rows = np.array([of.get(pair, -1) for pair in map(tuple, hung.T.tolist())], dtype=np.int64)
+def rows_of_frames(plane: FocalPlane, log: FrameLog) -> Rows:
+    """Return the row of the robot that each frame is for, -1 for a general call, shape (f,).
+
+    Args:
+        plane: the focal plane, with bus and address of every robot.
+        log: the frames.
+    """
+    row_at = {at: row for row, at in enumerate(zip(plane.bus.tolist(), plane.address.tolist()))}
+    places, inverse = np.unique(np.stack([log.bus, log.address]), axis=1, return_inverse=True)
+    rows = np.array([row_at.get(at, -1) for at in map(tuple, places.T.tolist())], dtype=np.int64)
     return rows[inverse.ravel()] if len(rows) else np.zeros(0, dtype=np.int64)
 
 
 class StatusReplies:
-    """Status replies among frames, whole or only their first five bytes.
+    """The status replies among some frames, complete or only their first five bytes.
 
     Args:
         log: the frames.
-        row: robot of each, from rows_of_frames.
+        row: row of the robot of each frame, from rows_of_frames, shape (f,).
 
     Attributes:
-        frame: which frames they are, shape (s,).
-        row: robot of each, shape (s,).
-        ok: whether the checksum is right, shape (s,).
-        full: whether the reply is whole, shape (s,); else there is no position.
-        state, fault, alerts: what it says, 0 where it does not, shape (s,).
+        frame: index of the frame of each reply, shape (s,).
+        row: row of the robot of each reply, shape (s,).
+        ok: whether its checksum is right, shape (s,).
+        full: whether it is complete, shape (s,); only a complete reply has a position.
+        state, fault, alerts: its contents, 0 where the reply lacks them, shape (s,).
         position: encoders [quanta], shape (s, 2).
     """
 
-    def __init__(self, log: FrameLog, row: np.ndarray):
+    def __init__(self, log: FrameLog, row: Rows):
         length = np.diff(log.offsets)
-        whole = log.read & (log.ack == 0) & (row >= 0)
-        self.frame = np.flatnonzero(whole & np.isin(length, (VERIFY_BYTES, STATUS_BYTES)))
+        received = log.read & (log.ack == 0) & (row >= 0)
+        self.frame = np.flatnonzero(received & np.isin(length, (VERIFY_BYTES, STATUS_BYTES)))
         self.row = row[self.frame]
         data = np.zeros((len(self.frame), STATUS_BYTES), dtype=np.uint8)
         width = np.arange(STATUS_BYTES)
@@ -49,14 +55,14 @@ class StatusReplies:
         for full, size in ((True, STATUS_BYTES), (False, VERIFY_BYTES)):
             chosen = self.full == full
             at = self.frame[chosen]
-            to = Addresses(log.bus[at], log.address[at], log.ten_bit[at])
-            said = decode_status(to, data[chosen, :size])
-            self.ok[chosen], self.state[chosen] = said.ok, said.state
+            addresses = Addresses(log.bus[at], log.address[at], log.ten_bit[at])
+            status = decode_status(addresses, data[chosen, :size])
+            self.ok[chosen], self.state[chosen] = status.ok, status.state
             if full:
-                self.fault[chosen], self.alerts[chosen] = said.fault, said.alerts
-                self.position[chosen] = said.position
+                self.fault[chosen], self.alerts[chosen] = status.fault, status.alerts
+                self.position[chosen] = status.position
 
     @property
-    def placed(self) -> np.ndarray:
-        """Those that say where the encoders are, shape (s,)."""
+    def placed(self) -> Bools:
+        """Replies with a valid position, shape (s,)."""
         return self.ok & self.full

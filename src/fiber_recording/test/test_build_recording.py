@@ -1,0 +1,95 @@
+"""A recording is built from the frame log of a session, without ROS."""
+
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from fiber_bus_bridge.simulation import Event
+from fiber_core.errors import FiberError
+from fiber_core.outcomes import Outcome, PlanOutcome
+from fiber_recording import build_recording
+
+
+def outcome_of(plan):
+    result = plan.result
+    return PlanOutcome(7, plan.plane.ids, result.outcome, result.reason, result.error_mm)
+
+
+def test_frame_log_and_outcome_are_enough(simulated_plan):
+    plan = simulated_plan()
+    recording = build_recording(
+        plan.plane, plan.units, logs=plan.logs, outcome=outcome_of(plan), counts_before=plan.start
+    )
+    np.testing.assert_array_equal(recording.motion.ticks, plan.replay.motion.ticks)
+    np.testing.assert_array_equal(recording.outcome, plan.result.outcome)
+    assert recording.started.all() and not recording.problem.asked.any()
+    assert recording.planned is None and recording.corridors is None
+    about = recording.about
+    assert (about["plan_ns"], about["seed"], about["planner"], about["notes"]) == (7, -1, "", [])
+    assert about["report"]["phases"] == 1 and about["certificate"]["margin_mm"] == 0.05
+
+
+def test_stops_and_lost_robots_are_in_the_notes(simulated_plan):
+    plan = simulated_plan([(11, 0.9, Event.POWER, 0)])
+    recording = build_recording(
+        plan.plane,
+        plan.units,
+        logs=plan.logs,
+        outcome=outcome_of(plan),
+        counts_before=plan.start,
+        counts_after=plan.last_counts,
+        about={"seed": 3},
+        notes=["simulated"],
+    )
+    assert recording.outcome[11] == Outcome.FAILED and recording.about["seed"] == 3
+    first, stopped, lost = recording.about["notes"]
+    assert first == "simulated"
+    assert stopped.startswith("stopped at") and ", resumed at" in stopped
+    assert " 11," in stopped.split("without robots")[1]
+    assert lost == "no reply after the stop, the place shown is a guess: robot 11"
+    np.testing.assert_array_equal(recording.phases[-1].end, plan.last_counts)
+
+
+def test_values_that_do_not_fit_the_plane_are_refused(simulated_plan):
+    plan = simulated_plan()
+    with pytest.raises(FiberError, match=r"start has shape \(37, 2\), expected \(5, 2\)"):
+        build_recording(
+            plan.plane.permuted(np.arange(5)),
+            plan.units,
+            logs=[],
+            outcome=outcome_of(plan),
+            counts_before=plan.start,
+        )
+
+
+def test_it_needs_no_ros(tmp_path):
+    script = f"""
+        import sys
+        for name in ("rclpy", "rcl_interfaces", "std_msgs", "sensor_msgs", "trajectory_msgs",
+                     "fiber_msgs_py", "fiber_node", "fiber_client"):
+            sys.modules[name] = None  # an import of it fails
+        from pathlib import Path
+        import numpy as np
+        from fiber_core.errors import FiberError
+from fiber_core.outcomes import PlanOutcome
+        from fiber_core.presets import preset
+        from fiber_core.wire_units import WireUnits
+        from fiber_recording import build_recording, load_recording, save_recording
+        from fiber_recording.examples import random_recording
+        plane = preset("desi", 3)
+        ended = PlanOutcome(0, plane.ids, np.ones(3, int), np.ones(3, int), np.full(3, np.nan))
+        recording = build_recording(
+            plane, WireUnits.for_plane(plane), logs=[], outcome=ended, counts_before=[[0, 0]] * 3
+        )
+        path = Path({str(tmp_path / "recording.npz")!r})
+        for recording in (recording, random_recording(1)):
+            save_recording(path, recording)
+            assert load_recording(path).problem.plane.n == recording.problem.plane.n
+    """
+    ran = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True
+    )
+    assert ran.returncode == 0, ran.stderr
