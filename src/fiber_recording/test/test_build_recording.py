@@ -73,8 +73,7 @@ def test_it_needs_no_ros(tmp_path):
             sys.modules[name] = None  # an import of it fails
         from pathlib import Path
         import numpy as np
-        from fiber_core.errors import FiberError
-from fiber_core.outcomes import PlanOutcome
+        from fiber_core.outcomes import PlanOutcome
         from fiber_core.presets import preset
         from fiber_core.wire_units import WireUnits
         from fiber_recording import build_recording, load_recording, save_recording
