@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from ordered_field import OrderedField, ordered_field
 
 from fiber_bus_bridge import TOPOLOGIES, Session, SessionState, addresses_of, bus_timing
 from fiber_bus_bridge.bus import Recovery
@@ -22,6 +21,7 @@ from fiber_bus_bridge.wire import VERIFY_BYTES, decode_load, encode_load
 from fiber_core.clearance import Safety
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
+from fiber_positioners import Orders, make_orders, random_problem
 
 __all__ = ["main"]
 
@@ -34,14 +34,14 @@ CASES = {
 }
 
 
-def plan_of(robots: int, seed: int, topology: str) -> OrderedField:
+def plan_of(robots: int, seed: int, topology: str) -> Orders:
     """Return orders of the default planner for a random field."""
     bus, address = TOPOLOGIES[topology].hang(robots)
     plane = replace(preset("desi", robots), bus=bus, address=address)
-    return ordered_field(plane, np.random.default_rng(seed))
+    return make_orders(random_problem(plane, seed))
 
 
-def carry_out(plan: OrderedField, faults: Faults, clock: str, seed: int) -> dict:
+def carry_out(plan: Orders, faults: Faults, clock: str, seed: int) -> dict:
     """Configure, then load, verify and go one second later; returns the figures."""
     plane, to = plan.plane, addresses_of(plan.plane)
     robots = Positioners(to, plane.ids, plan.units.quantum_prad, plan.counts)
@@ -101,7 +101,7 @@ def _wrong(robots, upload, plan):
     return int(wrong)
 
 
-def codec_ms(plan: OrderedField) -> dict:
+def codec_ms(plan: Orders) -> dict:
     """Median processor time to encode and to decode every order [ms]."""
     to, wire, units = addresses_of(plan.plane), plan.wire, plan.units
     frames = encode_load(units, to, 1, wire.offsets, wire.ticks, wire.velocity)

@@ -25,14 +25,11 @@ from fiber_core.clearance import (
     point_speeds,
     sampled_gaps,
 )
-from fiber_core.fields import random_problem
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.metrics import ORDER_BYTES_BOUND
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
-from fiber_core.problem import Problem
-from fiber_core.wire_units import WireUnits
 from fiber_discretizer import (
     LINEARIZERS,
     DiscretizeOptions,
@@ -41,7 +38,7 @@ from fiber_discretizer import (
     linearize,
     tip_distances_mm,
 )
-from fiber_planner import make_planner
+from fiber_positioners import Orders, make_orders, random_problem
 
 __all__ = ["main"]
 
@@ -59,13 +56,9 @@ WAYS = {
 }
 
 
-def planned(plane: FocalPlane, planner: str, seed: int):
-    """Return a problem that starts on whole quanta, its units and its plan."""
-    problem = random_problem(plane, np.random.default_rng(seed))
-    units = WireUnits.for_plane(plane)
-    start = units.to_angles(units.encoder_counts(plane, problem.start))
-    problem = Problem(plane, start, problem.targets)
-    return problem, units, make_planner(planner).plan(problem)
+def planned(plane: FocalPlane, planner: str, seed: int) -> Orders:
+    """Return a random problem with its plan and its orders, discretized as by default."""
+    return make_orders(random_problem(plane, seed), planner=planner)
 
 
 def of_methods(plane: FocalPlane, motion: SampledMotion) -> list[dict]:
@@ -107,11 +100,10 @@ def of_methods(plane: FocalPlane, motion: SampledMotion) -> list[dict]:
     return rows
 
 
-def of_chain(problem: Problem, units: WireUnits, plan, way: str) -> dict:
+def of_chain(orders: Orders, way: str) -> dict:
     """Return what orders made in one way come to."""
-    plane = problem.plane
-    counts = units.encoder_counts(plane, problem.start)
-    work = partial(discretize, plane, plan.motion, units, _SAFETY, counts, WAYS[way])
+    plane, units, plan = orders.plane, orders.units, orders.planned
+    work = partial(discretize, plane, plan.motion, units, _SAFETY, orders.counts, WAYS[way])
     work()
     done, cpu_s = _timed(work, 1)
     motion = done.wire.decoded()
@@ -119,12 +111,12 @@ def of_chain(problem: Problem, units: WireUnits, plan, way: str) -> dict:
     meant = plan.reason == Reason.OK
     reached = meant & (done.reason == Reason.OK)
     by_motor = motion.counts
-    orders = by_motor.sum(axis=1)
+    segments = by_motor.sum(axis=1)
     error_um = 6e3 * np.abs(motion.end - plan.motion.end)[done.reason == Reason.OK].max(axis=1)
     tips = kinematics.forward(plane, motion.end)[1] - kinematics.forward(plane, plan.motion.end)[1]
     tip_um = 1e3 * np.hypot(*tips[done.reason == Reason.OK].T)
-    one_each = (by_motor <= 1).all(axis=1) & (orders > 0)
-    frames = _FRAME_BYTES + units.segment_bytes * orders
+    one_each = (by_motor <= 1).all(axis=1) & (segments > 0)
+    frames = _FRAME_BYTES + units.segment_bytes * segments
     moving = by_motor[by_motor > 0]
     return {
         "way": way,
@@ -135,7 +127,7 @@ def of_chain(problem: Problem, units: WireUnits, plan, way: str) -> dict:
         "certified": bool(certificate.ok),
         "mean": round(float(moving.mean()), 4),
         **_by_motor([by_motor[by_motor[:, j] > 0, j] for j in (0, 1)]),
-        "bytes_mean": round(float(frames[orders > 0].mean()), 2),
+        "bytes_mean": round(float(frames[segments > 0].mean()), 2),
         "bytes_one_each": int(frames[one_each].max(initial=0)),
         "bytes_bound": ORDER_BYTES_BOUND,
         "end_um_rms": round(float(np.sqrt(np.mean(tip_um**2))), 3),
@@ -253,15 +245,15 @@ def main(argv=None) -> int:
     for planner in options.planners:
         for seed in range(options.seeds):
             name = {"plane": options.plane, "planner": planner, "seed": seed}
-            problem, units, plan = planned(plane, planner, seed)
+            orders = planned(plane, planner, seed)
             if seed == 0:
-                tables["methods"] += [name | row for row in of_methods(plane, plan.motion)]
+                tables["methods"] += [
+                    name | row for row in of_methods(plane, orders.planned.motion)
+                ]
             for way in options.ways:
-                tables["chain"].append(name | of_chain(problem, units, plan, way))
+                tables["chain"].append(name | of_chain(orders, way))
                 print(json.dumps(tables["chain"][-1]), flush=True)
-            counts = units.encoder_counts(plane, problem.start)
-            sent = discretize(plane, plan.motion, units, _SAFETY, counts).wire.decoded()
-            tables["certificate"].append(name | of_certificate(plane, sent))
+            tables["certificate"].append(name | of_certificate(plane, orders.wire.decoded()))
     text = "\n".join(f"## {name}\n\n{markdown(rows)}" for name, rows in tables.items() if rows)
     print(text)
     if options.out is not None:

@@ -19,17 +19,15 @@ from statistics import median
 
 import numpy as np
 
-from fiber_core.clearance import Safety, certify, neighbour_pairs
-from fiber_core.fields import random_problem
+from fiber_core.clearance import certify, neighbour_pairs
 from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
 from fiber_core.tables import read_layout
-from fiber_core.wire_units import WireUnits
-from fiber_discretizer import discretize
 from fiber_planner import make_planner
 from fiber_planner.direct import reachable
+from fiber_positioners import make_orders, random_problem
 
 __all__ = ["main", "problem_of", "run"]
 
@@ -56,7 +54,7 @@ PLANES = {
 
 
 def problem_of(name: str, seed: int) -> Problem:
-    """Return the random problem of a plane in PLANES for a seed, its starts as encoders read."""
+    """Return the random problem of a plane in PLANES for a seed."""
     source, robots, disabled, radius = PLANES[name]
     if isinstance(source, str):
         plane = preset(source, robots)
@@ -67,10 +65,7 @@ def problem_of(name: str, seed: int) -> Problem:
     rng = np.random.default_rng(seed)
     if disabled:
         plane = plane.with_enabled(plane.enabled & (rng.random(plane.n) >= disabled))
-    problem = random_problem(plane, rng)
-    units = WireUnits.for_plane(plane)
-    counts = units.encoder_counts(plane, problem.start)
-    return Problem(plane, units.to_angles(counts), problem.targets)
+    return random_problem(plane, rng)
 
 
 def run(name: str, planner, seed: int) -> dict:
@@ -81,16 +76,9 @@ def run(name: str, planner, seed: int) -> dict:
         planner: a planner.
         seed: of the problem.
     """
-    problem = problem_of(name, seed)
-    plane, safety, units = problem.plane, Safety(), WireUnits.for_plane(problem.plane)
-    begin, begin_cpu = time.perf_counter(), time.process_time()
-    planned = planner.plan(problem)
-    wall_s, cpu_s = time.perf_counter() - begin, time.process_time() - begin_cpu
-    begin_cpu = time.process_time()
-    counts = units.encoder_counts(plane, problem.start)
-    sent = discretize(plane, planned.motion, units, safety, counts)
-    discretize_s = time.process_time() - begin_cpu
-    motion = sent.wire.decoded()
+    orders = make_orders(problem_of(name, seed), planner=planner)
+    problem, plane, safety = orders.start_problem, orders.plane, orders.safety
+    planned, sent, motion = orders.planned, orders.discretization, orders.wire.decoded()
     begin_cpu = time.process_time()
     certificate = certify(plane, motion, safety)
     certify_s = time.process_time() - begin_cpu
@@ -109,9 +97,9 @@ def run(name: str, planner, seed: int) -> dict:
         "makespan_s": round(motion.makespan_s, 4),
         "lower_bound_s": round(bound, 4),
         "ratio": round(motion.makespan_s / bound, 4),
-        "wall_s": round(wall_s, 3),
-        "cpu_s": round(cpu_s, 3),
-        "discretize_s": round(discretize_s, 3),
+        "wall_s": round(orders.seconds["plan_s"], 3),
+        "cpu_s": round(orders.cpu_seconds["plan_s"], 3),
+        "discretize_s": round(orders.cpu_seconds["discretize_s"], 3),
         "certify_s": round(certify_s, 3),
         "certified": bool(certificate.ok),
         "min_gap_mm": round(certificate.min_gap_mm, 4),
@@ -168,9 +156,7 @@ def main(argv=None) -> int:
     for planner_name in options.planners:
         planner = make_planner(planner_name)
         for small in (preset("pfs", 60), preset("sdss_v", 37)):  # compile
-            problem = random_problem(small, np.random.default_rng(0))
-            motion = planner.plan(problem).motion
-            discretize(small, motion, WireUnits.for_plane(small), Safety())
+            make_orders(random_problem(small, seed=0), planner=planner)
         for name in options.planes:
             for seed in range(options.first_seed, options.first_seed + options.seeds):
                 line = run(name, planner, seed)

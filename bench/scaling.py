@@ -17,14 +17,13 @@ from statistics import median
 
 import numpy as np
 
-from fiber_core.clearance import Safety, certify
-from fiber_core.fields import random_problem
+from fiber_core.clearance import certify
 from fiber_core.metrics import lower_bound_s
+from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
-from fiber_core.wire_units import WireUnits
-from fiber_discretizer import discretize
-from fiber_planner import DEFAULT_PLANNER, make_planner
+from fiber_planner import DEFAULT_PLANNER
+from fiber_positioners import make_orders, random_problem
 
 _SIZES = (100, 300, 1000, 3000, 5000, 10_000, 30_000, 100_000)
 _RESULTS = Path(__file__).parent / "results"
@@ -32,32 +31,25 @@ _STAGES = ("plan", "discretize", "certify")
 
 
 def problem_of(robots: int, seed: int) -> Problem:
-    """Return a random DESI-like problem whose starts are what encoders read."""
-    plane = preset("desi", robots)
-    problem = random_problem(plane, np.random.default_rng(seed))
-    units = WireUnits.for_plane(plane)
-    start = units.to_angles(units.encoder_counts(plane, problem.start))
-    return Problem(plane, start, problem.targets)
+    """Return a random DESI-like problem."""
+    return random_problem(preset("desi", robots), seed)
 
 
 def measure(robots: int, planner_name: str, repeats: int) -> dict:
     """Plan, discretize and certify fields of one size; return medians of the stages."""
-    planner, safety = make_planner(planner_name), Safety()
 
     def once(problem):
-        plane, units, seconds = problem.plane, WireUnits.for_plane(problem.plane), {}
+        orders = make_orders(problem, planner=planner_name)
+        motion = orders.wire.decoded()
         begin = time.process_time()
-        motion = planner.plan(problem).motion
-        seconds["plan"] = time.process_time() - begin
-        begin = time.process_time()
-        counts = units.encoder_counts(plane, problem.start)
-        sent = discretize(plane, motion, units, safety, counts)
-        seconds["discretize"] = time.process_time() - begin
-        begin = time.process_time()
-        ok = certify(plane, sent.wire.decoded(), safety).ok
-        seconds["certify"] = time.process_time() - begin
-        reached = int((sent.reason == 0).sum()) if ok else 0
-        return seconds, reached, sent.wire.decoded().makespan_s / lower_bound_s(problem)
+        ok = certify(orders.plane, motion, orders.safety).ok
+        seconds = {
+            "plan": orders.cpu_seconds["plan_s"],
+            "discretize": orders.cpu_seconds["discretize_s"],
+            "certify": time.process_time() - begin,
+        }
+        reached = int((orders.discretization.reason == Reason.OK).sum()) if ok else 0
+        return seconds, reached, motion.makespan_s / lower_bound_s(orders.start_problem)
 
     once(problem_of(100, 0))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -22,7 +22,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from ordered_field import OrderedField, ordered_field
 
 from fiber_bus_bridge import Session, SessionConfig, SessionState, addresses_of
 from fiber_bus_bridge.capture import Tap
@@ -36,6 +35,7 @@ from fiber_bus_bridge.simulation import (
 from fiber_core.clearance import Safety, certify, neighbour_pairs
 from fiber_core.outcomes import Outcome
 from fiber_core.presets import preset
+from fiber_positioners import Orders, make_orders, random_problem
 
 __all__ = ["KINDS", "Campaign", "run_campaign"]
 
@@ -74,12 +74,12 @@ class Campaign:
 
 
 @cache
-def _field(robots: int, number: int) -> OrderedField:
+def _field(robots: int, number: int) -> Orders:
     """A random field, planned and discretized; every other one has ten-bit addresses."""
     plane = preset("desi", robots)
     rows = np.arange(plane.n)
     plane = replace(plane, bus=rows // 16, address=(8 if number % 2 else 200) + rows % 16)
-    return ordered_field(plane, np.random.default_rng([number, 77]))
+    return make_orders(random_problem(plane, np.random.default_rng([number, 77])))
 
 
 class _Seen:

@@ -55,13 +55,12 @@ ARROWS = {
     "fiber_positioners": {"fiber_planner", "fiber_discretizer", "fiber_viewer", "rich"},
     "fiber_bringup": {"fiber_client", "fiber_viewer", "fiber_viewer.node", "ament_index_python"}
     | NODES,
-    # scripts find each other by the names of their files
     "bench": {
         "fiber_planner",
         "fiber_discretizer",
         "fiber_bus_bridge",
         "fiber_viewer",
-        "ordered_field",
+        "fiber_positioners",
     },
 }
 # import name -> rosdep key or package name, where they differ

@@ -14,7 +14,8 @@ setup(
         ("share/fiber_positioners", ["package.xml"]),
     ],
     # package.xml names the ROS packages as well
-    install_requires=["numpy"],
+    install_requires=["numpy", "matplotlib", "rich"],
     extras_require={"test": ["pytest"]},  # colcon looks for pytest here
     zip_safe=False,
+    entry_points={"console_scripts": ["fiber-positioners = fiber_positioners.command.main:main"]},
 )

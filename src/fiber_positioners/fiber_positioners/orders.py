@@ -1,7 +1,8 @@
 """From a problem to certified orders: the planner and the discretizer, without buses."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -34,7 +35,8 @@ class Orders:
         assignment: the targets that were accepted, and the reasons of those refused.
         planned: the motion of the planner.
         discretization: the orders in whole wire units, with their certificate.
-        seconds: wall time of each stage [s], by "plan_s" and "discretize_s".
+        seconds: wall time of the stages [s], by "plan_s" and "discretize_s".
+        cpu_seconds: processor time of the stages [s], by the same names.
     """
 
     problem: Problem
@@ -46,6 +48,7 @@ class Orders:
     planned: PlannedMotion
     discretization: Discretization
     seconds: dict[str, float]
+    cpu_seconds: dict[str, float]
 
     @property
     def plane(self) -> FocalPlane:
@@ -113,21 +116,34 @@ def make_orders(
     counts = units.encoder_counts(plane, problem.start)
     start, asked = units.to_angles(counts), problem.asked
     assignment = assign(plane, start, plane.ids[asked], problem.targets[asked])
-    begin = time.perf_counter()
-    planned = chosen.plan(
-        Problem(plane, start, assignment.targets), part_of(progress, 0.0, 0.7, "plan")
-    )
-    plan_s = time.perf_counter() - begin
-    begin = time.perf_counter()
-    discretization = discretize(
-        plane, planned.motion, units, safety, counts, options,
-        part_of(progress, 0.7, 1.0, "discretize"),
-    )  # fmt: skip
-    discretize_s = time.perf_counter() - begin
-    seconds = {"plan_s": round(plan_s, 4), "discretize_s": round(discretize_s, 4)}
+    accepted = Problem(plane, start, assignment.targets)
+    times = _StageTimes()
+    with times.of("plan_s"):
+        planned = chosen.plan(accepted, part_of(progress, 0.0, 0.7, "plan"))
+    with times.of("discretize_s"):
+        discretization = discretize(
+            plane, planned.motion, units, safety, counts, options,
+            part_of(progress, 0.7, 1.0, "discretize"),
+        )  # fmt: skip
     return Orders(
-        problem, units, counts, safety, chosen.name, assignment, planned, discretization, seconds
-    )
+        problem, units, counts, safety, chosen.name, assignment, planned, discretization,
+        times.wall, times.cpu,
+    )  # fmt: skip
+
+
+class _StageTimes:
+    """Wall time and processor time of stages [s], by their names."""
+
+    def __init__(self) -> None:
+        self.wall: dict[str, float] = {}
+        self.cpu: dict[str, float] = {}
+
+    @contextmanager
+    def of(self, stage: str) -> Iterator[None]:
+        wall, cpu = time.perf_counter(), time.process_time()
+        yield
+        self.wall[stage] = round(time.perf_counter() - wall, 4)
+        self.cpu[stage] = round(time.process_time() - cpu, 4)
 
 
 def part_of(

@@ -1,0 +1,5 @@
+"""The command `fiber-positioners`: plan one field, study many, make a player."""
+
+from fiber_positioners.command.main import main
+
+__all__ = ["main"]

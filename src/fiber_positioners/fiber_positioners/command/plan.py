@@ -1,0 +1,80 @@
+"""The subcommand `plan`: one reconfiguration, one JSON line."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from fiber_core.presets import PRESETS
+from fiber_core.problem import Problem
+from fiber_core.problem_sources import problem_from
+from fiber_planner import DEFAULT_PLANNER, planners
+from fiber_positioners.command.arguments import positive
+from fiber_positioners.command.exit_codes import DONE
+from fiber_positioners.command.progress import ProgressLine
+from fiber_positioners.problems import with_targets
+from fiber_positioners.reconfiguration import reconfigure
+
+__all__ = ["DESCRIPTION", "SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "plan one field and carry it out in simulated time"
+DESCRIPTION = """Take a focal plane through one reconfiguration and print one JSON line of results.
+
+The orders are planned, discretized, loaded as bytes onto simulated buses, verified and carried
+out. --out keeps problem.npz and plan.npz for any other planner or checker, report.json and
+recording.npz; --player writes a page that shows the motion in a browser.
+
+examples:
+  fiber-positioners plan --preset desi --robots 500 --seed 1
+  fiber-positioners plan --layout plane.csv --targets targets.csv --out out/field
+  fiber-positioners plan --preset moons --planner dnf --player out/moons.html
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("--preset", choices=sorted(PRESETS), help="instrument; desi without a layout")
+    add("--layout", type=Path, help="table of the robots: CSV, ECSV or FITS")
+    add("--problem", type=Path, help="problem.npz, solved as it is")
+    add("--targets", type=Path, help="table id, x_mm, y_mm; by default targets are random")
+    add("--robots", type=positive, help="number of robots of the preset; by default all")
+    add("--seed", type=int, default=0, help="seed of the random field and of the robots' clocks")
+    add("--planner", choices=planners(), default=DEFAULT_PLANNER, help="planner")
+    add("--capture", type=Path, help="folder for waveforms (VCD) and packets (pcap) of the buses")
+    add("--out", type=Path, help="folder for problem, plan, report and recording")
+    add("--player", type=Path, metavar="PAGE", help="write the player, an HTML page, here")
+    add("--cold", action="store_true", help="count the compilation of loops as computing time")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand; returns the exit code."""
+    problem = problem_from(args.problem, args.layout, args.preset, args.robots, args.seed)
+    if args.targets is not None:
+        problem = with_targets(problem, args.targets)
+    with ProgressLine() as progress:
+        if not args.cold:
+            progress(0.0, "compiling the loops")
+            reconfigure(_small(problem), planner=args.planner)
+        result = reconfigure(
+            problem,
+            planner=args.planner,
+            seed=args.seed,
+            capture=args.capture,
+            progress=progress,
+        )
+        if args.out is not None:
+            progress(1.0, f"writing {args.out}")
+            result.save(args.out)
+        if args.player is not None:
+            progress(1.0, f"writing {args.player}")
+            result.player(args.player)
+    print(json.dumps(result.report))
+    return DONE
+
+
+def _small(problem: Problem) -> Problem:
+    """The first few robots of a problem: enough to have every loop compiled."""
+    rows = np.arange(min(20, problem.plane.n))
+    return Problem(problem.plane.permuted(rows), problem.start[rows], problem.targets[rows])
