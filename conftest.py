@@ -1,7 +1,7 @@
-"""What every test process is given before rclpy and the messages are imported.
+"""The environment of every test process, set before rclpy and the messages are imported.
 
-A ROS domain of its own, on loopback, and messages that check what is assigned to them: whether
-they do is settled once in a process, by whoever imports the first.
+A ROS domain of its own, on loopback, and messages that check the values assigned to them, which is
+decided once in a process, when the first message is imported.
 """
 
 import os
