@@ -7,11 +7,12 @@ import traceback
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, ShutdownException
+from rclpy.logging import get_logger
 from rclpy.parameter import Parameter
 
 from fiber_bus_bridge.node import BridgeNode
 from fiber_discretizer.node import DiscretizerNode
+from fiber_node import ThreadExecutor
 from fiber_node.ros_environment import use_loopback
 from fiber_planner.node import PlannerNode
 from fiber_recording.node import RecorderNode
@@ -20,7 +21,6 @@ from fiber_viewer.node import ViewerNode
 __all__ = ["Graph", "main"]
 
 _THREADS = 6  # one a node, and one for the bridge's stop
-_LOOK_S = 0.1  # how long a quiet graph takes at most to see that it shall end
 
 
 class Graph:
@@ -73,21 +73,18 @@ class Graph:
         except BaseException:
             self._leave()
             raise
-        self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
+        self._executor = ThreadExecutor(_THREADS, context=self._context)
         for node in self.nodes:
             self._executor.add_node(node)
-        self._ending, self._ended = threading.Event(), threading.Event()
+        self._ended = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="graph", daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, kind, *_):
-        # neither executor nor nodes may go before the loop and what is at work in its threads,
-        # and shutdown alone does not wait for those
-        self._ending.set()
-        self._executor.wake()
+        # the loop ends before the executor, the callbacks before the nodes
+        self._executor.stop()
         self._thread.join()
-        self._executor._executor.shutdown()
         self._executor.shutdown()
         self._leave()
         if self._error is not None and kind is None:
@@ -105,14 +102,11 @@ class Graph:
 
     def _spin(self):
         try:
-            while not self._ending.is_set():
-                self._executor.spin_once(timeout_sec=_LOOK_S)
-        except (ExternalShutdownException, ShutdownException):
-            pass
+            self._executor.spin()
         except BaseException as error:
             self._error = error
             said = "".join(traceback.format_exception(error))
-            rclpy.logging.get_logger("graph").fatal(f"a node has died: {said}")
+            get_logger("graph").fatal(f"a node has died: {said}")
         finally:
             self._ended.set()
 

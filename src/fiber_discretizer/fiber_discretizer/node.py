@@ -21,7 +21,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
-from fiber_node import AttemptListener, PlaneCache, Reporter, declare_parameters_of, run
+from fiber_node import AttemptListener, PlaneCache, Reporter, declare_parameters, run
 
 __all__ = ["DiscretizerNode", "main"]
 
@@ -35,8 +35,8 @@ class DiscretizerNode(Node):
 
     def __init__(self, **options):
         super().__init__("discretizer", **options)
-        self._options = declare_parameters_of(self, DiscretizeOptions)
-        self._safety = declare_parameters_of(self, Safety, "safety")
+        self._options = declare_parameters(self, DiscretizeOptions)
+        self._safety = declare_parameters(self, Safety, "safety")
         self._newest: Attempt | None = None
         self._report = Reporter(self, "discretizer")
         self._view = PlaneCache(self, self._report)

@@ -150,7 +150,7 @@ def test_a_value_that_is_not_finite_is_refused_by_robot(rest):
 def test_a_trajectory_before_the_layout_is_refused_and_comes_through_later(rest):
     message = trajectory.encode(PLANE.ids, turning(), PlanStamp(9))
     rest.trajectory.publish(message)
-    rest.wait_refusal("layout: not heard yet")
+    rest.wait_refusal("layout: not received yet")
     rest.show_plane()
     why, _ = rest.discretize(message)
     assert not why

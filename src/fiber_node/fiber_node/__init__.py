@@ -1,18 +1,20 @@
 """Shared parts of all nodes: parameters, progress and diagnostics, the plane, the main loop."""
 
 from fiber_node.attempt_listener import AttemptListener
-from fiber_node.parameters import declare_parameters_of
+from fiber_node.parameters import declare_parameters
 from fiber_node.plane_cache import PlaneCache
 from fiber_node.reporter import Reporter
 from fiber_node.ros_client import RosClient, WaitError
 from fiber_node.run_node import run
+from fiber_node.thread_executor import ThreadExecutor
 
 __all__ = [
     "AttemptListener",
     "PlaneCache",
     "Reporter",
     "RosClient",
+    "ThreadExecutor",
     "WaitError",
-    "declare_parameters_of",
+    "declare_parameters",
     "run",
 ]

@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
 
 from fiber_core.errors import FiberError
 from fiber_msgs_py import Attempt, AttemptTable, PlanStamp, progress, targets, topics
@@ -57,18 +59,18 @@ class AttemptListener:
         work(attempt)
         return True
 
-    def _on_targets(self, message):
+    def _on_targets(self, message: PointCloud2) -> None:
         try:
             self._add(targets.decode_attempt(message))
         except FiberError:
             pass  # the planner refuses them
 
-    def _on_progress(self, message):
+    def _on_progress(self, message: DiagnosticStatus) -> None:
         try:
             self._add(progress.decode(message).attempt)
         except FiberError:
-            pass  # of no use here: what it would announce comes again
+            pass  # targets and later progress announce the attempt too
 
-    def _add(self, attempt):
+    def _add(self, attempt: Attempt) -> None:
         if self._attempts.add(attempt):
             self._start_if_announced()

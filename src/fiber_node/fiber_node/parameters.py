@@ -1,34 +1,37 @@
-"""Settings of a core, declared as the parameters of a node."""
+"""The fields of a dataclass as parameters of a node."""
 
 from dataclasses import MISSING, fields
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
-__all__ = ["declare_parameters_of"]
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
-_Settings = TypeVar("_Settings")
+__all__ = ["declare_parameters"]
+
+_Config = TypeVar("_Config", bound="DataclassInstance")
 _PLAIN = (bool, int, float, str)
 
 
-def declare_parameters_of(node: Node, settings: type[_Settings], prefix: str = "") -> _Settings:
-    """Declare the fields of a settings dataclass as parameters and return what was set.
+def declare_parameters(node: Node, config_class: type[_Config], prefix: str = "") -> _Config:
+    """Declare the fields of a dataclass as parameters; return the dataclass with their values.
 
-    The dataclass owns the defaults and checks the ranges. A field whose default is None is
-    declared without a value; fields that are neither plain values nor None stay as they are.
+    The dataclass owns the defaults and checks the ranges. A field with the default None is
+    declared without a value; a field with neither a plain value nor None keeps its default.
 
     Args:
-        node: whose parameters.
-        settings: the dataclass.
-        prefix: put before each field's name, with a dot.
+        node: the node that gets the parameters.
+        config_class: the dataclass.
+        prefix: put before the name of each field, with a dot.
 
     Raises:
         FiberError: a value is out of range, as the dataclass decides.
         rclpy.exceptions.InvalidParameterTypeException: a value is of the wrong type.
     """
     given = {}
-    for field in fields(settings):
+    for field in fields(config_class):
         default = None if field.default is MISSING else field.default
         if field.default is MISSING or not (default is None or isinstance(default, _PLAIN)):
             continue
@@ -37,4 +40,4 @@ def declare_parameters_of(node: Node, settings: type[_Settings], prefix: str = "
         value = node.declare_parameter(name, default, about).value
         if value is not None:
             given[field.name] = value
-    return settings(**given)
+    return config_class(**given)

@@ -1,10 +1,12 @@
-"""What a node knows of the focal plane: its layout and where its robots are."""
+"""The newest layout and joint states of the focal plane, for the nodes that plan with them."""
 
 from collections.abc import Callable
 
 import numpy as np
 from rclpy.node import Node
+from sensor_msgs.msg import JointState, PointCloud2
 
+from fiber_core.array_types import Angles, Ids, Velocities
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
@@ -18,8 +20,8 @@ __all__ = ["PlaneCache"]
 class PlaneCache:
     """Keeps the newest layout and joint states for a node; malformed messages change nothing.
 
-    Topics overtake each other. A later attempt of a plan is about what has changed, and says since
-    when: work on it waits until layout and joint states are that new.
+    Topics overtake each other. A later attempt of a plan is made because something has changed,
+    and it says when: work on it waits until layout and joint states are that new.
 
     Args:
         node: the node that receives the messages.
@@ -28,7 +30,8 @@ class PlaneCache:
 
     def __init__(self, node: Node, report: Reporter):
         self._report = report
-        self._plane = self._units = self._states = None
+        self._layout: tuple[FocalPlane, WireUnits] | None = None
+        self._states: tuple[Ids, Angles, Velocities] | None = None
         self._layout_ns = self._states_ns = -1
         self._waiting: tuple[int, Callable[[], None]] | None = None
         topics.LAYOUT.subscription(node, self._on_layout)
@@ -37,8 +40,8 @@ class PlaneCache:
     def when_current(self, attempt: Attempt, work: Callable[[], None]) -> None:
         """Do work on an attempt as soon as layout and joint states are as new as it needs them.
 
-        The first attempt of a plan needs nothing. One piece of work waits at most: newer work
-        takes its place. It waits until something newer is received.
+        The first attempt of a plan takes them as they are. One piece of work waits at most: newer
+        work takes its place.
 
         Args:
             attempt: the attempt.
@@ -47,70 +50,76 @@ class PlaneCache:
         self._waiting = (-1 if attempt.since_ns is None else attempt.since_ns, work)
         self._start_if_current()
 
-    def _start_if_current(self):
-        if self._waiting is None or min(self._layout_ns, self._states_ns) < self._waiting[0]:
-            return
-        (_, work), self._waiting = self._waiting, None
-        work()
-
-    def _on_layout(self, message):
-        try:
-            self._plane, self._units = layout.decode(message)
-            self._layout_ns = PlanStamp.of(message).ns
-        except FiberError as error:
-            self._report.refuse(f"layout refused: {error}")
-        self._publish_count()
-        self._start_if_current()
-
-    def _on_joint_states(self, message):
-        try:
-            self._states = joint_states.decode(message)
-            self._states_ns = self._states[3]
-        except FiberError as error:
-            self._report.refuse(f"joint states refused: {error}")
-        self._publish_count()
-        self._start_if_current()
-
-    def _publish_count(self):
-        # a client waits for this count, so that its targets are not refused for want of a plane
-        robots = self._plane.n if self.complete else 0
-        if self._report.counters.get("robots") != robots:
-            self._report.counters["robots"] = robots
-            self._report.publish()
-
     @property
     def complete(self) -> bool:
-        """Whether layout and joint states of the same robots have been heard."""
-        if self._plane is None or self._states is None:
-            return False
-        return np.array_equal(self._states[0], self._plane.ids)
-
-    def _known(self, value):
-        if not self.complete:
-            missing = "layout" if self._plane is None else "joint states of this layout"
-            raise MessageError(missing, "not heard yet")
-        return value
+        """Whether layout and joint states of the same robots have been received."""
+        return self._pair() is not None
 
     @property
     def plane(self) -> FocalPlane:
         """The focal plane.
 
         Raises:
-            MessageError: not complete yet; so for all properties.
+            MessageError: layout, or joint states of its robots, have not been received yet.
         """
-        return self._known(self._plane)
+        return self._received()[0][0]
 
     @property
     def units(self) -> WireUnits:
-        """Tick, quantum and field widths of the plane's hardware."""
-        return self._known(self._units)
+        """Tick, quantum and field widths of the plane's hardware; raises as `plane` does."""
+        return self._received()[0][1]
 
     @property
-    def angles(self) -> np.ndarray:
-        """Joint angles by the robots' encoders [rad], shape (n, 2)."""
-        return self._known(self._states)[1]
+    def angles(self) -> Angles:
+        """Joint angles by the robots' encoders [rad], shape (n, 2); raises as `plane` does."""
+        return self._received()[1][1]
 
     @property
     def moving(self) -> bool:
-        """Whether any robot moves."""
-        return bool(np.any(self._known(self._states)[2]))
+        """Whether any robot moves; raises as `plane` does."""
+        return bool(np.any(self._received()[1][2]))
+
+    def _pair(self):
+        if self._layout is None or self._states is None:
+            return None
+        same = np.array_equal(self._states[0], self._layout[0].ids)
+        return (self._layout, self._states) if same else None
+
+    def _received(self):
+        pair = self._pair()
+        if pair is None:
+            missing = "layout" if self._layout is None else "joint states of this layout"
+            raise MessageError(missing, "not received yet")
+        return pair
+
+    def _start_if_current(self) -> None:
+        if self._waiting is None or min(self._layout_ns, self._states_ns) < self._waiting[0]:
+            return
+        (_, work), self._waiting = self._waiting, None
+        work()
+
+    def _on_layout(self, message: PointCloud2) -> None:
+        try:
+            self._layout = layout.decode(message)
+            self._layout_ns = PlanStamp.of(message).ns
+        except FiberError as error:
+            self._report.refuse(f"layout refused: {error}")
+        self._publish_count()
+        self._start_if_current()
+
+    def _on_joint_states(self, message: JointState) -> None:
+        try:
+            *states, self._states_ns = joint_states.decode(message)
+            self._states = (states[0], states[1], states[2])
+        except FiberError as error:
+            self._report.refuse(f"joint states refused: {error}")
+        self._publish_count()
+        self._start_if_current()
+
+    def _publish_count(self) -> None:
+        # clients wait for this count: before it, the node would refuse their targets
+        pair = self._pair()
+        robots = 0 if pair is None else pair[0][0].n
+        if self._report.counters.get("robots") != robots:
+            self._report.counters["robots"] = robots
+            self._report.publish()

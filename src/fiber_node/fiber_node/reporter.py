@@ -1,4 +1,4 @@
-"""What a node tells about itself: how far it is, what it refused, what it counted."""
+"""Progress and diagnostics of a node."""
 
 from collections.abc import Callable, Iterable
 
@@ -14,27 +14,35 @@ _PERIOD_S = 1.0
 
 
 class Reporter:
-    """Publishes progress and diagnostics of a node, and logs what it tells.
+    """Publishes progress and diagnostics of a node, and logs what is done and refused.
 
-    Diagnostics go out every second, and at once when something is refused. A refusal
-    stays the node's message until it does something again.
+    Diagnostics are published every second, and at once when something is refused or dropped. A
+    refusal stays the node's message until the node reports progress again. `counters` are figures
+    by name that go into the diagnostics, beside the numbers of messages refused and dropped.
 
     Args:
         node: the node.
-        stage: its name in progress and diagnostics.
-        more: asked for what else goes into the diagnostics, each time.
+        stage: name of the node in progress and diagnostics.
+        more: called for every message of diagnostics; returns the further statuses in it.
     """
 
     def __init__(self, node: Node, stage: str, more: Callable[[], Iterable[Status]] = tuple):
         self._node, self._stage, self._more = node, stage, more
         self._level, self._text = Level.OK, "waiting"
-        self.counters: dict[str, object] = {"refused": 0}
+        self.refused = self.dropped = 0
+        self.counters: dict[str, object] = {}
         self._progress = topics.PROGRESS.publisher(node)
         self._diagnostics = topics.DIAGNOSTICS.publisher(node)
         node.create_timer(_PERIOD_S, self.publish)
 
     def progress(self, attempt: Attempt, fraction: float, text: str) -> None:
-        """Publish how far the work on an attempt of a plan is, 0..1."""
+        """Publish how far the work on an attempt of a plan is.
+
+        Args:
+            attempt: the attempt.
+            fraction: the part of the work that is done, 0..1.
+            text: one line for people.
+        """
         self._level, self._text = Level.OK, text
         message = progress.encode(Progress(self._stage, min(fraction, 1.0), text, attempt))
         self._progress.publish(message)
@@ -49,21 +57,24 @@ class Reporter:
         self._level, self._text = Level.OK, text
 
     def refuse(self, text: str) -> None:
-        """Tell that something was refused and why: log, diagnostics, counter."""
+        """Log, count and publish that something was refused, and why."""
         self._level, self._text = Level.ERROR, text
-        self.counters["refused"] += 1
+        self.refused += 1
         self._node.get_logger().error(text)
         self.publish()
 
     def drop(self, text: str) -> None:
-        """Tell that something out of date was dropped."""
+        """Log, count and publish that something out of date was dropped."""
         self._level, self._text = Level.WARN, text
-        self.counters["dropped"] = self.counters.get("dropped", 0) + 1
+        self.dropped += 1
         self._node.get_logger().warning(text)
         self.publish()
 
     def publish(self) -> None:
         """Publish the diagnostics now."""
-        own = Status(self._stage, self._level, self._text, self.counters)
+        counters: dict[str, object] = {"refused": self.refused}
+        if self.dropped:
+            counters["dropped"] = self.dropped
+        own = Status(self._stage, self._level, self._text, counters | self.counters)
         now_ns = self._node.get_clock().now().nanoseconds
         self._diagnostics.publish(diagnostics.encode([own, *self._more()], now_ns))

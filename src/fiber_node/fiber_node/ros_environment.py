@@ -1,4 +1,4 @@
-"""Where the graph may be heard: on this machine only, unless the environment says otherwise."""
+"""The ROS domain and the range of discovery: this machine only, where not set otherwise."""
 
 import os
 from pathlib import Path
@@ -7,15 +7,14 @@ from ament_index_python.packages import PackageNotFoundError, get_package_share_
 
 __all__ = ["own_domain", "use_loopback"]
 
-_DOMAINS = 101  # 1..101 are free of other uses of their ports on every system
+_DOMAINS = 101  # the ports of domains 1..101 are free on every system
 
 
 def use_loopback() -> None:
     """Keep discovery on loopback, with the Fast DDS profile of this package.
 
-    Takes effect where it is called before the first rclpy.init. Whatever the environment
-    says already stays: with another discovery range the profile is left out, because it
-    binds to loopback.
+    Call it before the first rclpy.init. Variables that the environment already has keep their
+    values: with another discovery range the profile is left out, because it binds to loopback.
     """
     discovery = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if discovery != "LOCALHOST":
@@ -28,6 +27,6 @@ def use_loopback() -> None:
 
 
 def own_domain() -> int:
-    """Return the ROS domain of the environment, or without one a domain for this process."""
+    """Return the ROS domain of the environment, or without one a domain of this process alone."""
     given = os.environ.get("ROS_DOMAIN_ID")
     return int(given) if given else 1 + os.getpid() % _DOMAINS

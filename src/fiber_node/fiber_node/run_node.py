@@ -1,42 +1,43 @@
 """Run a node as a process."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import ExternalShutdownException
+from rclpy.logging import get_logger
 from rclpy.node import Node
+from rclpy.utilities import try_shutdown
 
 from fiber_core.errors import FiberError
+from fiber_node.thread_executor import ThreadExecutor
 
 __all__ = ["run"]
 
 
-def run(make_node: Callable[[], Node], args=None) -> int:
-    """Build a node and spin it until it is interrupted; return the exit code.
+def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+    """Build a node and run it until it is interrupted; return the exit code.
 
-    Settings a core refuses end the process with their message and code 2. Two threads
-    spin, so that a call in a callback group of its own is served while another works.
+    Parameters that a core refuses end the process with their message and code 2. Two threads run
+    callbacks, so that a callback in a group of its own is served while another is at work.
 
     Args:
         make_node: called once rclpy is initialised.
-        args: command line for ROS.
+        args: command line for ROS; by default that of the process.
     """
-    rclpy.init(args=args)
-    executor, code = MultiThreadedExecutor(num_threads=2), 0
+    rclpy.init(args=None if args is None else list(args))
+    executor, code = ThreadExecutor(2), 0
     try:
         executor.add_node(make_node())
         executor.spin()
     except FiberError as error:
-        rclpy.logging.get_logger("fiber").fatal(str(error))
+        get_logger("fiber").fatal(str(error))
         code = 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # the signal has shut rclpy down already
     finally:
-        # a node may not go before what is at work in its threads, and shutdown does not wait
-        executor._executor.shutdown()
         nodes = executor.get_nodes()
-        executor.shutdown()
+        executor.shutdown()  # a node must not go before its callbacks have returned
         for node in nodes:
             node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
     return code

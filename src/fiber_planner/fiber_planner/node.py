@@ -19,7 +19,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
-from fiber_node import PlaneCache, Reporter, declare_parameters_of, run
+from fiber_node import PlaneCache, Reporter, declare_parameters, run
 from fiber_planner.interface import Planner
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment
 from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
@@ -113,7 +113,7 @@ def _declared_planner(node: Node) -> Planner:
     about = ParameterDescriptor(description=f"one of {', '.join(planners())}")
     name = str(node.declare_parameter("planner", DEFAULT_PLANNER, about).value)
     parameters = {
-        each: declare_parameters_of(node, parameters_of(each), each) for each in planners()
+        each: declare_parameters(node, parameters_of(each), each) for each in planners()
     }
     chosen = dataclasses.asdict(parameters[name]) if name in parameters else {}
     return make_planner(name, **chosen)

@@ -95,7 +95,7 @@ def test_targets_become_one_trajectory_from_where_the_encoders_are(rest):
 
 def test_targets_before_the_layout_are_refused(rest):
     rest.ask(9)
-    rest.wait_refusal("layout: not heard yet")
+    rest.wait_refusal("layout: not received yet")
     rest.show_plane()
     rest.ask(10)
     rest.peer.wait_for(lambda: rest.trajectories, WAIT_S)

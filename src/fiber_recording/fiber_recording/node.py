@@ -30,7 +30,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
-from fiber_node import Reporter, declare_parameters_of, run
+from fiber_node import Reporter, declare_parameters, run
 from fiber_recording import save_recording
 from fiber_recording.build_recording import build_recording
 from fiber_recording.replay import replay, unexplained
@@ -107,7 +107,7 @@ class RecorderNode(Node):
             "planner": self.declare_parameter("planner", "").value,
         }
         self._name = self.declare_parameter("preset", "").value  # the layout does not tell it
-        self._safety = declare_parameters_of(self, Safety, "safety")
+        self._safety = declare_parameters(self, Safety, "safety")
         self._plane = self._units = self._state = self._rest = None
         self._plans: dict[PlanStamp, _PlanData] = {}
         self._data: dict[PlanStamp, _AttemptData] = {}  # by the stamp of the attempt

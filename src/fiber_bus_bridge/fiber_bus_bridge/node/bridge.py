@@ -24,7 +24,7 @@ from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Outcome
 from fiber_msgs_py import Attempt, AttemptTable, MessageError, PlanStamp, targets, topics
-from fiber_node import Reporter, declare_parameters_of, run
+from fiber_node import Reporter, declare_parameters, run
 
 __all__ = ["BridgeNode", "main"]
 
@@ -44,8 +44,8 @@ class BridgeNode(Node):
 
     def __init__(self, **options):
         super().__init__("bridge", **options)
-        simulation = declare_parameters_of(self, SimulationConfig)
-        safety = declare_parameters_of(self, Safety, "safety")
+        simulation = declare_parameters(self, SimulationConfig)
+        safety = declare_parameters(self, Safety, "safety")
         scale = self._positive("time_scale", 1.0)
         self._most = self._positive("attempts", 2, "is less than one", least=1)
         self._patience_s = self._positive("attempt_timeout_s", 60.0)
@@ -66,7 +66,7 @@ class BridgeNode(Node):
         if self._capture:
             buses = Tap(buses, bus_timing(simulation.clock))
         self._buses = buses
-        config = declare_parameters_of(self, SessionConfig, "session")
+        config = declare_parameters(self, SessionConfig, "session")
         self._session = Session(plane, self._units, safety, buses, hardware.start, config)
         self._lock, self._halt = threading.Lock(), threading.Event()
         self._time_s = self._due_s = 0.0
