@@ -7,7 +7,7 @@ import fiber_bus_bridge.node.hardware
 from fiber_bringup.graph import Graph
 from fiber_bus_bridge.simulation import EVENT, Event, Faults, SimulatedBuses
 from fiber_client.client import PlaneClient
-from fiber_client.disable import OperatorsList
+from fiber_client.disable import DisabledRobots
 from fiber_core.clearance import Safety, certify
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
@@ -216,7 +216,7 @@ def test_robots_disabled_after_they_were_planned_for_are_planned_around(graph, p
     client, _ = graph()
     before = client.units.to_counts(client.angles)
     stamp = ask(client, problem)
-    OperatorsList(client, WAIT_S).write(LOST, "not tonight")
+    DisabledRobots(client, WAIT_S).write(LOST, "not tonight")
     client.start(WAIT_S)
     ended = check_both_attempts(client, problem, stamp, before)
     assert np.all(ended.of(LOST).reason == Reason.DISABLED)

@@ -46,7 +46,7 @@ def test_robots_go_out_of_use_and_come_back(run, graph):
     client.wait_for(lambda: client.plane.ids[~client.plane.enabled].tolist() == [3], WAIT_S)
     code, out, _ = run(disable, "3", "--list")
     assert code == 0 and [line.split() for line in out.splitlines()] == [
-        ["robot", "out", "why"],
+        ["robot", "left", "out", "why"],
         ["3", "disabled", "arm", "bent"],
     ]
 
@@ -56,7 +56,7 @@ def test_what_cannot_be_is_an_error_by_id(run, graph):
     assert code == 1 and not out and "robot 99: no such robot" in err
     code, out, err = run(enable, "4")
     assert code == 1 and not out and "robot 4 is not on the list" in err
-    assert run(disable, "--list")[:2] == (0, "nobody is left out\n")
+    assert run(disable, "--list")[:2] == (0, "no robot is left out\n")
 
 
 @pytest.mark.parametrize("command", [disable, enable])

@@ -1,6 +1,8 @@
-"""A client of the focal-plane graph: send targets, follow, start, stop, read outcomes."""
+"""A client of the focal-plane graph: it sends targets, starts the plan and reads the outcome."""
 
 from fiber_client.client import PlaneClient
+from fiber_client.disable import DisabledRobots
 from fiber_client.errors import PlaneError, PlaneRefusal
+from fiber_client.terminal import ProgressDisplay
 
-__all__ = ["PlaneClient", "PlaneError", "PlaneRefusal"]
+__all__ = ["DisabledRobots", "PlaneClient", "PlaneError", "PlaneRefusal", "ProgressDisplay"]

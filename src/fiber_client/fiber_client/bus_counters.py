@@ -1,4 +1,4 @@
-"""What all buses carried together, and how fast, from the counters in the diagnostics."""
+"""Frames and errors of all buses together, from the counters in the diagnostics."""
 
 import time
 from collections.abc import Callable
@@ -12,26 +12,26 @@ _NAMES = ("frames", "bytes", "retries", "no_address", "refused", "bad_replies")
 
 
 class BusCounterTotals:
-    """Sums the counters of the buses since each was first heard.
+    """Sums the counters of the buses from the first status of each bus on.
 
     Args:
-        clock: seconds, for the rate.
+        clock: returns seconds, for the rate.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self._clock = clock
         self._first: dict[str, dict[str, int]] = {}
-        self._now: dict[str, dict[str, int]] = {}
+        self._latest: dict[str, dict[str, int]] = {}
         self._mark = (0.0, 0)  # when the rate was last taken, and the frames then
         self.frames_per_s = 0.0
 
-    def hear(self, status: Status) -> bool:
-        """Take in a status; return whether it was that of a bus."""
+    def add(self, status: Status) -> bool:
+        """Take the counters of a status; return whether it was the status of a bus."""
         if not status.name.startswith(_PREFIX):
             return False
-        counters = {name: int(status.values.get(name, 0)) for name in _NAMES}
+        counters = {name: int(str(status.values.get(name, 0))) for name in _NAMES}
         self._first.setdefault(status.name, counters)
-        self._now[status.name] = counters
+        self._latest[status.name] = counters
         when, frames = self._mark
         passed = self._clock() - when
         if passed >= 1.0:
@@ -44,7 +44,7 @@ class BusCounterTotals:
     def totals(self) -> dict[str, int]:
         """Sums over all buses, by name of the counter."""
         return {
-            name: sum(self._now[bus][name] - self._first[bus][name] for bus in self._now)
+            name: sum(self._latest[bus][name] - self._first[bus][name] for bus in self._latest)
             for name in _NAMES
         }
 

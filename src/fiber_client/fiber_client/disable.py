@@ -1,10 +1,13 @@
-"""Take robots out of use, and put them back: the operators' list of the bus bridge."""
+"""Take robots out of use and put them back: the list of disabled robots of the bus bridge."""
 
 import argparse
 import sys
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from fiber_client.client import PlaneClient
@@ -13,23 +16,25 @@ from fiber_client.terminal import table
 from fiber_core.errors import FiberError
 from fiber_node.ros_environment import use_loopback
 
-__all__ = ["OperatorsList", "disable", "enable"]
+__all__ = ["DisabledRobots", "disable", "enable"]
 
 _BRIDGE = "bridge"
 _LEFT_OUT = "bridge: left out"
 _ABOUT = """
-Robots on the list are obstacles where they stand and end every plan as held, disabled. The bridge
-keeps the list in the file of its parameter disabled_file, if that is set, over restarts. While
-robots move the list stays as it is. Exit code 0 says that it is now as asked.
+Disabled robots are obstacles where they stand, and end every plan as held, with reason disabled.
+The bridge keeps the list over restarts in the file of its parameter disabled_file, if that is
+set. While robots move the list stays as it is. Exit code 0: the list is now as requested.
 """
 
+_Change = Callable[[set[int], argparse.Namespace], tuple[set[int], str]]
 
-class OperatorsList:
-    """The list of disabled robots, as the bridge keeps it.
+
+class DisabledRobots:
+    """The list of disabled robots that the bridge keeps, read and written from outside.
 
     Args:
         client: a client of the graph.
-        timeout_s: of each answer [s].
+        timeout_s: time-out of each answer [s].
     """
 
     def __init__(self, client: PlaneClient, timeout_s: float):
@@ -37,7 +42,7 @@ class OperatorsList:
         self._parameters = AsyncParameterClient(client.node, _BRIDGE)
 
     def read(self) -> list[int]:
-        """Return the ids of the robots on it.
+        """Return the ids of the disabled robots.
 
         Raises:
             WaitError: there is no bridge, or it does not answer.
@@ -45,15 +50,15 @@ class OperatorsList:
         answer = self._call(lambda: self._parameters.get_parameters(["disabled"]))
         return list(answer.values[0].integer_array_value) if answer.values else []
 
-    def write(self, ids, why: str = "") -> None:
-        """Make it another list.
+    def write(self, ids: Iterable[int], why: str = "") -> None:
+        """Replace the list.
 
         Args:
-            ids: all robots that shall be on it.
-            why: why those that are new are taken out.
+            ids: ids of all robots that are to be disabled.
+            why: the reason, kept for the robots that are new on the list.
 
         Raises:
-            PlaneRefusal: the bridge refuses, with robot and reason.
+            PlaneRefusal: the bridge refused, with robot and reason.
             WaitError: there is no bridge, or it does not answer.
         """
         parameters = [
@@ -65,99 +70,101 @@ class OperatorsList:
             raise PlaneRefusal(_BRIDGE, answer.result.reason)
 
     def reasons(self) -> dict[int, str]:
-        """Return why robots are left out of plans, those that failed among them, by id.
+        """Return why robots are left out of plans, robots that failed among them, by id.
 
         Raises:
-            WaitError: the bridge does not tell.
+            WaitError: the bridge publishes no diagnostics.
         """
-        before = self._client.statuses.get(_LEFT_OUT)  # which may be older than what was changed
+        before = self._client.statuses.get(_LEFT_OUT)  # may be older than the last change
         self._client.wait_for(
             lambda: self._client.statuses.get(_LEFT_OUT) is not before,
             self._timeout_s,
-            "word of who is left out",
+            f"diagnostics {_LEFT_OUT!r}",
         )
-        told = self._client.statuses[_LEFT_OUT].values
-        return {int(name.removeprefix("robot ")): why for name, why in told.items()}
+        values = self._client.statuses[_LEFT_OUT].values
+        return {int(name.removeprefix("robot ")): str(why) for name, why in values.items()}
 
-    def _call(self, ask):
-        wait = self._client.wait_for
-        wait(self._parameters.services_are_ready, self._timeout_s, f"parameters of {_BRIDGE}")
-        future = ask()
-        wait(future.done, self._timeout_s, f"answer of {_BRIDGE}")
+    def _call(self, request: Callable[[], Future]) -> Any:
+        wait_for = self._client.wait_for
+        wait_for(self._parameters.services_are_ready, self._timeout_s, f"parameters of {_BRIDGE}")
+        future = request()
+        wait_for(future.done, self._timeout_s, f"answer of {_BRIDGE}")
         return future.result()
 
 
-def disable(argv=None) -> int:
-    """Run the command that takes robots out of use."""
+def disable(argv: Sequence[str] | None = None) -> int:
+    """Run the command that takes robots out of use; return its exit code."""
     parser = _parser("disable", "Take robots out of use.")
-    parser.add_argument("--why", default="", metavar="TEXT", help="reason, kept beside their ids")
+    parser.add_argument("--why", default="", metavar="TEXT", help="reason, kept with their ids")
 
-    def change(listed, options):
-        return listed | set(options.ids), options.why
+    def change(disabled: set[int], options: argparse.Namespace) -> tuple[set[int], str]:
+        return disabled | set(options.ids), options.why
 
     return _run(parser, change, argv)
 
 
-def enable(argv=None) -> int:
-    """Run the command that puts robots back into use."""
-    parser = _parser("enable", "Put robots back into use that were disabled.")
-    parser.add_argument("--all", action="store_true", help="all that are on the list")
+def enable(argv: Sequence[str] | None = None) -> int:
+    """Run the command that puts robots back into use; return its exit code."""
+    parser = _parser("enable", "Put disabled robots back into use.")
+    parser.add_argument("--all", action="store_true", help="put back all disabled robots")
 
-    def change(listed, options):
-        others = set(options.ids) - listed
+    def change(disabled: set[int], options: argparse.Namespace) -> tuple[set[int], str]:
+        others = set(options.ids) - disabled
         if others:
             raise PlaneError(f"robot {min(others)} is not on the list of disabled robots")
-        return set() if options.all else listed - set(options.ids), ""
+        return set() if options.all else disabled - set(options.ids), ""
 
     return _run(parser, change, argv)
 
 
-def _parser(name, says):
+def _parser(name: str, purpose: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=name,
-        description=f"{says}\n{_ABOUT}",
+        description=f"{purpose}\n{_ABOUT}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("ids", metavar="ID", type=int, nargs="*", help="ids of robots")
-    parser.add_argument("--list", action="store_true", help="show who is out, and why")
     parser.add_argument(
-        "--timeout", type=float, default=20.0, metavar="S", help="of each wait [s], default 20"
+        "--list", action="store_true", help="show the robots that are left out, and why"
+    )
+    parser.add_argument(
+        "--timeout", type=float, default=20.0, metavar="S", help="time-out of each wait [s], 20"
     )
     return parser
 
 
-def _run(parser, change, argv) -> int:
+def _run(parser: argparse.ArgumentParser, change: _Change, argv: Sequence[str] | None) -> int:
     argv = remove_ros_args(sys.argv if argv is None else [parser.prog, *argv])[1:]
     options = parser.parse_args(argv)
-    wants = bool(options.ids) or getattr(options, "all", False)
-    if not wants and not options.list:
+    changes = bool(options.ids) or getattr(options, "all", False)
+    if not changes and not options.list:
         parser.error("name robots by their ids, or --list")
     use_loopback()
     try:
         with PlaneClient() as client:
-            operators = OperatorsList(client, options.timeout)
-            listed = set(operators.read())
-            if wants:
-                new, why = change(listed, options)
-                operators.write(new, why)
-                listed = new
-            print(_shown(listed, operators.reasons()) if options.list else _counted(listed))
+            robots = DisabledRobots(client, options.timeout)
+            disabled = set(robots.read())
+            if changes:
+                new, why = change(disabled, options)
+                robots.write(new, why)
+                disabled = new
+            print(_table(disabled, robots.reasons()) if options.list else _summary(disabled))
     except FiberError as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return 1
     return 0
 
 
-def _counted(listed):
-    if not listed:
-        return "nobody is disabled"
-    return f"disabled: {', '.join(map(str, sorted(listed)))}"
+def _summary(disabled: set[int]) -> str:
+    if not disabled:
+        return "no robot is disabled"
+    return f"disabled: {', '.join(map(str, sorted(disabled)))}"
 
 
-def _shown(listed, reasons):
-    rows = [("robot", "out", "why")]
+def _table(disabled: set[int], reasons: dict[int, str]) -> str:
+    rows: list[tuple[object, ...]] = [("robot", "left out", "why")]
     rows += [
-        (robot, "disabled" if robot in listed else "failed", reasons.get(robot, ""))
-        for robot in sorted(listed | set(reasons))
+        (robot, "disabled" if robot in disabled else "failed", reasons.get(robot, ""))
+        for robot in sorted(disabled | set(reasons))
     ]
-    return table(rows) if len(rows) > 1 else "nobody is left out"
+    return table(rows) if len(rows) > 1 else "no robot is left out"

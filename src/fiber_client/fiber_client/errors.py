@@ -1,4 +1,4 @@
-"""Errors of whoever talks to the graph from outside."""
+"""Errors of the clients of the graph."""
 
 from fiber_core.errors import FiberError
 
@@ -6,14 +6,14 @@ __all__ = ["PlaneError", "PlaneRefusal"]
 
 
 class PlaneError(FiberError):
-    """The focal plane did not do what it was asked to do."""
+    """The focal plane did not do what a client asked for."""
 
 
 class PlaneRefusal(PlaneError):
-    """A node refused what it was sent.
+    """A node refused a request.
 
     Args:
-        stage: who refused.
+        stage: name of the node.
         text: its reason, with robot and value.
     """
 

@@ -80,11 +80,11 @@ def test_totals_of_the_buses_count_from_where_they_were_first_heard():
     now = [100.0]
     totals = BusCounterTotals(lambda: now[0])
     for number, frames in ((0, 1000), (1, 50), (0, 1010), (1, 70)):
-        assert totals.hear(bus(number, frames, retries=frames // 10))
+        assert totals.add(bus(number, frames, retries=frames // 10))
     assert totals.totals["frames"] == 10 + 20 and totals.totals["retries"] == 1 + 2
-    assert not totals.hear(Status("planner", Level.OK, "waiting", {"frames": 9}))
+    assert not totals.add(Status("planner", Level.OK, "waiting", {"frames": 9}))
     now[0] += 2.0
-    totals.hear(bus(0, 1110, retries=101))
+    totals.add(bus(0, 1110, retries=101))
     assert totals.frames_per_s == pytest.approx((30 + 100) / 2)
     assert "130 frames" in str(totals) and "3 retries" in str(totals)
 
