@@ -49,7 +49,7 @@ ARROWS = {
     "fiber_recording": {"fiber_bus_bridge"},
     "fiber_recording.node": {"fiber_recording", "fiber_node"} | ROS,
     "fiber_recording.settled_replay": {"fiber_recording", "fiber_client"},
-    "fiber_recording.bag": {"fiber_recording", "fiber_msgs_py", "fiber_client", "rosbags"} | ROS,
+    "fiber_recording.bag": {"fiber_recording", "fiber_msgs_py", "rosbags"} | ROS,
     "fiber_viewer": {"fiber_recording", "matplotlib"},
     "fiber_viewer.node": {"fiber_viewer", "fiber_node", "visualization_msgs"} | ROS,
     "fiber_positioners": {"fiber_planner", "fiber_discretizer", "fiber_viewer", "rich"},

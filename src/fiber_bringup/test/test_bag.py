@@ -7,13 +7,13 @@ import pytest
 import yaml
 from rclpy.serialization import deserialize_message
 
-from fiber_client.errors import PlaneError
 from fiber_core.kinematics import forward
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome
 from fiber_msgs_py import Topic, topics
 from fiber_msgs_py.point_clouds import POINTS, ViewState, arms_cloud
 from fiber_recording.bag import main, write_bag
+from fiber_recording.errors import BagError
 from fiber_recording.recording import Measured
 
 try:
@@ -139,7 +139,7 @@ def test_metadata_are_as_rosbag2_of_jazzy_reads_them(run, tmp_path):
 
 
 def test_a_bag_overwrites_nothing(run, tmp_path, capsys):
-    with pytest.raises(PlaneError, match="exists"):
+    with pytest.raises(BagError, match="exists"):
         write_bag(tmp_path, run.done)
     assert main([str(tmp_path / "none.npz"), str(tmp_path / "bag")]) == 1
     assert "not a recording" in capsys.readouterr().err

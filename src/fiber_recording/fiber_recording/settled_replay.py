@@ -1,6 +1,9 @@
-"""The replay of a plan that a client followed, once all its frames have come in."""
+"""Replays a plan that a client of the graph followed, once the client has all its frames."""
+
+from numpy.typing import ArrayLike
 
 from fiber_client.client import PlaneClient
+from fiber_core.array_types import Ids
 from fiber_core.outcomes import PlanOutcome
 from fiber_msgs_py import PlanStamp
 from fiber_recording.replay import Replay, replay, unexplained
@@ -8,33 +11,40 @@ from fiber_recording.replay import Replay, replay, unexplained
 __all__ = ["settled_replay"]
 
 
-def settled_replay(client: PlaneClient, ended: PlanOutcome, counts, timeout_s: float) -> Replay:
-    """Wait until the frames a client heard explain where all encoders are; return the replay.
+def settled_replay(
+    client: PlaneClient, outcome: PlanOutcome, counts_before: ArrayLike, timeout_s: float
+) -> Replay:
+    """Wait until the frames that a client received explain all encoders; return the replay.
 
-    Of a plan with several attempts it is the replay of the last.
+    The replay of a plan with several attempts is that of the last attempt.
 
     Args:
-        client: has followed the plan.
-        ended: what became of it; failed robots may be anywhere.
-        counts: encoders before the plan [quanta], shape (n, 2).
-        timeout_s: for the last frames and readings to come in [s].
+        client: a client that followed the plan.
+        outcome: how the robots ended the plan; robots that failed may be anywhere.
+        counts_before: encoders before the plan [quanta], shape (n, 2).
+        timeout_s: longest time to wait for the last frames and encoder readings [s].
 
     Raises:
-        WaitError: they did not; names the first robot that is elsewhere.
+        WaitError: the time is over; names a robot that is not where the frames lead.
     """
-    plan, told = PlanStamp(ended.stamp_ns), None
+    plan = PlanStamp(outcome.stamp_ns)
+    settled: list[Replay] = []
 
-    def elsewhere():
-        nonlocal told
+    def follow() -> tuple[Replay, Ids]:
         last = client.last_attempt(plan)
-        before = counts if last == plan else client.counts_before[last]
-        told = replay(client.plane, client.units, before, client.frames.get(last, ()))
-        off = unexplained(client.plane, told, ended, client.units.to_counts(client.angles))
-        return client.plane.ids[off]
+        before = counts_before if last == plan else client.counts_before[last]
+        followed = replay(client.plane, client.units, before, client.frames.get(last, ()))
+        counts = client.units.to_counts(client.angles)
+        off = unexplained(client.plane, followed, outcome, counts)
+        return followed, client.plane.ids[off]
+
+    def is_settled() -> bool:
+        followed, off = follow()
+        if not len(off):
+            settled.append(followed)
+        return not len(off)
 
     client.wait_for(
-        lambda: not len(elsewhere()),
-        timeout_s,
-        lambda: f"frames that explain where robot {elsewhere()[0]} is",
+        is_settled, timeout_s, lambda: f"frames that explain where robot {follow()[1][0]} is"
     )
-    return told
+    return settled[-1]
