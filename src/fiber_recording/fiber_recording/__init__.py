@@ -1,8 +1,11 @@
-"""Recordings of a focal plane's reconfigurations: the file, and how it is made from the bytes."""
+"""Recordings of plans: the values, the file, and how they are built from the frames on the buses.
+
+No module that this file imports needs ROS. The recorder (`node`), `bag` and `settled_replay` do.
+"""
 
 from fiber_recording.build_recording import build_recording
 from fiber_recording.closest import closest_approaches
-from fiber_recording.errors import RecordingError
+from fiber_recording.errors import BagError, RecordingError
 from fiber_recording.phases import Phase, counts_at, executed_motion
 from fiber_recording.recording import (
     SOFTWARE,
@@ -19,6 +22,7 @@ from fiber_recording.replay import Replay, replay, unexplained
 __all__ = [
     "SOFTWARE",
     "Approaches",
+    "BagError",
     "BusLoad",
     "EventKind",
     "Events",

@@ -1,24 +1,28 @@
-"""Listens to the graph and writes a recording of every plan that ends.
+"""The node `recorder`: writes a recording of every plan that ends.
 
-A process of its own: while robots move it keeps messages and does nothing with them; the
-work begins when a plan has ended. It asks the graph for nothing.
+The recorder is a process of its own, which publishes nothing that the plan depends on. While
+robots move it only keeps messages; it builds the recording after the plan has ended.
 """
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
+from sensor_msgs.msg import JointState, PointCloud2
+from trajectory_msgs.msg import JointTrajectory
 
+from fiber_core.array_types import Counts
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.frame_log import FrameLog
 from fiber_core.outcomes import PlanOutcome
+from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import (
     Attempt,
-    AttemptTable,
     PlanStamp,
     corridors,
     frames,
@@ -31,17 +35,16 @@ from fiber_msgs_py import (
     trajectory,
 )
 from fiber_node import Reporter, declare_parameters, run
-from fiber_recording import save_recording
 from fiber_recording.build_recording import build_recording
+from fiber_recording.received_plans import PlanAttempts, ReceivedPlan, ReceivedPlans
+from fiber_recording.recording_file import save_recording
 from fiber_recording.replay import replay, unexplained
 
 __all__ = ["RecorderNode", "main", "recording_name"]
 
-_PLANS_KEPT = 4
-_ATTEMPTS_KEPT = 16
-_LOOK_S = 0.2  # how often a plan that has ended is looked at
-_SETTLE_S = 10.0  # for the last frames and encoder readings to come in
-_QUIET_S = 1.0  # without a frame of a plan that has ended, there were none
+_CHECK_PERIOD_S = 0.2  # time between two checks of the plans that have ended
+_COMPLETION_S = 10.0  # longest wait for the last frames and encoder readings of an ended plan
+_NO_FRAMES_S = 1.0  # an ended plan without frames for this long had none
 
 
 def recording_name(stamp: PlanStamp) -> str:
@@ -49,47 +52,18 @@ def recording_name(stamp: PlanStamp) -> str:
     return f"plan-{stamp}.npz"
 
 
-@dataclass
-class _AttemptData:
-    """What was received under the stamp of an attempt."""
-
-    plane: FocalPlane | None = None  # as it was before the first frame
-    counts: np.ndarray | None = None  # encoders then
-    trajectory: object = None
-    corridors: object = None
-    logs: list[FrameLog] = field(default_factory=list)
-
-
-@dataclass
-class _PlanData:
-    """What was received of a plan, whatever its attempts."""
-
-    targets: object = None
-    looked_at: int = 0  # how many logs there were at the last look
-    ended: PlanOutcome | None = None
-    ended_s: float = 0.0  # when the outcome was received
-
-
 @dataclass(frozen=True)
-class _Attempts:
-    """The attempts of one plan, in their order."""
+class _PlaneWithStates:
+    """The focal plane and joint states of its robots."""
 
-    announced: list[_AttemptData]
-
-    @property
-    def ran(self) -> list[_AttemptData]:
-        """The attempts that put frames on the buses."""
-        return [data for data in self.announced if data.logs]
+    plane: FocalPlane
+    units: WireUnits
+    states: JointState
 
     @property
-    def first(self) -> _AttemptData:
-        """The first attempt that put frames on the buses, else the first of all."""
-        return (self.ran + self.announced)[0]
-
-    @property
-    def logs(self) -> list[FrameLog]:
-        """Frames of all attempts: robots go on where the attempt before left them."""
-        return [log for data in self.ran for log in data.logs]
+    def counts(self) -> Counts:
+        """Encoders [quanta], shape (n, 2)."""
+        return self.units.to_counts(joint_states.decode(self.states)[1])
 
 
 class RecorderNode(Node):
@@ -99,22 +73,21 @@ class RecorderNode(Node):
         options: keyword arguments of rclpy.node.Node.
     """
 
-    def __init__(self, **options):
+    def __init__(self, **options: Any):
         super().__init__("recorder", **options)
-        self._folder = Path(self.declare_parameter("folder", "recordings").value)
-        self._about = {
-            "seed": self.declare_parameter("seed", -1).value,
-            "planner": self.declare_parameter("planner", "").value,
-        }
-        self._name = self.declare_parameter("preset", "").value  # the layout does not tell it
+        self._folder = Path(self._text_parameter("folder", "recordings"))
+        seed = self.declare_parameter("seed", -1).get_parameter_value().integer_value
+        self._about = {"seed": seed, "planner": self._text_parameter("planner", "")}
+        self._plane_name = self._text_parameter("preset", "")  # the layout has no name
         self._safety = declare_parameters(self, Safety, "safety")
-        self._plane = self._units = self._state = self._rest = None
-        self._plans: dict[PlanStamp, _PlanData] = {}
-        self._data: dict[PlanStamp, _AttemptData] = {}  # by the stamp of the attempt
-        self._announced = AttemptTable()
+        self._plane: FocalPlane | None = None
+        self._units: WireUnits | None = None
+        self._states: JointState | None = None
+        self._states_at_rest: JointState | None = None
+        self._received = ReceivedPlans()
         self._began_ns = self.get_clock().now().nanoseconds
         self._report = Reporter(self, "recorder")
-        for topic, heard in (
+        for topic, callback in (
             (topics.LAYOUT, self._on_layout),
             (topics.JOINT_STATES, self._on_joint_states),
             (topics.TARGETS, self._on_targets),
@@ -124,155 +97,135 @@ class RecorderNode(Node):
             (topics.FRAMES, self._on_frames),
             (topics.OUTCOME, self._on_outcome),
         ):
-            topic.subscription(self, heard)
-        self.create_timer(_LOOK_S, self._write_ended)
+            topic.subscription(self, callback)
+        self.create_timer(_CHECK_PERIOD_S, self._write_ended_plans)
 
-    def _plan(self, stamp) -> _PlanData:
-        for old in sorted(self._plans)[: -(_PLANS_KEPT - 1)]:
-            if old < stamp:
-                self._forget(old)
-        return self._plans.setdefault(stamp, _PlanData())
+    def _text_parameter(self, name: str, default: str) -> str:
+        return self.declare_parameter(name, default).get_parameter_value().string_value
 
-    def _of_attempt(self, message) -> _AttemptData:
-        # its plan may not be known yet: it is asked for when a plan has ended
-        stamp = PlanStamp.of(message)
-        for old in sorted(self._data)[: -(_ATTEMPTS_KEPT - 1)]:
-            if old < stamp:
-                del self._data[old]
-        return self._data.setdefault(stamp, _AttemptData())
-
-    def _attempts(self, plan) -> _Attempts:
-        stamps = [attempt.stamp for attempt in self._announced.of_plan(plan)]
-        return _Attempts([self._data.get(stamp, _AttemptData()) for stamp in stamps])
-
-    def _unannounced(self, plan) -> bool:
-        """Whether frames were received that may belong to a later attempt of a plan."""
-        return any(
-            stamp > plan and data.logs and self._announced.find(stamp) is None
-            for stamp, data in self._data.items()
-        )
-
-    def _forget(self, plan):
-        for attempt in self._announced.of_plan(plan):
-            self._data.pop(attempt.stamp, None)
-        del self._plans[plan]
-
-    def _on_layout(self, message):
+    def _on_layout(self, message: PointCloud2) -> None:
         try:
             plane, self._units = layout.decode(message)
-            self._plane = replace(plane, name=self._name)
+            self._plane = replace(plane, name=self._plane_name)
         except FiberError as error:
             self._report.refuse(f"layout refused: {error}")
 
-    def _on_joint_states(self, message):
-        self._state = message
+    def _on_joint_states(self, message: JointState) -> None:
+        self._states = message
         if not np.any(message.velocity):
-            self._rest = message
+            self._states_at_rest = message
 
-    def _on_targets(self, message):
+    def _on_targets(self, message: PointCloud2) -> None:
         try:
             attempt = targets.decode_attempt(message)
         except FiberError:
             return  # the planner refuses them
-        self._announced.add(attempt)
-        if attempt.number == 1:  # later attempts ask for some of these again
-            self._plan(attempt.plan).targets = message
+        self._received.announce(attempt)
+        if attempt.number == 1:  # later attempts have some of these targets again
+            self._received.plan(attempt.plan).targets = message
 
-    def _on_progress(self, message):
+    def _on_progress(self, message: DiagnosticStatus) -> None:
         try:
-            self._announced.add(progress.decode(message).attempt)
+            self._received.announce(progress.decode(message).attempt)
         except FiberError as error:
             self._report.refuse(f"progress refused: {error}")
 
-    def _on_trajectory(self, message):
-        self._of_attempt(message).trajectory = message
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        self._received.attempt(PlanStamp.of(message)).trajectory = message
 
-    def _on_corridors(self, message):
-        self._of_attempt(message).corridors = message
+    def _on_corridors(self, message: PointCloud2) -> None:
+        self._received.attempt(PlanStamp.of(message)).corridors = message
 
-    def _on_frames(self, message):
-        data = self._of_attempt(message)
+    def _on_frames(self, message: PointCloud2) -> None:
+        attempt = self._received.attempt(PlanStamp.of(message))
+        before = self._plane_with(self._states_at_rest)
         try:
-            if data.counts is None and self._rest is not None and self._units is not None:
-                data.plane, data.counts = self._plane, self._counts(self._rest)
-            data.logs.append(frames.decode(message))
+            if attempt.counts is None and before is not None:
+                attempt.plane, attempt.counts = before.plane, before.counts
+            attempt.logs.append(frames.decode(message))
         except FiberError as error:
             self._report.refuse(f"frames refused: {error}")
 
-    def _on_outcome(self, message):
+    def _on_outcome(self, message: PointCloud2) -> None:
         stamp = PlanStamp.of(message)
-        plan = self._plan(stamp)
+        plan = self._received.plan(stamp)
         try:
-            plan.ended = PlanOutcome(stamp.ns, *outcome.decode(message))
+            plan.outcome = PlanOutcome(stamp.ns, *outcome.decode(message))
         except FiberError as error:
             self._report.refuse(f"outcome refused: {error}")
             return
-        plan.ended_s = time.monotonic()
+        plan.outcome_s = time.monotonic()
 
-    def _counts(self, message):
-        return self._units.to_counts(joint_states.decode(message)[1])
+    def _plane_with(self, states: JointState | None) -> _PlaneWithStates | None:
+        if self._plane is None or self._units is None or states is None:
+            return None
+        return _PlaneWithStates(self._plane, self._units, states)
 
-    def _write_ended(self):
-        for stamp, plan in list(self._plans.items()):
-            if plan.ended is None or self._plane is None or self._state is None:
-                continue
+    def _write_ended_plans(self) -> None:
+        now = self._plane_with(self._states)
+        if now is None:
+            return
+        for stamp, plan, ended in self._received.ended():
             try:
-                late = time.monotonic() > plan.ended_s + _SETTLE_S
-                if self._complete(stamp, plan) or late:
-                    if not self._ended_before(stamp, plan):
-                        self._write(stamp, plan, late)
-                    self._forget(stamp)
+                late = time.monotonic() > plan.outcome_s + _COMPLETION_S
+                if self._is_complete(stamp, plan, ended, now) or late:
+                    if not self._ended_before_this_node(stamp, plan):
+                        self._write(stamp, plan, ended, now, late)
+                    self._received.drop(stamp)
             except (FiberError, OSError) as error:
                 self._report.refuse(f"plan {stamp} not recorded: {error}")
-                self._forget(stamp)
+                self._received.drop(stamp)
 
-    def _ended_before(self, stamp, plan) -> bool:
-        """Whether a plan ended before this recorder began: it may have its recording."""
-        only_latched = plan.targets is None and not self._attempts(stamp).ran
-        return only_latched and stamp.ns < self._began_ns
+    def _ended_before_this_node(self, stamp: PlanStamp, plan: ReceivedPlan) -> bool:
+        """Return whether a plan ended before this node began; it may have a recording."""
+        latched_only = plan.targets is None and not self._received.attempts(stamp).executed
+        return latched_only and stamp.ns < self._began_ns
 
-    def _complete(self, stamp, plan) -> bool:
-        attempts = self._attempts(stamp)
+    def _is_complete(
+        self, stamp: PlanStamp, plan: ReceivedPlan, ended: PlanOutcome, now: _PlaneWithStates
+    ) -> bool:
+        """Return whether all messages of an ended plan have been received."""
+        attempts = self._received.attempts(stamp)
         count = len(attempts.logs)
-        more, plan.looked_at = count > plan.looked_at, count
-        if more or self._unannounced(stamp):
-            return False  # the outcome can overtake the last frames, frames their announcement
+        has_new, plan.checked_logs = count > plan.checked_logs, count
+        if has_new or self._received.has_unannounced_frames(stamp):
+            return False  # an outcome can overtake the last frames, frames their announcement
         if not count:
-            return time.monotonic() > plan.ended_s + _QUIET_S
+            return time.monotonic() > plan.outcome_s + _NO_FRAMES_S
         first = attempts.first
-        if first.trajectory is not None and first.corridors is None and self._margins_are_made():
-            return False
-        return self._explained(attempts, plan.ended)
+        if first.trajectory is not None and first.corridors is None:
+            if self._corridors_are_published():
+                return False
+        return _is_explained(attempts, ended, now)
 
-    def _explained(self, attempts, ended) -> bool:
-        if attempts.first.counts is None:
-            return False
-        told = replay(self._plane, self._units, attempts.first.counts, attempts.logs)
-        now = self._counts(self._state)
-        return not unexplained(self._plane, told, ended, now).any()
-
-    def _margins_are_made(self):
+    def _corridors_are_published(self) -> bool:
         return self.count_publishers(topics.CORRIDORS.name) > 0
 
-    def _write(self, stamp, plan, late):
+    def _write(
+        self,
+        stamp: PlanStamp,
+        plan: ReceivedPlan,
+        ended: PlanOutcome,
+        now: _PlaneWithStates,
+        late: bool,
+    ) -> None:
         self._report.progress(Attempt.first(stamp), 0.0, "writing the recording")
-        attempts = self._attempts(stamp)
-        first, logs, count = attempts.first, attempts.logs, max(len(attempts.ran), 1)
+        attempts = self._received.attempts(stamp)
+        first, logs, count = attempts.first, attempts.logs, max(len(attempts.executed), 1)
         notes = []
         if count > 1:
             notes = [f"{count} attempts: planned again around robots that cannot be commanded"]
         if not logs:
             notes = ["no frames were received: no robot was started"]
-        elif late and not self._explained(attempts, plan.ended):
+        elif late and not _is_explained(attempts, ended, now):
             notes += ["the frames received do not explain where all robots are"]
-        now = self._counts(self._state)
         recording = build_recording(
-            self._plane if first.plane is None else first.plane,
-            self._units,
+            now.plane if first.plane is None else first.plane,
+            now.units,
             logs=logs,
-            outcome=plan.ended,
-            counts_before=now if first.counts is None else first.counts,
-            counts_after=now,
+            outcome=ended,
+            counts_before=now.counts if first.counts is None else first.counts,
+            counts_after=now.counts,
             targets=None if plan.targets is None else targets.decode(plan.targets),
             planned=None if first.trajectory is None else trajectory.decode(first.trajectory)[:2],
             corridors=None if first.corridors is None else corridors.decode(first.corridors),
@@ -286,6 +239,18 @@ class RecorderNode(Node):
         self._report.done(Attempt.first(stamp), f"recorded in {path}")
 
 
-def main(args=None) -> int:
-    """Run the recorder until it is interrupted."""
+def _is_explained(attempts: PlanAttempts, ended: PlanOutcome, now: _PlaneWithStates) -> bool:
+    """Return whether the frames of a plan lead to the encoders of all robots now."""
+    if attempts.first.counts is None:
+        return False
+    followed = replay(now.plane, now.units, attempts.first.counts, attempts.logs)
+    return not unexplained(now.plane, followed, ended, now.counts).any()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the recorder until it is interrupted; return the exit code.
+
+    Args:
+        args: arguments for ROS; by default those of the process.
+    """
     return run(RecorderNode, args)
