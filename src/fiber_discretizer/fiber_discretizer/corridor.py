@@ -1,119 +1,125 @@
-"""The tube of a joint: how far it may turn either way, sample by sample, beside its neighbours."""
+"""The corridor of a joint: how far it can turn either way at each sample beside its neighbours."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
-from fiber_core.clearance import posed_gap
+from fiber_core.array_types import Bools, Floats, Ints, Offsets, Rows
+from fiber_core.clearance import Profiles, posed_gap
 
-__all__ = ["Neighbours", "free_corridors", "neighbours_of"]
+__all__ = ["Neighbours", "corridor_walls", "neighbours_of"]
 
-_STEPS = 24  # a wall is approached in at most so many steps
-_FINEST_RAD = 2e-3  # and no closer than this
+_STEPS = 24  # largest number of steps in which a wall is approached
+_FINEST_RAD = 2e-3  # a smaller step ends the approach
 _OUT_RAD = 0.02  # least step out of a neighbour
 
 
 class Neighbours(NamedTuple):
-    """Who is beside each robot, ragged by robot.
+    """The neighbours of each robot, ragged by robot.
 
     Args:
         offsets: first neighbour of each robot, shape (n + 1,).
-        body: rows of neighbours, robots and obstacles, shape (2 p,).
-        pair: the pair each comes from, shape (2 p,).
+        body: rows of the neighbours, robots and obstacles, shape (2 p,).
+        pair: the pair that robot and neighbour form, shape (2 p,).
     """
 
-    offsets: np.ndarray
-    body: np.ndarray
-    pair: np.ndarray
+    offsets: Offsets
+    body: Ints
+    pair: Ints
 
 
-def neighbours_of(n: int, pairs) -> Neighbours:
-    """Return who is beside each of n robots, from pairs of rows, shape (p, 2)."""
+def neighbours_of(n: int, pairs: ArrayLike) -> Neighbours:
+    """Return the neighbours of each robot.
+
+    Args:
+        n: number of robots; rows from n on are obstacles.
+        pairs: rows of neighbours, shape (p, 2).
+    """
     pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
-    me, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+    robot, other = np.concatenate([pairs, pairs[:, ::-1]]).T
     pair = np.tile(np.arange(len(pairs)), 2)
-    keep = np.flatnonzero(me < n)
-    keep = keep[np.argsort(me[keep], kind="stable")]
-    offsets = np.searchsorted(me[keep], np.arange(n + 1))
+    keep = np.flatnonzero(robot < n)
+    keep = keep[np.argsort(robot[keep], kind="stable")]
+    offsets = np.searchsorted(robot[keep], np.arange(n + 1))
     return Neighbours(offsets, other[keep], pair[keep])
 
 
 @njit(cache=True)
-def free_corridors(
-    table, levers, limits, profiles, beside, required, rows, joint, times, wish, side, reach
-):
-    """Return the walls of the free space of one joint, with everything else as it is.
+def corridor_walls(
+    table: Floats,
+    levers: Floats,
+    limits: Floats,
+    profiles: Profiles,
+    neighbours: Neighbours,
+    required: Floats,
+    rows: Rows,
+    joint: int,
+    times: Floats,
+    desired: Floats,
+    side: int,
+    reach: float,
+) -> tuple[Floats, Floats, Bools]:
+    """Return the walls of the corridor of one joint, all other joints as they are.
 
-    The gap changes by no more than the lever times the turn, so a step of gap / lever
-    touches nobody: the walls are approached in such steps (sphere tracing, Hart 1996) and
-    never crossed. Where the joint is not free as wished, the tube passes on one side of
-    what is in the way. Between samples nothing is known.
+    A turn by x changes the gap by lever * x at most, so a step of gap / lever touches no
+    neighbour: the walls are approached in such steps (sphere tracing, Hart 1996) and never
+    crossed. Where the desired angle is not free, the corridor passes on one side of the
+    neighbour that is in the way. The corridor holds at the samples only.
 
     Args:
         table: outlines, from bodies_of.
         levers: farthest point of a robot from the axis of each joint [mm], shape (n, 2).
         limits: joint limits [rad], shape (n, 2, 2).
-        profiles: motion of everybody else, from profiles_of.
-        beside: from neighbours_of.
-        required: gap each pair must keep [mm], shape (p,).
-        rows: robots concerned, shape (m,).
-        joint: whose tube, 0 theta, 1 phi.
+        profiles: motion of all other robots, from profiles_of.
+        neighbours: from neighbours_of.
+        required: gap that each pair must keep [mm], shape (p,).
+        rows: the robots, shape (m,).
+        joint: the joint that turns, 0 theta, 1 phi.
         times: sample times of each robot [s], shape (m, t).
-        wish: its angles there [rad], shape (m, 2, t).
-        side: where to pass what is in the way: +1 at higher angles, -1 at lower ones, 0 not
-            at all.
-        reach: how far the walls may be from the wish, or from where it is free [rad].
+        desired: desired angles of both joints at these times [rad], shape (m, 2, t).
+        side: where to pass a neighbour: +1 at higher angles, -1 at lower ones, 0 not at all.
+        reach: largest distance of a wall from the desired angle, or from the free angle
+            beside it [rad].
 
     Returns:
-        Low and high walls [rad], shape (m, t), and whether each tube is open, shape (m,).
+        Low and high walls [rad], shape (m, t), and whether each corridor is open, shape (m,).
     """
     m, t = times.shape
-    low, high = wish[:, joint].copy(), wish[:, joint].copy()
+    low, high = desired[:, joint].copy(), desired[:, joint].copy()
     is_open = np.ones(m, np.bool_)
-    most = np.diff(beside.offsets).max()
+    most = np.diff(neighbours.offsets).max()
     poses, work = np.empty((most, 4)), np.empty((2, most))
     for r in range(m):
         i = rows[r]
-        first, count = beside.offsets[i], beside.offsets[i + 1] - beside.offsets[i]
-        bodies, pairs = beside.body[first : first + count], beside.pair[first : first + count]
-        there = (table, i, bodies, required[pairs], poses, work)
-        lever, bottom, top = levers[i, joint], limits[i, joint, 0], limits[i, joint, 1]
-        away, begin = False, wish[r, joint, 0]
+        first, stop = neighbours.offsets[i], neighbours.offsets[i + 1]
+        bodies, pairs = neighbours.body[first:stop], neighbours.pair[first:stop]
+        scene = (table, i, bodies, required[pairs], poses, work)
+        axis = (joint, levers[i, joint], limits[i, joint, 0], limits[i, joint, 1], reach)
+        diverted, begin = False, desired[r, joint, 0]
         for k in range(t):
-            # Free as wished, or else where the sample before was free.
-            wished = wish[r, joint, k]
-            begin = begin if away and k < t - 1 else wished
-            for q in range(count):
-                _pose(profiles, bodies[q], times[r, k], poses[q])
-            way = side if 0 < k < t - 1 else 0
-            other = wish[r, 1 - joint, k]
+            # Begin at the desired angle, after a diversion at the free angle before.
+            begin = begin if diverted and k < t - 1 else desired[r, joint, k]
+            _pose_bodies(profiles, bodies, times[r, k], poses)
+            passing = side if 0 < k < t - 1 else 0
             begin, low[r, k], high[r, k] = _free_interval(
-                there, joint, other, begin, lever, bottom, top, way, reach
+                scene, axis, desired[r, 1 - joint, k], begin, passing
             )
-            away = not low[r, k] <= wished <= high[r, k]
+            diverted = not low[r, k] <= desired[r, joint, k] <= high[r, k]
             if begin == np.inf:
                 is_open[r] = False
                 break
-            # If that is on the other side of something, it had to be so before.
+            # An interval on the other side of a neighbour has to connect to the ones before.
             back, begin_back = k, begin
             while back > 0 and (
                 low[r, back] > high[r, back - 1] or high[r, back] < low[r, back - 1]
             ):
                 back -= 1
-                for q in range(count):
-                    _pose(profiles, bodies[q], times[r, back], poses[q])
+                _pose_bodies(profiles, bodies, times[r, back], poses)
                 begin_back, low[r, back], high[r, back] = _free_interval(
-                    there,
-                    joint,
-                    wish[r, 1 - joint, back],
-                    begin_back,
-                    lever,
-                    bottom,
-                    top,
-                    side,
-                    reach,
+                    scene, axis, desired[r, 1 - joint, back], begin_back, side
                 )
                 if begin_back == np.inf or back == 0:
                     is_open[r] = False
@@ -124,80 +130,95 @@ def free_corridors(
 
 
 @njit(cache=True)
-def _free_interval(there, joint, other, begin, lever, bottom, top, side, reach):
-    # Free angles of a joint at one instant around the first free one from `begin` on, in the
-    # direction `side`: that one and the walls, or infinity where there is none.
-    table, i, bodies, required, poses, work = there
-    room, bound = work[0], work[1]
-    count = len(bodies)
+def _free_interval(scene, axis, other_angle, begin, side):
+    # The first free angle from `begin` on, in the direction `side`, and the walls around it at
+    # one instant; infinity where no angle is free.
+    joint, _, bottom, top, _ = axis
     angles = np.empty(2)
-    angles[joint], angles[1 - joint] = begin, other
-    nearest = np.inf
+    angles[joint], angles[1 - joint] = begin, other_angle
+    if not _move_out(scene, axis, angles, side):
+        return np.inf, begin, begin
+    free = angles[joint]
+    if not bottom <= free <= top:
+        return (free, free, free) if free == begin else (np.inf, begin, begin)
+    low = free - _approach(scene, axis, angles, free, -1)
+    high = free + _approach(scene, axis, angles, free, 1)
+    return free, low, high
+
+
+@njit(cache=True)
+def _move_out(scene, axis, angles, side):
+    # Turn the joint until it is out of all neighbours, the deepest first; False where that is
+    # impossible. The spare gaps at the new angle are left in the first row of `work`.
+    table, i, bodies, required, poses, work = scene
+    joint, lever, bottom, top, _ = axis
+    spare, count = work[0], len(bodies)
+    least = np.inf
     for q in range(count):
-        room[q] = _room(table, i, bodies[q], angles, poses[q], required[q])
-        nearest = min(nearest, room[q])
-    while nearest < 0.0:
+        spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q])
+        least = min(least, spare[q])
+    while least < 0.0:
         if side == 0:
-            return np.inf, begin, begin
-        q = np.argmin(room[:count])  # out of the worst, then see who is left
-        while room[q] < 0.0:
+            return False
+        q = np.argmin(spare[:count])
+        while spare[q] < 0.0:
             if not bottom <= angles[joint] <= top:
-                return np.inf, begin, begin
-            angles[joint] += side * max(-room[q] / lever, _OUT_RAD)
-            room[q] = _room(table, i, bodies[q], angles, poses[q], required[q])
-        nearest = np.inf
+                return False
+            angles[joint] += side * max(-spare[q] / lever, _OUT_RAD)
+            spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q])
+        least = np.inf
         for q in range(count):
-            room[q] = _room(table, i, bodies[q], angles, poses[q], required[q])
-            nearest = min(nearest, room[q])
-    here = angles[joint]
-    if not bottom <= here <= top:
-        return (here, here, here) if here == begin else (np.inf, begin, begin)
-    low, high = here, here
-    for way in (-1, 1):
-        # Each neighbour allows some way; only who allows least is looked at again.
-        far = min(here - bottom if way < 0 else top - here, reach)
-        for q in range(count):
-            bound[q] = room[q] / lever
-        steps, gone = 0, far
-        while True:
-            q, gone = -1, far
-            for o in range(count):
-                if bound[o] < gone:
-                    q, gone = o, bound[o]
-            if q < 0 or steps == _STEPS:
-                break
-            steps += 1
-            angles[joint] = here + way * gone
-            more = _room(table, i, bodies[q], angles, poses[q], required[q]) / lever
-            if more < _FINEST_RAD:
-                break
-            bound[q] = gone + more
-        if way < 0:
-            low = here - gone
-        else:
-            high = here + gone
-    return here, low, high
+            spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q])
+            least = min(least, spare[q])
+    return True
 
 
 @njit(cache=True)
-def _pose(profiles, body, time, pose):
-    # cosine and sine of theta, then of theta + phi, of a body at a time
-    angle = 0.0
-    for j in range(2):
-        if body < len(profiles.start):
-            here = profiles.start[body, j]
-            for k in range(profiles.first[body, j], profiles.stop[body, j]):
-                if profiles.begins_s[k] > time:
-                    break
-                passed = min(time, profiles.ends_s[k]) - profiles.begins_s[k]
-                here = profiles.angle[k] + passed * profiles.velocity[k]
-            angle += here
-        pose[2 * j], pose[2 * j + 1] = math.cos(angle), math.sin(angle)
+def _approach(scene, axis, angles, free, way):
+    # How far the joint can turn from a free angle, up (+1) or down (-1). Each neighbour has a
+    # bound; only the neighbour with the least bound is evaluated again.
+    table, i, bodies, required, poses, work = scene
+    joint, lever, bottom, top, reach = axis
+    spare, bound, count = work[0], work[1], len(bodies)
+    farthest = min(free - bottom if way < 0 else top - free, reach)
+    for q in range(count):
+        bound[q] = spare[q] / lever
+    steps, turned = 0, farthest
+    while True:
+        q, turned = -1, farthest
+        for o in range(count):
+            if bound[o] < turned:
+                q, turned = o, bound[o]
+        if q < 0 or steps == _STEPS:
+            return turned
+        steps += 1
+        angles[joint] = free + way * turned
+        more = _spare_gap(table, i, bodies[q], angles, poses[q], required[q]) / lever
+        if more < _FINEST_RAD:
+            return turned
+        bound[q] = turned + more
 
 
 @njit(cache=True)
-def _room(table, i, body, angles, pose, required):
-    # gap to a neighbour less the gap required
+def _pose_bodies(profiles, bodies, time, poses):
+    # cosine and sine of theta, then of theta + phi, of some bodies at a time
+    for q in range(len(bodies)):
+        body, angle = bodies[q], 0.0
+        for j in range(2):
+            if body < len(profiles.start):
+                turned = profiles.start[body, j]
+                for k in range(profiles.first[body, j], profiles.stop[body, j]):
+                    if profiles.begins_s[k] > time:
+                        break
+                    passed = min(time, profiles.ends_s[k]) - profiles.begins_s[k]
+                    turned = profiles.angle[k] + passed * profiles.velocity[k]
+                angle += turned
+            poses[q, 2 * j], poses[q, 2 * j + 1] = math.cos(angle), math.sin(angle)
+
+
+@njit(cache=True)
+def _spare_gap(table, i, body, angles, pose, required):
+    # gap to a neighbour less the required gap
     both = angles[0] + angles[1]
     return (
         posed_gap(

@@ -1,43 +1,53 @@
-"""How trajectories are discretized: every choice there is, with its default."""
+"""Options of the discretizer, with their defaults."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
-from fiber_discretizer.fit.linearize import LINEARIZERS, UnknownOption
-from fiber_discretizer.makarem2014.margin import RULES
+from fiber_discretizer.errors import UnknownOption
+from fiber_discretizer.fit.linearize import LINEARIZERS
 from fiber_discretizer.quantize import Rounding
 
-__all__ = ["SHARINGS", "DiscretizeOptions"]
+__all__ = ["RULES", "SHARINGS", "DiscretizeOptions", "ProgressCallback"]
 
-SHARINGS = ("turns", "halves")
+SHARINGS = ("sequential", "makarem2014")
+RULES = ("safe", "printed")
+
+# Called from time to time with the fraction of the work that is done, 0..1, and a short text.
+ProgressCallback: TypeAlias = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
 class DiscretizeOptions:
-    """How trajectories are discretized.
+    """Options of the discretizer.
 
     Args:
-        sharing: how neighbours share the space between them: "turns" (see turns.py) or
-            "halves", the seven steps of the paper (see halves.py).
-        method: how profiles are linearized, a name in LINEARIZERS.
-        rule: where the margins of "halves" come from, "safe" or "printed" (see margin.py).
-        first_joint: which motor is done first where both are, 0 theta or 1 phi; the other
-            one then knows the new profile of the first.
-        max_segments: most segments of one motor an order can carry.
-        rounds: how often robots without a safe motion are done again; with "halves" each
-            time with half the margin, at last with none.
-        reach_rad: how far "turns" lets a joint leave what it is meant to do.
-        allowance_mm: what its tubes keep beyond the gap required, for rounding.
-        slack_rad: how far rounding may shift a profile beside a neighbour.
-        start_tolerance_rad: how far from where a robot is its profile may begin [rad].
-        speed_tolerance: part by which a profile may exceed the speed limits; the motion
-            made of it never does, it takes longer.
-        rounding: how the last segments are searched.
+        sharing: how neighbours share the free space between them. "sequential": robot after
+            robot, each with all the space that the others leave (package `sequential`);
+            "makarem2014": half of the space each, the seven steps of the paper (package
+            `makarem2014`).
+        method: how profiles are fitted by straight lines, a name in LINEARIZERS.
+        rule: what "makarem2014" counts as free space, "safe" or "printed" (see
+            `makarem2014.share`).
+        first_joint: the joint that is fitted first where both are, 0 theta or 1 phi; the
+            corridor of the other joint is found beside the new profile of the first.
+        max_segments: largest number of segments of one joint that an order can carry.
+        rounds: how often robots without a safe motion are tried again; "makarem2014" halves
+            their share each time and tries the last time without any.
+        reach_rad: how far "sequential" lets a joint leave its desired profile [rad].
+        allowance_mm: gap that corridors keep beyond the required one, for rounding [mm].
+        slack_rad: how far rounding may shift a profile that passes a neighbour [rad].
+        start_tolerance_rad: largest difference between the present angle of a joint and the
+            begin of its profile [rad].
+        speed_tolerance: fraction by which a profile may exceed the speed limits; the motion
+            that is sent never does, it takes longer.
+        rounding: limits of the search for the last segments.
 
     Raises:
-        UnknownOption: no such sharing, method, rule or joint.
+        UnknownOption: the sharing, method, rule or joint does not exist.
     """
 
-    sharing: str = "turns"
+    sharing: str = "sequential"
     method: str = "relaxed"
     rule: str = "safe"
     first_joint: int = 0
@@ -58,4 +68,4 @@ class DiscretizeOptions:
             ("first_joint", (0, 1)),
         ):
             if getattr(self, name) not in known:
-                raise UnknownOption(f"{name} is {getattr(self, name)!r}, not one of {known}")
+                raise UnknownOption(name, getattr(self, name), known)

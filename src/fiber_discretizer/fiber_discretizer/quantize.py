@@ -1,9 +1,10 @@
-"""Round piecewise-linear profiles to whole wire units without losing their targets."""
+"""Round piecewise-linear profiles to whole wire units without losing their goals."""
 
 from dataclasses import astuple, dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer.fit.linearize import Polylines
@@ -16,15 +17,15 @@ _ENDLESS = 2**40  # more ticks than any motion takes
 
 @dataclass(frozen=True)
 class Rounding:
-    """How the last segment of a profile is searched for whole units that meet its end.
+    """Limits of the search for a last segment in whole units that meets the end of a profile.
 
     Args:
-        good_quanta: end error with which the search is content [quanta].
-        worst_quanta: end error with which the last segment is cut in two, which meets the
-            end more closely [quanta].
-        later_ticks: how many ticks the last segment may become longer, where it does not
+        good_quanta: end error at which the search ends [quanta].
+        worst_quanta: largest end error of a single last segment [quanta]; with a larger error
+            the segment is cut in two, which meets the end more closely.
+        later_ticks: how many ticks the last segment may become longer, where that does not
             make the whole motion longer.
-        sooner_ticks: how many ticks it may become shorter.
+        sooner_ticks: how many ticks the last segment may become shorter.
         nudge_units: how many velocity units the segment before it may change.
     """
 
@@ -37,40 +38,40 @@ class Rounding:
 
 def quantize(
     paths: Polylines,
-    start,
-    goal,
-    range_counts,
-    speed_rad_s,
-    slack_rad,
+    start: ArrayLike,
+    goal: ArrayLike,
+    range_counts: ArrayLike,
+    speed_rad_s: ArrayLike,
+    slack_rad: ArrayLike,
     units: WireUnits,
     rounding: Rounding = Rounding(),
     latest_s: float = np.inf,
 ) -> Segments:
     """Return the whole-number motion nearest to piecewise-linear profiles.
 
-    Break times are rounded to ticks and the profile is read off there, so no segment
+    Break times are rounded to ticks and the profile is evaluated there, so no segment
     becomes faster than the profile. Velocities are rounded so that each segment ends
     nearest to the profile, which carries the rounding error of one segment into the
     next. For the last segment every duration and change of the velocity before it that
-    the search allows is tried, nearest first, until the end is met well enough; the
-    best is kept. Where a profile is faster than the speed limit, it takes longer.
+    the search allows is tried, nearest first, until the end error is small enough; the
+    best is kept. Where a profile is faster than the speed limit, its motion takes longer.
 
     Args:
         paths: p profiles, the first knot at time >= 0; before it a profile rests.
-        start: where each motor is [quanta], shape (p,).
-        goal: where each is to end [quanta], shape (p,).
-        range_counts: lowest and highest position allowed [quanta], shape (p, 2); a motor
+        start: encoder count of each joint at the start [quanta], shape (p,).
+        goal: encoder count at the end [quanta], shape (p,).
+        range_counts: lowest and highest count allowed [quanta], shape (p, 2); a joint
             that starts outside may come back in, but not go farther out.
         speed_rad_s: speed limits [rad/s], shape (p,); velocities are cut below them.
         slack_rad: how far each profile may be shifted by the search [rad], shape (p,).
         units: size of tick and quantum, and the widths of the fields.
         rounding: limits of the search.
-        latest_s: when the whole motion is to be over; a profile that ends then ends no
-            later for the search, it takes one segment more [s].
+        latest_s: end of the whole motion [s]; the search lets no profile end later, a profile
+            that ends then takes one segment more.
 
     Returns:
-        Segments; longer ones than a duration field holds are split, and those that rest
-        at the end of a profile, or of no duration, are left out.
+        Segments; a segment longer than its duration field holds is split, and segments that
+        rest at the end of a profile, or last no time, are left out.
     """
     fastest = np.floor(np.asarray(speed_rad_s) / units.velocity_rad_s)
     return Segments(
@@ -92,7 +93,7 @@ def quantize(
 
 @njit(cache=True)
 def _quantize(
-    offsets, time, position, start, goal, ranges, fastest, slack, max_ticks, search, latest
+    offsets, time, position, start, goal, ranges, fastest, slack, max_ticks, limits, latest
 ):
     # times in ticks, positions in quanta, velocities in quanta per tick
     p = len(offsets) - 1
@@ -104,7 +105,7 @@ def _quantize(
         while last > knot and abs(position[last - 1] - position[offsets[i + 1] - 1]) < 1.0:
             last -= 1  # a rest at the end needs no segment
         bounds = (fastest[i], min(ranges[i, 0], start[i]), max(ranges[i, 1], start[i]))
-        here, now = start[i], np.int64(0)
+        count, now = start[i], np.int64(0)
         for k in range(offsets[i], last):
             tick = np.int64(np.rint(time[k]))
             if tick <= now:
@@ -112,21 +113,21 @@ def _quantize(
             while knot + 1 < last and time[knot + 1] <= tick:
                 knot += 1
             along = (tick - time[knot]) / (time[knot + 1] - time[knot])
-            there = position[knot] + max(along, 0.0) * (position[knot + 1] - position[knot])
+            wanted = position[knot] + max(along, 0.0) * (position[knot + 1] - position[knot])
             while now < tick:
                 left = tick - now
                 span = left // -(-left // max_ticks)
-                v = _nearest_velocity(here, there - here, left, span, bounds)
+                v = _nearest_velocity(count, wanted - count, left, span, bounds)
                 ticks.append(span)
                 velocity.append(v)
-                here += v * span
+                count += v * span
                 now += span
         if fastest[i] > 0:
             span = max(np.int64(np.ceil(time[last] - 1e-6)) - now, 1)
             left = np.int64(latest) - now
-            _finish(
-                ticks, velocity, first[i], here, goal[i] - here, span, left,
-                bounds, slack[i], max_ticks, search,
+            _append_last_segment(
+                ticks, velocity, first[i], count, goal[i] - count, span, left,
+                bounds, slack[i], max_ticks, limits,
             )  # fmt: skip
         while len(ticks) > first[i] and velocity[-1] == 0:
             ticks.pop()
@@ -136,37 +137,39 @@ def _quantize(
 
 
 @njit(cache=True)
-def _nearest_velocity(here, travel, left, span, bounds):
+def _nearest_velocity(count, travel, left, span, bounds):
     # whole velocity for `span` of the `left` ticks in which to travel, within all bounds
     fastest, low, high = bounds
     v = np.int64(np.rint(travel / left))
     v = min(max(v, -fastest), fastest)
-    return min(max(v, -((here - low) // span)), (high - here) // span)
+    return min(max(v, -((count - low) // span)), (high - count) // span)
 
 
 @njit(cache=True)
-def _finish(ticks, velocity, first, here, travel, span, left, bounds, slack, max_ticks, search):
-    # Travel to the goal in about `span` ticks and as few segments as the fields allow; `left`
-    # of them are left of the motion.
-    fastest, worst = bounds[0], search[1]
+def _append_last_segment(
+    ticks, velocity, first, count, travel, span, left, bounds, slack, max_ticks, limits
+):
+    # Travel to the goal in about `span` ticks and as few segments as the fields allow; the
+    # whole motion has `left` ticks left.
+    fastest, worst = bounds[0], limits[1]
     span = max(span, -(-abs(travel) // fastest))
     while True:
         if span <= max_ticks:
             alone = len(ticks) == first
             before = (np.int64(0), np.int64(0)) if alone else (ticks[-1], velocity[-1])
-            later = min(search[2], max(left - span, 0))
-            error, last_ticks, last_velocity, nudge = _search(
-                here, travel, span, later, bounds, before, slack, max_ticks, search
+            later = min(limits[2], max(left - span, 0))
+            error, last_ticks, last_velocity, nudge = _search_last_segment(
+                count, travel, span, later, bounds, before, slack, max_ticks, limits
             )
             if error <= worst or span == 1:
                 break
             part = max(np.int64(0.382 * span), 1)  # golden section: halves share their errors
         else:
             part = span // -(-span // max_ticks)
-        v = _nearest_velocity(here, travel, span, part, bounds)
+        v = _nearest_velocity(count, travel, span, part, bounds)
         ticks.append(part)
         velocity.append(v)
-        here += v * part
+        count += v * part
         travel -= v * part
         left -= part
         span = max(span - part, -(-abs(travel) // fastest))
@@ -177,11 +180,11 @@ def _finish(ticks, velocity, first, here, travel, span, left, bounds, slack, max
 
 
 @njit(cache=True)
-def _search(here, travel, span, later, bounds, before, slack, max_ticks, search):
+def _search_last_segment(count, travel, span, later, bounds, before, slack, max_ticks, limits):
     # Error, ticks and velocity of the best last segment, and the change of velocity of
-    # the segment before it. Near candidates come first: 0, -1, +1, -2, +2, ...
+    # the segment before it. The smallest changes come first: 0, -1, +1, -2, +2, ...
     fastest, low, high = bounds
-    good, _, _, sooner, nudges = search
+    good, _, _, sooner, nudges = limits
     before_ticks, before_velocity = before
     if before_ticks == 0:
         nudges = 0
@@ -199,10 +202,10 @@ def _search(here, travel, span, later, bounds, before, slack, max_ticks, search)
             if b > 0 and (
                 abs(moved) > slack
                 or abs(before_velocity + nudge) > fastest
-                or not low <= here + moved <= high
+                or not low <= count + moved <= high
             ):
                 continue
-            v = _nearest_velocity(here + moved, travel - moved, t, t, bounds)
+            v = _nearest_velocity(count + moved, travel - moved, t, t, bounds)
             error = abs(travel - moved - v * t)
             if error < best[0]:
                 best = (error, t, v, nudge)

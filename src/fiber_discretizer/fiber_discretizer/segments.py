@@ -1,44 +1,50 @@
-"""Constant-velocity segments of many profiles, in wire units."""
+"""Constant-velocity segments of many joint profiles, in wire units."""
 
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from fiber_core.wire_units import WireUnits
+from fiber_core.array_types import Counts, Ints, Offsets
+from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer.fit.linearize import Polylines
 
 __all__ = ["Segments"]
+
+Numbers: TypeAlias = NDArray[np.number[Any]]  # floats, or integers once they are rounded
 
 
 @dataclass(frozen=True, eq=False)
 class Segments:
     """Constant-velocity segments in wire units, ragged by profile.
 
+    Ticks and velocities are whole numbers once they are rounded, and need not be before.
+
     Args:
         offsets: first segment of each profile, shape (p + 1,).
         ticks: durations [ticks], shape (m,).
-        velocity: joint speeds [velocity units], shape (m,); both are whole numbers once
-            they are rounded, and need not be before.
+        velocity: joint speeds [velocity units], shape (m,).
     """
 
-    offsets: np.ndarray
-    ticks: np.ndarray
-    velocity: np.ndarray
+    offsets: Offsets
+    ticks: Numbers
+    velocity: Numbers
 
     @property
-    def counts(self) -> np.ndarray:
+    def counts(self) -> Ints:
         """Number of segments of each profile, shape (p,)."""
         return np.diff(self.offsets)
 
     @classmethod
     def none(cls, profiles: int) -> "Segments":
         """Return that many profiles at rest."""
-        nothing = np.zeros(0, dtype=np.int64)
-        return cls(np.zeros(profiles + 1, dtype=np.int64), nothing, nothing)
+        empty = np.zeros(0, dtype=np.int64)
+        return cls(np.zeros(profiles + 1, dtype=np.int64), empty, empty)
 
     @classmethod
     def along(cls, paths: Polylines, units: WireUnits) -> "Segments":
-        """Return what carries each profile along a path from time zero, nothing rounded."""
+        """Return the segments that follow each path from time zero, not rounded."""
         first, last = paths.offsets[:-1], paths.offsets[1:] - 1
         ticks = np.diff(paths.time_s, prepend=0.0) / units.tick_s
         quanta = np.diff(paths.angles, prepend=0.0) / units.quantum_rad
@@ -48,41 +54,69 @@ class Segments:
         offsets = np.concatenate([[0], np.cumsum(counts)])
         return cls(offsets, ticks[keep], quanta[keep] / ticks[keep])
 
-    def whole(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return ticks and velocity, whole numbers by now, as integers, each of shape (m,)."""
-        return np.rint(self.ticks).astype(np.int64), np.rint(self.velocity).astype(np.int64)
-
-    def rows(self, rows) -> "Segments":
-        """Return the profiles `rows`, shape (r,), alone."""
-        return Segments.none(len(rows)).replaced(np.arange(len(rows)), self, rows)
-
-    def replaced(self, rows, other: "Segments", their_rows=slice(None)) -> "Segments":
-        """Return these segments with the profiles `rows`, shape (r,), taken from another set.
+    def to_wire(self, start: Counts, units: WireUnits) -> WireMotion:
+        """Return rounded segments of theta and phi of n robots as a motion in wire units.
 
         Args:
-            rows: profiles replaced.
-            other: where they are taken from.
-            their_rows: which of its profiles, in this order; all by default.
+            start: encoder counts at the start [quanta], shape (n, 2).
+            units: size of tick and quantum, and the widths of the fields.
+
+        Raises:
+            MotionError: a number does not fit its field.
+        """
+        ticks = np.rint(self.ticks).astype(np.int64)
+        velocity = np.rint(self.velocity).astype(np.int64)
+        return WireMotion(units, start, self.offsets, ticks, velocity)
+
+    def rows(self, rows: ArrayLike) -> "Segments":
+        """Return some of the profiles alone.
+
+        Args:
+            rows: the profiles, shape (r,).
+        """
+        rows = np.asarray(rows, dtype=np.int64)
+        return Segments.none(len(rows)).replaced(np.arange(len(rows)), self, rows)
+
+    def replaced(
+        self, rows: ArrayLike, other: "Segments", other_rows: ArrayLike | None = None
+    ) -> "Segments":
+        """Return these segments with some profiles taken from another set.
+
+        Args:
+            rows: profiles that are replaced, shape (r,).
+            other: segments of the profiles that replace them.
+            other_rows: profiles of `other`, in the order of `rows`, shape (r,); all by default.
         """
         source = np.stack([self.offsets[:-1], self.counts], axis=1)
         others = np.stack([other.offsets[:-1] + len(self.ticks), other.counts], axis=1)
-        source[rows] = others[their_rows]
+        if other_rows is not None:
+            others = others[np.asarray(other_rows, dtype=np.int64)]
+        source[np.asarray(rows, dtype=np.int64)] = others
         first, counts = source.T
         offsets = np.concatenate([[0], np.cumsum(counts)])
         pick = np.arange(offsets[-1]) + np.repeat(first - offsets[:-1], counts)
         ticks = np.concatenate([self.ticks, other.ticks])[pick]
         return Segments(offsets, ticks, np.concatenate([self.velocity, other.velocity])[pick])
 
-    def without(self, rows) -> "Segments":
-        """Return these segments with the profiles `rows`, shape (r,), at rest."""
-        return self.replaced(rows, Segments.none(len(rows)))
+    def without(self, rows: ArrayLike) -> "Segments":
+        """Return these segments with some profiles at rest.
 
-    def polylines(self, start, units: WireUnits) -> Polylines:
-        """Return the profiles these segments make of positions start [quanta], shape (p,)."""
+        Args:
+            rows: the profiles, shape (r,).
+        """
+        return self.replaced(rows, Segments.none(np.size(rows)))
+
+    def polylines(self, start: ArrayLike, units: WireUnits) -> Polylines:
+        """Return the profiles that whole-number segments make.
+
+        Args:
+            start: encoder count of each joint at the start [quanta], shape (p,).
+            units: size of tick and quantum.
+        """
         offsets = self.offsets + np.arange(len(self.offsets))
         first = offsets[:-1]
 
-        def knots(steps, at_first):
+        def knots(steps: Numbers, at_first: Ints) -> Ints:
             # running sums per profile, begun anew at each first knot
             values = np.zeros(offsets[-1], dtype=np.int64)
             values[np.setdiff1d(np.arange(offsets[-1]), first)] = steps

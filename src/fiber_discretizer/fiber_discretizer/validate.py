@@ -1,8 +1,10 @@
-"""Look a planned trajectory over before anything is made of it."""
+"""Check a planned trajectory before it is discretized."""
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Codes, Counts, Velocities
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
@@ -13,37 +15,37 @@ from fiber_discretizer.options import DiscretizeOptions
 
 __all__ = ["check_trajectory", "peak_speeds", "starting_counts"]
 
-_START_NOISE_RAD = 1e-9  # as the certificate: a joint that starts farther out cannot pass it
-_PROFILE_NOISE_RAD = 1e-6  # rounding brings the rest of a profile inside
+_START_NOISE_RAD = 1e-9  # of the certificate too: a joint that starts farther out fails it
+_PROFILE_NOISE_RAD = 1e-6  # rounding brings later parts of a profile inside
 
 
 def check_trajectory(
     plane: FocalPlane,
     trajectory: SampledMotion,
-    start_counts,
+    start_counts: ArrayLike,
     units: WireUnits,
     options: DiscretizeOptions,
-    velocities=None,
-) -> np.ndarray:
-    """Return the Reason for which each robot's profiles cannot be used, OK where they can.
+    velocities: ArrayLike | None = None,
+) -> Codes:
+    """Return the Reason why each robot's profiles cannot be used, OK where they can.
 
     Args:
         plane: the focal plane.
         trajectory: joint profiles of all its robots.
-        start_counts: where the robots are [quanta], shape (n, 2).
+        start_counts: present encoder counts [quanta], shape (n, 2).
         units: size of tick and quantum.
-        options: start_tolerance_rad and speed_tolerance count; a jump between two samples is
-            a speed too high.
-        velocities: joint speeds written beside the angles [rad/s], shape (n, 2, t), or None.
+        options: for start_tolerance_rad and speed_tolerance. A jump between two samples is
+            a speed that is too high.
+        velocities: joint velocities given with the angles [rad/s], shape (n, 2, t), or None.
 
     Returns:
         Reason of each robot, shape (n,): DISABLED where a disabled robot is to move,
-        BAD_TRAJECTORY where a profile does not begin where the robot is, is too fast or
-        says so, moves outside the joint limits, or needs a motor slower than one velocity
-        unit.
+        BAD_TRAJECTORY where a profile does not begin at the present angle, has angles or
+        velocities that are too fast, moves outside the joint limits, or moves a joint with a
+        speed limit below one velocity unit.
 
     Raises:
-        MotionError: velocities do not fit the trajectory.
+        MotionError: velocities do not have the shape of the trajectory.
     """
     angles, start = trajectory.angles, units.to_angles(start_counts)
     low, high = np.moveaxis(plane.limits, -1, 0)
@@ -64,7 +66,7 @@ def check_trajectory(
     return reason
 
 
-def peak_speeds(trajectory: SampledMotion) -> np.ndarray:
+def peak_speeds(trajectory: SampledMotion) -> Velocities:
     """Return the highest speed of each joint between two samples [rad/s], shape (n, 2)."""
     return _peak_speeds(np.diff(trajectory.time_s), trajectory.angles)
 
@@ -81,21 +83,27 @@ def _peak_speeds(steps, angles):
 
 
 def starting_counts(
-    plane: FocalPlane, trajectory: SampledMotion, units: WireUnits, given=None
-) -> np.ndarray:
-    """Return where the robots are [quanta], shape (n, 2): as given, else where they start.
+    plane: FocalPlane,
+    trajectory: SampledMotion,
+    units: WireUnits,
+    given: ArrayLike | None = None,
+) -> Counts:
+    """Return the encoder counts at the start, as given or at the begin of the trajectory.
 
-    Rounding never takes a joint across its limit; one that begins outside stays there.
+    Rounding never takes a joint across its limit; a joint that begins outside stays there.
 
     Args:
         plane: the focal plane.
         trajectory: joint profiles of all its robots.
         units: size of the quantum.
-        given: where the robots are [quanta], shape (n, 2), or None.
+        given: present encoder counts [quanta], shape (n, 2), or None.
+
+    Returns:
+        Encoder counts [quanta], shape (n, 2).
 
     Raises:
-        MotionError: the trajectory or the positions belong to another plane, or the
-            trajectory begins before time zero.
+        MotionError: the trajectory or the counts have another number of robots than the
+            plane, or the trajectory begins before time zero.
     """
     if trajectory.n != plane.n:
         raise MotionError(f"a trajectory of {trajectory.n} robots for a plane of {plane.n}")

@@ -1,4 +1,4 @@
-"""What the tests of this package share: repeatable properties and small synthetic planes."""
+"""Shared by the tests of this package: repeatable properties and small synthetic planes."""
 
 import numpy as np
 import pytest

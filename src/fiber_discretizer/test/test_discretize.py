@@ -1,3 +1,5 @@
+"""From trajectories to orders: certified, on their goals, or at rest with a reason."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -8,15 +10,15 @@ from fiber_core.errors import MotionError
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer import DiscretizeOptions, UnknownOption, discretize, joint_margins
-from fiber_discretizer.makarem2014 import halves
+from fiber_discretizer import DiscretizeOptions, UnknownOption, discretize, joint_shares
+from fiber_discretizer.makarem2014 import seven_steps
 
 UNITS = WireUnits()
 SAFETY = Safety()
 END_RAD = 1e-6 / 6e-3  # 1 um at a 6 mm arm
-HALVES = DiscretizeOptions(sharing="halves", method="paper")
+PAPER = DiscretizeOptions(sharing="makarem2014", method="douglas_peucker")
 both_sharings = pytest.mark.parametrize(
-    "options", [DiscretizeOptions(), HALVES], ids=["turns", "halves"]
+    "options", [DiscretizeOptions(), PAPER], ids=["sequential", "makarem2014"]
 )
 
 
@@ -38,15 +40,15 @@ def hexagon(rings, pitch=10.4):
 def clear_configuration(plane, rng):
     """Random joint angles [rad], (n, 2), all outlines 0.3 mm apart."""
     pairs, angles = neighbour_pairs(plane), np.zeros((plane.n, 2))
-    again = np.arange(plane.n)
-    while len(again):
-        angles[again] = rng.uniform([-3.0, 0.5], [3.0, 3.1], (len(again), 2))
-        again = np.unique(pairs[gaps(plane, pairs, angles) < 0.3, 0])
+    remaining = np.arange(plane.n)
+    while len(remaining):
+        angles[remaining] = rng.uniform([-3.0, 0.5], [3.0, 3.1], (len(remaining), 2))
+        remaining = np.unique(pairs[gaps(plane, pairs, angles) < 0.3, 0])
     return angles
 
 
 @pytest.fixture(scope="module")
-def crowd(plane_at):
+def dense_field(plane_at):
     """37 neighbours on random smooth moves, some of which meet."""
     plane = plane_at(hexagon(3))
     rng = np.random.default_rng(7)
@@ -55,7 +57,7 @@ def crowd(plane_at):
 
 
 def check(plane, trajectory, result, safety=SAFETY):
-    """What holds for every discretization that is certified."""
+    """Check what holds for every certified discretization."""
     motion = result.wire.decoded()
     goes = (result.reason == Reason.OK) & np.any(trajectory.start != trajectory.end, axis=1)
     assert result.certificate.ok
@@ -65,7 +67,7 @@ def check(plane, trajectory, result, safety=SAFETY):
     assert motion.counts.max() <= 15
 
 
-def test_robots_far_apart_get_one_segment_a_motor(plane_at):
+def test_robots_far_apart_get_one_segment_a_joint(plane_at):
     plane = plane_at(hexagon(1, pitch=60.0))
     start = np.tile([-2.0, 0.3], (7, 1))
     trajectory = eased(start, start + [3.0, 2.0])
@@ -79,42 +81,44 @@ def test_robots_far_apart_get_one_segment_a_motor(plane_at):
 
 @pytest.mark.parametrize("first_joint", [0, 1])
 @both_sharings
-def test_a_crowd_is_certified_and_everyone_goes_or_rests_with_a_reason(crowd, options, first_joint):
-    plane, trajectory = crowd
+def test_on_a_dense_plane_every_robot_goes_or_rests_with_a_reason(
+    dense_field, options, first_joint
+):
+    plane, trajectory = dense_field
     options = replace(options, first_joint=first_joint)
     result = discretize(plane, trajectory, UNITS, SAFETY, options=options)
     check(plane, trajectory, result)
     going = result.reason == Reason.OK
     assert 0.5 * plane.n < going.sum()
     assert set(result.reason[~going]) <= {Reason.UNSAFE}
-    if options.sharing == "halves":  # some had to bend around a neighbour
+    if options.sharing == "makarem2014":  # a robot had to bend around a neighbour
         assert result.wire.decoded().counts[going].max() > 1
 
 
-def test_turns_move_robots_that_halves_have_to_hold(crowd):
-    plane, trajectory = crowd
-    turns, halves = (
-        discretize(plane, trajectory, UNITS, SAFETY, options=options) for options in (None, HALVES)
+def test_sequential_moves_robots_that_makarem2014_has_to_hold(dense_field):
+    plane, trajectory = dense_field
+    sequential, by_halves = (
+        discretize(plane, trajectory, UNITS, SAFETY, options=options) for options in (None, PAPER)
     )
-    assert (halves.reason == Reason.OK).sum() < (turns.reason == Reason.OK).sum()
+    assert (by_halves.reason == Reason.OK).sum() < (sequential.reason == Reason.OK).sum()
     # their trajectories meet, so not even the profile itself could be sent
     pairs = neighbour_pairs(plane)
     gap = sampled_gaps(plane, pairs, trajectory.angles).min(axis=1)
     meet = np.unique(pairs[gap < 0.0])
-    assert np.any(turns.reason[meet] == Reason.OK)
+    assert np.any(sequential.reason[meet] == Reason.OK)
 
 
-def test_margin_of_the_second_motor_knows_the_new_profile_of_the_first(plane_at, monkeypatch):
+def test_the_second_joint_has_its_share_beside_the_new_profile_of_the_first(plane_at, monkeypatch):
     plane = plane_at([[0.0, 0.0], [30.0, 0.0]])
     trajectory = eased([[0.0, 0.5], [0.0, 0.5]], [[1.0, 2.5], [1.0, 2.5]])
     seen = []
 
     def spy(plane, joint, pairs, free, phi, robots, cap):
         seen.append((joint, phi.copy()))
-        return joint_margins(plane, joint, pairs, free, phi, robots, cap)
+        return joint_shares(plane, joint, pairs, free, phi, robots, cap)
 
-    monkeypatch.setattr(halves, "joint_margins", spy)
-    discretize(plane, trajectory, UNITS, SAFETY, options=replace(HALVES, first_joint=1))
+    monkeypatch.setattr(seven_steps, "joint_shares", spy)
+    discretize(plane, trajectory, UNITS, SAFETY, options=replace(PAPER, first_joint=1))
     (first, planned), (second, new) = seen
     assert (first, second) == (1, 0)
     np.testing.assert_array_equal(planned, trajectory.angles[:, 1])
@@ -122,8 +126,8 @@ def test_margin_of_the_second_motor_knows_the_new_profile_of_the_first(plane_at,
 
 
 @both_sharings
-def test_same_input_same_numbers(crowd, options):
-    plane, trajectory = crowd
+def test_same_input_same_numbers(dense_field, options):
+    plane, trajectory = dense_field
     one, two = (discretize(plane, trajectory, UNITS, SAFETY, options=options) for _ in range(2))
     for name in ("start", "offsets", "ticks", "velocity"):
         np.testing.assert_array_equal(getattr(one.wire, name), getattr(two.wire, name))
@@ -142,20 +146,20 @@ def test_of_two_robots_on_crossing_paths_one_is_held_at_most(plane_at, options):
 
 
 @pytest.mark.parametrize("order", [[0, 1], [1, 0]])
-def test_whoever_rests_out_of_the_way_is_held(plane_at, order):
+def test_of_two_robots_the_one_that_rests_out_of_the_way_is_held(plane_at, order):
     # Robot 1 starts in the path of robot 0, robot 0 starts clear of that of robot 1.
     plane = plane_at([[0.0, 0.0], [10.0, 0.0]]).permuted(order)
     start = np.array([[-1.2, 0.0], [np.pi, 0.0]])[order]
     goal = np.array([[0.9, 0.0], [np.pi + 1.2, 0.0]])[order]
     trajectory = eased(start, goal)
-    result = discretize(plane, trajectory, UNITS, SAFETY, options=HALVES)
+    result = discretize(plane, trajectory, UNITS, SAFETY, options=PAPER)
     check(plane, trajectory, result)
     np.testing.assert_array_equal(result.reason[order], [Reason.UNSAFE, Reason.OK])
 
 
 @pytest.fixture
 def past_a_post(plane_at):
-    """A robot that folds to pass a fixed disc in its way, and units fast enough for it."""
+    """A robot that folds to pass a fixed disc, and units fast enough for that."""
     part = np.linspace(0.0, 1.0, 101)
     angles = np.stack([[-1.5 + 3.0 * part, np.pi * np.sin(np.pi * part)]])
     plane = plane_at([[0.0, 0.0]], obstacles=[[6.0, 0.0, 0.8]], speeds=[[4.0, 4.0]])
@@ -163,7 +167,7 @@ def past_a_post(plane_at):
 
 
 @both_sharings
-def test_an_obstacle_is_kept_clear_of(past_a_post, options):
+def test_robots_keep_clear_of_an_obstacle(past_a_post, options):
     plane, trajectory, units = past_a_post
     nothing_there = replace(plane, obstacles=np.zeros((0, 3)))
     alone = discretize(nothing_there, trajectory, units, SAFETY, options=options)
@@ -174,11 +178,11 @@ def test_an_obstacle_is_kept_clear_of(past_a_post, options):
     assert result.wire.decoded().counts[0, 1] >= 2
 
 
-def test_motion_that_fails_its_certificate_is_done_again_with_less_margin(past_a_post):
+def test_a_motion_that_fails_its_certificate_is_tried_again_with_a_smaller_share(past_a_post):
     plane, trajectory, _ = past_a_post  # its units carry the profile at once, these do not
     at_once, patient = (
         discretize(
-            plane, trajectory, UNITS, SAFETY, options=replace(HALVES, rule="printed", rounds=r)
+            plane, trajectory, UNITS, SAFETY, options=replace(PAPER, rule="printed", rounds=r)
         )
         for r in (0, 4)
     )
@@ -285,7 +289,7 @@ def test_robots_that_need_more_segments_than_an_order_has_are_held(past_a_post):
     goes = discretize(plane, trajectory, units, SAFETY)
     assert goes.reason[0] == Reason.OK
     most = int(goes.wire.decoded().counts.max())
-    for options in (DiscretizeOptions(), HALVES):
+    for options in (DiscretizeOptions(), PAPER):
         few = replace(options, max_segments=most - 1)
         result = discretize(plane, trajectory, units, SAFETY, options=few)
         assert result.reason[0] == Reason.TOO_MANY_SEGMENTS
@@ -297,7 +301,7 @@ def _touching(plane_at):
     return plane, np.array([[0.0, 0.0], [np.pi, 0.0], [0.0, 0.0]])
 
 
-def test_of_robots_that_touch_already_one_leaves(plane_at):
+def test_of_two_robots_that_touch_already_one_leaves(plane_at):
     plane, start = _touching(plane_at)
     trajectory = eased(start, start + [1.0, 0.0])
     result = discretize(plane, trajectory, UNITS, SAFETY)
@@ -381,8 +385,21 @@ def test_unknown_options_are_refused_by_name(option):
         DiscretizeOptions(**option)
 
 
-def test_progress_rises_to_one(crowd):
-    plane, trajectory = crowd
-    told = []
-    discretize(plane, trajectory, UNITS, SAFETY, progress=lambda part, _: told.append(part))
-    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 1.0
+@pytest.mark.parametrize(
+    ("option", "old", "new"),
+    [
+        ("sharing", "turns", "sequential"),
+        ("sharing", "halves", "makarem2014"),
+        ("method", "paper", "douglas_peucker"),
+    ],
+)
+def test_a_renamed_option_value_is_refused_with_its_new_name(option, old, new):
+    with pytest.raises(UnknownOption, match=f"{option} '{old}' .*is now called '{new}'"):
+        DiscretizeOptions(**{option: old})
+
+
+def test_progress_rises_to_one(dense_field):
+    plane, trajectory = dense_field
+    reported = []
+    discretize(plane, trajectory, UNITS, SAFETY, progress=lambda part, _: reported.append(part))
+    assert reported == sorted(reported) and reported[0] == 0.0 and reported[-1] == 1.0

@@ -1,4 +1,4 @@
-"""Margins of what is sent: nobody meets anybody inside them, and they end where somebody is."""
+"""Corridors of sent orders: robots never meet inside, and most walls are beside a neighbour."""
 
 import itertools
 
@@ -17,7 +17,7 @@ SAFETY = Safety()
 
 @pytest.fixture(scope="module", params=["desi", "sdss_v"])
 def case(request):
-    """A random field, and straight lines to it as far as they are safe."""
+    """A random field, and straight lines to its targets as far as they are safe."""
     plane = preset(request.param, 61)
     problem = random_field(plane, np.random.default_rng(3)).problem
     units = WireUnits.for_plane(plane)
@@ -30,7 +30,7 @@ def case(request):
     return plane, motion, joint_corridors(plane, motion, SAFETY)
 
 
-def test_what_is_sent_is_inside(case):
+def test_the_sent_motion_is_inside_its_corridors(case):
     _, motion, corridors = case
     np.testing.assert_array_equal(corridors.lasts_s, motion.durations.max(axis=1))
     for row in range(motion.n):
@@ -40,28 +40,28 @@ def test_what_is_sent_is_inside(case):
             assert (sent <= corridors.high[row, :, k] + 1e-9).all()
 
 
-def test_inside_every_gap_is_what_is_required(case):
+def test_inside_a_corridor_every_gap_is_at_least_the_required_gap(case):
     plane, motion, corridors = case
     pairs = certified_pairs(plane, motion, SAFETY)
     required = SAFETY.required_mm(plane, motion, pairs)
     rng = np.random.default_rng(5)
     for row in rng.choice(motion.n, 30, replace=False):
-        mine = (pairs == row).any(axis=1)
+        own = (pairs == row).any(axis=1)
         joint, k = rng.integers(2), rng.integers(1, corridors.low.shape[2])
         angles = motion(corridors.times_s(row)[k])
         low, high = corridors.low[row, joint, k], corridors.high[row, joint, k]
         for share in np.linspace(0, 1, 9):
             angles[row, joint] = low + share * (high - low)
-            assert (gaps(plane, pairs[mine], angles) >= required[mine] - 1e-4).all(), row
+            assert (gaps(plane, pairs[own], angles) >= required[own] - 1e-4).all(), row
 
 
-def test_most_walls_are_a_neighbour_a_limit_or_far_away(case):
+def test_most_walls_are_at_a_neighbour_at_a_limit_or_far_away(case):
     plane, motion, corridors = case
     pairs = certified_pairs(plane, motion, SAFETY)
     required = SAFETY.required_mm(plane, motion, pairs)
     met = []
     for row, k in itertools.product(range(motion.n), (0, 6, 12, 18, 24)):
-        mine = (pairs == row).any(axis=1)
+        own = (pairs == row).any(axis=1)
         angles = motion(corridors.times_s(row)[k])
         for joint in (0, 1):
             sent, wall = angles[row, joint], corridors.high[row, joint, k]
@@ -69,6 +69,6 @@ def test_most_walls_are_a_neighbour_a_limit_or_far_away(case):
                 continue
             beyond = angles.copy()
             beyond[row, joint] = wall + 0.02
-            met.append((gaps(plane, pairs[mine], beyond) < required[mine]).any())
-    # along a neighbour steps are short, and the search ends before it meets it: the safe side
+            met.append((gaps(plane, pairs[own], beyond) < required[own]).any())
+    # along a neighbour steps are short, and the search ends before the wall: the safe side
     assert len(met) > 20 and np.mean(met) > 0.6

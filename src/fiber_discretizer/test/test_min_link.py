@@ -1,4 +1,4 @@
-"""The minimum-link path against references that know nothing of windows or hulls."""
+"""The minimum-link path against references without windows or hulls."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,12 @@ from numba import njit
 
 from fiber_discretizer import linearize
 
-# A coarse world in which everything can be tried: whole times, angles in units of STEP.
+# Coarse corridors of which every path can be tried: whole times, angles in units of STEP.
 STEP, PARTS, ROWS = 1.0, 4, 17
 
 
-def coarse_tube(seed):
-    """A random tube on whole numbers: times, profile, walls."""
+def coarse_corridor(seed):
+    """A random corridor on whole numbers: times, profile, walls."""
     rng = np.random.default_rng(seed)
     samples = int(rng.integers(3, 9))
     low = rng.integers(0, ROWS - 2, samples)
@@ -28,7 +28,7 @@ def coarse_tube(seed):
 
 @njit
 def links_on_grid(low, high, steepest):
-    """Fewest lines of a path inside the tube with its breaks on a grid, by trying all.
+    """Fewest lines of a path inside the corridor with its breaks on a grid, by trying all.
 
     Breadth first: every break reached with k lines tries every grid point after it.
     """
@@ -55,8 +55,8 @@ def links_on_grid(low, high, steepest):
                         slope = 0.5 * (z - y) / (m - k)
                         inside = abs(slope) * PARTS <= steepest
                         for n in range(k, m + 1):
-                            here = 0.5 * y + slope * (n - k)
-                            inside &= lower[n] - 1e-9 <= here <= upper[n] + 1e-9
+                            angle = 0.5 * y + slope * (n - k)
+                            inside &= lower[n] - 1e-9 <= angle <= upper[n] + 1e-9
                         if inside:
                             links[m, z] = link
         end = links[times - 1, int(round(2 * low[-1]))]
@@ -69,7 +69,7 @@ def links_on_grid(low, high, steepest):
 def links_by_windows(low, high):
     """Fewest lines by the definition of a window, every line through two corners tried.
 
-    From a point or a window, the lines through any two corners of the tube, window ends
+    From a point or a window, the lines through any two corners of the corridor, window ends
     included, are followed as far as they stay inside; the one that gets farthest carries
     the next window, from where it touches the other wall last to where it leaves.
     """
@@ -98,21 +98,21 @@ def links_by_windows(low, high):
                 stop, touch, on_low, on_high = cross, cross, cross, cross
                 k = int(np.floor(cross + 1e-12)) + 1
                 while k < gates:
-                    here = y[p] + slope * (k - x[p])
-                    if low[k] - 1e-9 <= here <= high[k] + 1e-9:
+                    angle = y[p] + slope * (k - x[p])
+                    if low[k] - 1e-9 <= angle <= high[k] + 1e-9:
                         stop = float(k)
-                        if abs(here - low[k]) < 1e-9:
+                        if abs(angle - low[k]) < 1e-9:
                             on_low = stop
-                        if abs(here - high[k]) < 1e-9:
+                        if abs(angle - high[k]) < 1e-9:
                             on_high = stop
                         k += 1
                         continue
-                    wall = low if here < low[k] else high
+                    wall = low if angle < low[k] else high
                     before = y[p] + slope * (k - 1 - x[p]) - wall[k - 1]
-                    after = here - wall[k]
+                    after = angle - wall[k]
                     leaves = k - 1 + before / (before - after)
                     stop = max(stop, leaves)
-                    touch = on_high if here < low[k] else on_low
+                    touch = on_high if angle < low[k] else on_low
                     break
                 if stop > farthest + 1e-12:
                     farthest, best_b, best_slope = stop, touch, slope
@@ -126,8 +126,8 @@ def links_by_windows(low, high):
     return gates
 
 
-def links_of(tube, method="minimal", speed=np.inf):
-    time_s, profile, low, high = tube
+def links_of(corridor, method="minimal", speed=np.inf):
+    time_s, profile, low, high = corridor
     path = linearize(time_s, profile[None], low[None], high[None], method, speed, [len(low) - 1])
     return int(path.counts[0])
 
@@ -135,51 +135,51 @@ def links_of(tube, method="minimal", speed=np.inf):
 def test_never_more_lines_than_any_path_with_its_breaks_on_a_grid():
     decided = 0
     for seed in range(1500):
-        tube = coarse_tube(seed)
-        _, _, low, high = tube
-        ours = links_of(tube)
+        corridor = coarse_corridor(seed)
+        _, _, low, high = corridor
+        lines = links_of(corridor)
         most = links_on_grid(low, high, np.inf)
-        assert ours <= most
-        decided += ours == most
-    assert decided > 1000  # the grid is fine enough to meet the minimum of most tubes
+        assert lines <= most
+        decided += lines == most
+    assert decided > 1000  # the grid is fine enough to meet the minimum of most corridors
 
 
 def test_as_few_lines_as_a_search_over_all_lines_through_two_corners():
     for seed in range(4000):
-        tube = coarse_tube(seed)
-        ours, reference = links_of(tube), links_by_windows(*tube[2:])
-        assert ours == reference, f"seed {seed}: {ours} lines, {reference} would do"
+        corridor = coarse_corridor(seed)
+        lines, reference = links_of(corridor), links_by_windows(*corridor[2:])
+        assert lines == reference, f"seed {seed}: {lines} lines, {reference} would do"
 
 
 @pytest.mark.parametrize("speed", [2.0, 4.0, 8.0])
 def test_with_a_speed_limit_as_few_lines_as_any_path_on_a_grid(speed):
     decided = 0
     for seed in range(600):
-        time_s, profile, low, high = tube = coarse_tube(seed)
+        time_s, profile, low, high = corridor = coarse_corridor(seed)
         if np.abs(np.diff(profile)).max() > speed:
             continue
-        ours = links_of(tube, speed=speed)
+        lines = links_of(corridor, speed=speed)
         most = links_on_grid(low, high, speed)
-        assert 1 <= ours <= most
-        decided += ours == most
+        assert 1 <= lines <= most
+        decided += lines == most
     assert decided > 25
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_relaxed_paths_have_as_few_lines_and_use_less_of_the_tube(seed):
-    time_s, profile, low, high = tube = coarse_tube(seed)
+def test_relaxed_paths_have_as_few_lines_and_use_less_of_the_corridor(seed):
+    time_s, profile, low, high = corridor = coarse_corridor(seed)
     last = [len(low) - 1]
     used = []
     for method in ("minimal", "relaxed"):
         path = linearize(time_s, profile[None], low[None], high[None], method, np.inf, last)
         way = path(time_s)[0] - profile
-        room = np.where(way < 0, profile - low, high - profile)
-        used.append(np.max(np.abs(way)[room > 0] / room[room > 0], initial=0.0))
-        assert path.counts[0] == links_of(tube)
+        width = np.where(way < 0, profile - low, high - profile)
+        used.append(np.max(np.abs(way)[width > 0] / width[width > 0], initial=0.0))
+        assert path.counts[0] == links_of(corridor)
     assert used[1] <= used[0] + 1 / 16
 
 
-def test_a_tube_too_fast_to_follow_has_no_path():
+def test_a_corridor_too_fast_to_follow_has_no_path():
     time_s = np.arange(4.0)
     profile = np.array([[0.0, 0.0, 9.0, 9.0]])
     for speed, knots in ((8.0, 0), (9.1, 4)):
@@ -198,7 +198,7 @@ def test_breaks_need_not_be_at_samples():
     assert path.counts[0] == 2 and path.time_s[1] == pytest.approx(2.5, abs=1e-6)
 
 
-def test_tubes_of_no_width_and_tubes_that_open_late():
+def test_corridors_of_no_width_and_corridors_that_open_late():
     time_s = np.arange(50.0)
     rng = np.random.default_rng(0)
     profile = np.cumsum(rng.normal(size=50))
@@ -210,7 +210,7 @@ def test_tubes_of_no_width_and_tubes_that_open_late():
     assert late.counts[0] in (29, 30)
 
 
-def test_noise_at_the_margin_costs_nothing():
+def test_noise_inside_the_corridor_costs_no_line():
     time_s = np.linspace(0.0, 1.0, 200)
     rng = np.random.default_rng(1)
     profile = 0.7 * time_s + 0.01 * rng.choice([-1.0, 1.0], 200)

@@ -1,4 +1,4 @@
-"""The discretizer node alone: a test plays the rest of the graph."""
+"""The discretizer node, with the rest of the graph played by the test."""
 
 import numpy as np
 import pytest
@@ -97,24 +97,24 @@ def test_a_trajectory_becomes_certified_segments_that_end_where_it_ends(rest):
     assert np.all(decoded.counts[:, 0] >= 1) and not decoded.counts[:, 1].any()
 
 
-def test_margins_are_made_for_whoever_listens(rest):
+def test_corridors_are_published_while_there_is_a_subscription(rest):
     rest.show_plane()
     rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(9)))
-    heard = rest.peer.collect(topics.CORRIDORS)
+    received = rest.peer.collect(topics.CORRIDORS)
     rest.peer.wait_for(lambda: rest.peer.node.count_publishers("focal_plane/corridors"), WAIT_S)
     rest.segments.clear()
     rest.held.clear()
     _, motion = rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(10)))
-    rest.peer.wait_for(lambda: heard, WAIT_S, "corridors")
-    # those of the first plan nobody wanted, so nobody made them
-    assert [PlanStamp.of(message) for message in heard] == [PlanStamp(10)]
-    ids, room = corridors.decode(heard[0])
+    rest.peer.wait_for(lambda: received, WAIT_S, "corridors")
+    # without a subscription no corridors of the first plan were made
+    assert [PlanStamp.of(message) for message in received] == [PlanStamp(10)]
+    ids, found = corridors.decode(received[0])
     assert np.array_equal(ids, PLANE.ids)
     end = motion.decoded().end
-    assert np.all(room.low[:, :, -1] <= end + 1e-6) and np.all(end <= room.high[:, :, -1] + 1e-6)
+    assert np.all(found.low[:, :, -1] <= end + 1e-6) and np.all(end <= found.high[:, :, -1] + 1e-6)
 
 
-def test_robots_a_trajectory_does_not_mention_rest(rest):
+def test_robots_that_are_not_in_the_trajectory_rest(rest):
     rest.show_plane()
     some = SampledMotion(turning().time_s, turning().angles[2:4])
     why, motion = rest.discretize(trajectory.encode(PLANE.ids[2:4], some, PlanStamp(9)))
@@ -135,7 +135,7 @@ def test_a_trajectory_of_another_plane_is_refused(rest):
     rest.show_plane()
     other = trajectory.encode(PLANE.ids + 90, turning(), PlanStamp(9))
     rest.trajectory.publish(other)
-    rest.wait_refusal("robot 90: is not in the layout")
+    rest.wait_refusal("robot 90 of the trajectory is not in the layout")
 
 
 def test_a_value_that_is_not_finite_is_refused_by_robot(rest):
@@ -156,7 +156,7 @@ def test_a_trajectory_before_the_layout_is_refused_and_comes_through_later(rest)
     assert not why
 
 
-def test_an_older_trajectory_is_dropped_and_says_so(rest):
+def test_an_older_trajectory_is_dropped_with_a_message(rest):
     rest.show_plane()
     rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(20)))
     rest.trajectory.publish(trajectory.encode(PLANE.ids, turning(), PlanStamp(19)))

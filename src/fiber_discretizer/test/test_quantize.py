@@ -1,3 +1,5 @@
+"""Rounding: whole units inside their fields, and end errors below a micrometre or so."""
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -56,7 +58,7 @@ def check_fields(segments, units=UNITS):
     assert np.all((segments.ticks >= 1) & (segments.ticks <= units.max_ticks))
     assert np.all(np.abs(segments.velocity) * units.velocity_rad_s <= SPEED)
     ends = segments.offsets[1:][segments.counts > 0] - 1
-    assert np.all(segments.velocity[ends] != 0)  # nobody is sent a rest at the end
+    assert np.all(segments.velocity[ends] != 0)  # no rest at the end is sent
 
 
 @pytest.mark.parametrize("pieces", [1, 2, 3, 6])
@@ -71,7 +73,7 @@ def test_end_error_of_thousands_of_profiles(pieces):
 
 
 @pytest.mark.parametrize("intervals", [300, 500.4])
-def test_nobody_makes_the_motion_longer_to_meet_its_end(intervals):
+def test_no_profile_makes_the_motion_longer_to_meet_its_end(intervals):
     speeds = SPEED * np.linspace(-0.998, 0.998, 4000)
     latest_s = intervals * UNITS.tick_s
     ends = np.stack([np.zeros(4000), speeds * latest_s], axis=1)
@@ -157,7 +159,7 @@ def test_limits_are_never_left_even_by_rounding():
     assert np.abs(starts + travel(segments) - limit).max() <= 130
 
 
-def test_rests_and_nothing():
+def test_rests_at_the_begin_are_sent_and_rests_at_the_end_are_not():
     first_rest = Polylines([0, 3], [0.0, 0.4, 0.8], [0.0, 0.0, 0.1])
     _, segments = rounded(first_rest)
     np.testing.assert_array_equal(segments.velocity == 0, [True, False])
@@ -215,10 +217,10 @@ def test_replacing_profiles_changes_them_and_no_others(data):
         cut = segments.offsets[1:-1]
         return [x.tolist() for x in np.split(segments.ticks * 100 + segments.velocity, cut)]
 
-    mine, rows = some(7), np.flatnonzero(rng.random(7) < 0.5)
+    segments, rows = some(7), np.flatnonzero(rng.random(7) < 0.5)
     other = some(len(rows))
-    expected = rows_of(mine)
+    expected = rows_of(segments)
     for row, profile in zip(rows, rows_of(other)):
         expected[row] = profile
-    assert rows_of(mine.replaced(rows, other)) == expected
-    assert all(rows_of(mine.without(rows))[row] == [] for row in rows)
+    assert rows_of(segments.replaced(rows, other)) == expected
+    assert all(rows_of(segments.without(rows))[row] == [] for row in rows)

@@ -1,4 +1,4 @@
-"""Robots that take turns: what is safe stays safe, and hard cases."""
+"""Sequential discretization: a safe motion stays safe, and hard cases."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import DiscretizeOptions, Segments, discretize
-from fiber_discretizer.sequential.segment_plan import Draft
-from fiber_discretizer.sequential.selection import Choice
+from fiber_discretizer.sequential.segment_plan import SegmentPlan
+from fiber_discretizer.sequential.selection import Selection
 
 UNITS = WireUnits()
 SAFETY = Safety()
@@ -50,7 +50,7 @@ def pushed_apart(plane, start, goal, seconds=3.0, step_s=0.01, least_mm=2.0, rea
 
 
 def three_robots(plane_at, seed):
-    """Three neighbours that all pass the place between them; valid starts and goals."""
+    """Three neighbours that all pass between each other; valid starts and goals."""
     rng = np.random.default_rng(seed)
     plane = plane_at(TRIANGLE)
     pairs = neighbour_pairs(plane)
@@ -77,7 +77,7 @@ def test_three_robots_that_pass_between_each_other_take_three_segments_at_most(p
         assert going.all()
 
 
-def test_straight_lines_would_not_do_in_the_case_of_three(plane_at):
+def test_straight_lines_are_not_safe_in_the_case_of_three(plane_at):
     bent = 0
     for seed in range(12):
         plane, start, goal = three_robots(plane_at, seed)
@@ -86,68 +86,68 @@ def test_straight_lines_would_not_do_in_the_case_of_three(plane_at):
     assert bent >= 3
 
 
-def draft_of(plane, start):
-    return Draft(plane, UNITS, UNITS.to_counts(start), SAFETY, 3.0)
+def plan_of(plane, start):
+    return SegmentPlan(plane, UNITS, UNITS.to_counts(start), SAFETY, 3.0)
 
 
 def turning(plane, start, goal, seconds=2.0):
-    """Segments of one line a motor, in float units."""
+    """Segments of one line for each joint, in float units."""
     ticks = np.full(2 * plane.n, seconds / UNITS.tick_s)
     quanta = ((goal - start) / UNITS.quantum_rad).ravel()
     return Segments(np.arange(2 * plane.n + 1), ticks, quanta / ticks)
 
 
-def test_a_draft_knows_its_unsafe_pairs_as_the_certificate_does(plane_at):
+def test_a_segment_plan_has_the_unsafe_pairs_that_the_certificate_finds(plane_at):
     rng = np.random.default_rng(5)
     for seed in range(8):
         plane, start, goal = three_robots(plane_at, seed)
-        draft = draft_of(plane, start)
+        plan = plan_of(plane, start)
         segments = turning(plane, start, goal)
         order = rng.permutation(3)
-        for row in order:  # given one by one, in any order
-            draft.give(np.array([row]), segments.rows([2 * row, 2 * row + 1]))
+        for row in order:  # assigned one by one, in any order
+            plan.assign(np.array([row]), segments.rows([2 * row, 2 * row + 1]))
         required = SAFETY.required_at(
-            point_speeds(draft.levers_mm, draft.profiles.fastest), 3.0, draft.pairs
+            point_speeds(plan.levers_mm, plan.profiles.fastest), 3.0, plan.pairs
         )
-        every = unproven(draft.bodies, profiles_of(draft.motion), draft.pairs, required)
-        np.testing.assert_array_equal(draft.unsafe, every)
-        again = draft.unproven(np.arange(len(draft.pairs)), np.arange(3), segments)
+        every = unproven(plan.bodies, profiles_of(plan.motion), plan.pairs, required)
+        np.testing.assert_array_equal(plan.unsafe, every)
+        again = plan.unproven(np.arange(len(plan.pairs)), np.arange(3), segments)
         np.testing.assert_array_equal(again, every)
-        draft.rest(np.ones(3, dtype=bool))
-        assert not draft.unsafe.any() and not draft.counts().any()
+        plan.rest(np.ones(3, dtype=bool))
+        assert not plan.unsafe.any() and not plan.counts().any()
 
 
-def test_a_choice_is_the_shortest_safe_motion_and_never_an_unsafe_one(plane_at):
+def test_the_shortest_safe_motion_is_selected_and_never_an_unsafe_one(plane_at):
     plane = plane_at([[0.0, 0.0], [10.0, 0.0]])
     start = np.array([[-1.2, 0.0], [np.pi, 0.0]])
-    draft = draft_of(plane, start)
+    plan = plan_of(plane, start)
     rows, idle = np.array([0]), np.array([True])
     through = turning(plane, start, start + [[2.4, 0.0], [0.0, 0.0]]).rows([0, 1])
     short = turning(plane, start, start + [[-0.5, 0.0], [0.0, 0.0]]).rows([0, 1])
     columns = ([0, 2, 3], [200.0, 100.0, 5.0], [-500.0, -400.0, 0.0])
     twice = Segments(*map(np.array, columns))
-    choice = Choice(draft, rows, idle, 0.0, 15)
-    choice.consider(np.array([0]), through)
-    assert len(choice.without()) == 1  # robot 1 stands in the way
-    choice.consider(np.array([0]), twice)
-    assert len(choice.without()) == 0
-    choice.consider(np.array([0]), short, np.array([False]))
-    choice.consider(np.array([0]), short)
-    np.testing.assert_array_equal(choice.settle(), [0])
-    np.testing.assert_array_equal(draft.segments.velocity, short.velocity)
-    assert not draft.unsafe.any()
-    again = Choice(draft, rows, np.array([False]), 0.0, 15)
-    again.consider(np.array([0]), twice)
-    assert len(again.settle()) == 0  # no longer motion is taken for what is fine
+    selection = Selection(plan, rows, idle, 0.0, 15)
+    selection.evaluate(np.array([0]), through)
+    assert len(selection.unsolved()) == 1  # robot 1 stands in the way
+    selection.evaluate(np.array([0]), twice)
+    assert len(selection.unsolved()) == 0
+    selection.evaluate(np.array([0]), short, np.array([False]))
+    selection.evaluate(np.array([0]), short)
+    np.testing.assert_array_equal(selection.commit(), [0])
+    np.testing.assert_array_equal(plan.segments.velocity, short.velocity)
+    assert not plan.unsafe.any()
+    second = Selection(plan, rows, np.array([False]), 0.0, 15)
+    second.evaluate(np.array([0]), twice)
+    assert len(second.commit()) == 0  # no longer motion replaces a safe one
 
 
-def test_too_many_segments_are_no_choice(plane_at):
+def test_a_motion_with_too_many_segments_is_not_selected(plane_at):
     plane = plane_at([[0.0, 0.0]])
-    draft = draft_of(plane, np.array([[0.0, 0.0]]))
-    choice = Choice(draft, np.array([0]), np.array([True]), 0.0, 2)
+    plan = plan_of(plane, np.array([[0.0, 0.0]]))
+    selection = Selection(plan, np.array([0]), np.array([True]), 0.0, 2)
     three = Segments(*map(np.array, ([0, 3, 3], [10.0, 10.0, 10.0], [5.0, 6.0, 7.0])))
-    choice.consider(np.array([0]), three)
-    assert len(choice.without()) == 1
+    selection.evaluate(np.array([0]), three)
+    assert len(selection.unsolved()) == 1
 
 
 def scene_of(plane_at, seed, rings=2):
@@ -168,7 +168,7 @@ def scene_of(plane_at, seed, rings=2):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("most", [2, 15])
-def test_crowds_on_curved_paths_are_certified_whatever_an_order_carries(plane_at, seed, most):
+def test_dense_planes_on_curved_paths_are_certified(plane_at, seed, most):
     plane, start, goal = scene_of(plane_at, seed)
     trajectory = pushed_apart(plane, start, goal)
     options = DiscretizeOptions(max_segments=most)
@@ -182,8 +182,8 @@ def test_crowds_on_curved_paths_are_certified_whatever_an_order_carries(plane_at
     np.testing.assert_allclose(motion.end[going], trajectory.end[going], rtol=0, atol=2e-4)
 
 
-def test_whoever_has_nowhere_to_go_makes_way_only_where_it_must(plane_at):
-    # It swings out and back; alone it may as well stay.
+def test_a_robot_that_returns_to_its_start_moves_only_where_it_must_make_way(plane_at):
+    # The robot swings out and back; without neighbours it rests.
     plane = plane_at([[0.0, 0.0]])
     part = np.linspace(0.0, 1.0, 51)
     angles = np.stack([[np.sin(np.pi * part), 1.0 + 0.0 * part]])

@@ -1,1 +1,5 @@
-"""Line fitting: a sampled profile as the fewest straight pieces inside its corridor."""
+"""Line fitting: a sampled profile as few straight pieces inside its corridor."""
+
+from fiber_discretizer.fit.linearize import LINEARIZERS, Polylines, linearize
+
+__all__ = ["LINEARIZERS", "Polylines", "linearize"]

@@ -1,22 +1,21 @@
-"""Replace sampled joint profiles by few straight lines that stay inside a tube."""
+"""Fit sampled joint profiles with few straight lines that stay inside a corridor."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
-from fiber_core.errors import FiberError
+from fiber_core.array_types import Floats, Ints, Offsets, Times
+from fiber_discretizer.errors import UnknownOption
 from fiber_discretizer.fit.douglas_peucker import bisection_knots
 from fiber_discretizer.fit.greedy import greedy_knots
 from fiber_discretizer.fit.min_link import min_link_paths, relaxed_paths
 
-__all__ = ["LINEARIZERS", "Polylines", "UnknownOption", "linearize"]
+__all__ = ["LINEARIZERS", "Polylines", "linearize"]
 
-_NOISE_RAD = 1e-9  # what is this close to a wall is inside: 1/1000 of a typical wire quantum
-
-
-class UnknownOption(FiberError):
-    """An option names something the discretizer does not have."""
+_NOISE_RAD = 1e-9  # a point this close to a wall is inside: 1/1000 of a typical wire quantum
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +28,9 @@ class Polylines:
         angles: joint angles at the knots [rad], shape (k,).
     """
 
-    offsets: np.ndarray
-    time_s: np.ndarray
-    angles: np.ndarray
+    offsets: Offsets
+    time_s: Times
+    angles: Floats
 
     def __post_init__(self):
         for name, dtype in (("offsets", np.int64), ("time_s", float), ("angles", float)):
@@ -40,54 +39,67 @@ class Polylines:
             object.__setattr__(self, name, value)
 
     @property
-    def counts(self) -> np.ndarray:
+    def counts(self) -> Ints:
         """Number of straight lines of each profile, shape (p,)."""
         return np.diff(self.offsets) - 1
 
-    def __call__(self, time_s) -> np.ndarray:
-        """Joint angles at increasing times [s], shape (t,): [rad], shape (p, t).
+    def __call__(self, time_s: ArrayLike) -> Floats:
+        """Return the joint angles at increasing times [rad], shape (p, t).
 
         Before its first and after its last knot a profile rests.
+
+        Args:
+            time_s: the times, the same for all profiles [s], shape (t,).
         """
         times = np.ascontiguousarray(time_s, dtype=float)
         return self.at(np.tile(times, (len(self.counts), 1)))
 
-    def at(self, times_s) -> np.ndarray:
-        """As a call, with increasing times for each profile [s], shape (p, t)."""
+    def at(self, times_s: Floats) -> Floats:
+        """Return the joint angles at increasing times of each profile [rad], shape (p, t).
+
+        Args:
+            times_s: the times of each profile [s], shape (p, t).
+        """
         return _evaluate(self.offsets, self.time_s, self.angles, times_s)
 
 
 def linearize(
-    time_s, profiles, low, high, method: str = "minimal", speed_rad_s=np.inf, last=None
+    time_s: ArrayLike,
+    profiles: ArrayLike,
+    low: ArrayLike,
+    high: ArrayLike,
+    method: str = "minimal",
+    speed_rad_s: ArrayLike = np.inf,
+    last: ArrayLike | None = None,
 ) -> Polylines:
-    """Return a piecewise-linear path inside a tube for each profile, ends fixed.
+    """Return a piecewise-linear path inside a corridor for each profile, ends fixed.
 
     A profile that rests at last is followed to where its rest begins. Between samples
-    the profile and the walls of its tube are straight; at its two ends the tube is the
-    profile.
+    the profile and the walls of its corridor are straight; at its two ends the corridor is
+    the profile.
 
     Args:
         time_s: strictly increasing sample times [s], shape (t,), t >= 1.
         profiles: joint angles [rad], shape (p, t).
-        low, high: walls of the tubes [rad], shape (p, t), may be infinite. The profile is
-            between them; only "minimal" and "relaxed" do without.
-        method: a name in LINEARIZERS. "paper" is the bisection of Makarem et al. 2014
-            (SPIE, arXiv 1410.1181); "greedy" takes each line as far as it goes; both
-            have their knots on the profile, at samples. "minimal" has the fewest lines of
-            any path; "relaxed" has as few and keeps away from the walls.
-        speed_rad_s: no line of the last two is faster [rad/s], scalar or shape (p,); the
-            others are never faster than the profile.
+        low, high: walls of the corridors [rad], shape (p, t), may be infinite. "greedy" and
+            "douglas_peucker" need a profile between them.
+        method: a name in LINEARIZERS. "minimal" has the fewest lines of any path; "relaxed"
+            has as few and keeps away from the walls; "greedy" takes each line as far as it
+            goes; "douglas_peucker" is the bisection of Makarem et al. 2014 (SPIE, arXiv
+            1410.1181). The knots of the last two are samples of the profile.
+        speed_rad_s: no line of "minimal" and "relaxed" is faster [rad/s], scalar or shape
+            (p,); the other methods are never faster than the profile.
         last: sample at which each path ends, shape (p,); by default where its profile
             comes to rest.
 
     Returns:
-        Polylines; no knots where there is no path in a tube at that speed.
+        Polylines; no knots where a corridor cannot be passed at that speed.
 
     Raises:
         UnknownOption: there is no such method.
     """
     if method not in LINEARIZERS:
-        raise UnknownOption(f"linearization {method!r} is not one of {', '.join(LINEARIZERS)}")
+        raise UnknownOption("method", method, LINEARIZERS)
     time_s = np.ascontiguousarray(time_s, dtype=float)
     profiles = np.ascontiguousarray(profiles, dtype=float)
     low = np.broadcast_to(low, profiles.shape) - _NOISE_RAD
@@ -98,9 +110,15 @@ def linearize(
     return Polylines(*LINEARIZERS[method](time_s, profiles, low, high, last, speed))
 
 
-def _on_profile(find_knots):
-    # a method whose knots are samples of the profile
-    def method(time_s, profiles, low, high, last, _):
+_Knots = Callable[[Floats, Floats, Floats, Floats, Ints], tuple[Offsets, Ints]]
+_Paths = Callable[[Floats, Floats, Floats, Floats, Ints, Floats], tuple[Offsets, Floats, Floats]]
+
+
+def _on_profile(find_knots: _Knots) -> _Paths:
+    # a method that puts its knots on samples of the profile
+    def method(
+        time_s: Floats, profiles: Floats, low: Floats, high: Floats, last: Ints, _: Floats
+    ) -> tuple[Offsets, Floats, Floats]:
         offsets, knots = find_knots(time_s, profiles, low, high, last)
         row = np.repeat(np.arange(len(profiles)), np.diff(offsets))
         return offsets, time_s[knots], profiles[row, knots]
@@ -137,9 +155,9 @@ def _evaluate(offsets, knot_time, knot_angle, times):
     return out
 
 
-LINEARIZERS = {
+LINEARIZERS: dict[str, _Paths] = {
     "minimal": min_link_paths,
     "relaxed": relaxed_paths,
     "greedy": _on_profile(greedy_knots),
-    "paper": _on_profile(bisection_knots),
+    "douglas_peucker": _on_profile(bisection_knots),
 }

@@ -1,54 +1,55 @@
-"""Motions a robot can choose from when it is its turn, straightest first."""
+"""The motions that a robot can select from, straightest first."""
 
 import numpy as np
 
+from fiber_core.array_types import Bools, Floats, Ints, Mask, Rows
 from fiber_core.clearance import Profiles
 from fiber_core.motion import SampledMotion
-from fiber_discretizer.corridor import free_corridors
+from fiber_discretizer.corridor import corridor_walls
 from fiber_discretizer.fit.linearize import Polylines, linearize
 from fiber_discretizer.options import DiscretizeOptions
 from fiber_discretizer.quantize import quantize
 from fiber_discretizer.segments import Segments
-from fiber_discretizer.sequential.segment_plan import Draft
+from fiber_discretizer.sequential.segment_plan import SegmentPlan
 
 __all__ = ["Candidates"]
 
-_INTERVALS = 48  # of the time grid of a tube
+_INTERVALS = 48  # of the time grid of a corridor
 _SHARES = np.linspace(0.0, 1.0, _INTERVALS + 1)
-_FINEST_MM = 0.001  # how closely the plan is followed at most
-_PAD_RAD = 0.01  # kept from the walls of a tube: nothing is known between samples
+_FINEST_MM = 0.001  # smallest width within which a trajectory is traced
+_PAD_RAD = 0.01  # kept from the walls of a corridor, which hold at its samples only
 _FREE_SLACK_RAD = 0.25  # how far rounding may shift a straight line
 _SPEED = 0.998  # part of the speed limit that paths may use; rounding takes from the rest
 
 
 class Candidates:
-    """What is asked of all robots of a plane, and the motions they can choose from.
+    """The task of all robots of a plane, and the motions that they can select from.
 
     Args:
-        draft: of the plane; its units, its outlines, who is beside whom.
+        plan: segments of all robots; gives units, outlines and neighbours.
         trajectory: joint profiles of all its robots, from time zero.
-        options: how it is done.
+        options: options of the discretizer.
 
     Attributes:
-        start, goal: where the motors are and are to end [quanta], shape (n, 2).
-        motors: how many motors of a robot do not end where they are, shape (n,).
-        moves: robots that have somewhere to go or, on their way, to make room, shape (n,).
+        start, goal: encoder counts at the start and at the end [quanta], shape (n, 2).
+        moving_joints: number of joints of each robot that end elsewhere, shape (n,).
+        moves: robots that move in the trajectory, to a goal or out of the way, shape (n,).
         time_s: sample times of the trajectory [s], shape (t,).
-        arrival_s: when each motor is to come to rest [s], shape (n, 2).
-        fastest_s: how long it takes at least [s], shape (n, 2).
+        arrival_s: when each joint comes to rest in the trajectory [s], shape (n, 2).
+        fastest_s: shortest time that each joint needs [s], shape (n, 2).
     """
 
-    def __init__(self, draft: Draft, trajectory: SampledMotion, options: DiscretizeOptions):
-        plane, units = draft.plane, draft.units
-        self._draft, self._options = draft, options
+    def __init__(self, plan: SegmentPlan, trajectory: SampledMotion, options: DiscretizeOptions):
+        plane, units = plan.plane, plan.units
+        self._plan, self._options = plan, options
         self.time_s, self._planned = trajectory.time_s, trajectory.angles
         self._ranges = units.range_counts(plane)
         still = trajectory.angles == trajectory.angles[:, :, -1:]
         goal = np.clip(units.to_counts(trajectory.end), *np.moveaxis(self._ranges, -1, 0))
-        self.start = draft.start
+        self.start = plan.start
         self.goal = np.where(still.all(axis=2), self.start, goal)
-        self.motors = (self.start != self.goal).sum(axis=1)
-        self.moves = ~still.all(axis=(1, 2))
+        self.moving_joints: Ints = (self.start != self.goal).sum(axis=1)
+        self.moves: Mask = ~still.all(axis=(1, 2))
         last = still.shape[2] - np.argmin(still[:, :, ::-1], axis=2)
         last = np.where(still.all(axis=2), 0, np.minimum(last, still.shape[2] - 1))
         self.arrival_s = self.time_s[last]
@@ -58,26 +59,34 @@ class Candidates:
         self._speeds = np.maximum(_SPEED * np.minimum(plane.speeds, most), 1e-9)
         self.fastest_s = travel / self._speeds
 
-    def straight(self, rows, windows=None) -> Segments:
-        """Return motions of one line a motor, in two where it has to wait first.
+    def straight(self, rows: Rows, windows: Floats | None = None) -> Segments:
+        """Return motions of one line for each joint, after a rest where its window begins late.
 
         Args:
-            rows: robots, shape (m,).
-            windows: when each motor turns [s], shape (m, 2, 2): robot, joint, (begin, end); as
-                planned by default.
+            rows: the robots, shape (m,).
+            windows: when each joint turns [s], shape (m, 2, 2): robot, joint, (begin, end); as
+                in the trajectory by default.
         """
         windows = self.planned_windows(rows) if windows is None else windows
         lines = [self._line(rows, joint, windows[:, joint]) for joint in (0, 1)]
         return self._rounded(rows, lines, _FREE_SLACK_RAD)
 
-    def bent(self, rows, profiles: Profiles, required_mm, joint: int, side: int, windows=None):
-        """Return motions with one motor straight and the other around what is in its way.
+    def bent(
+        self,
+        rows: Rows,
+        profiles: Profiles,
+        required_mm: Floats,
+        joint: int,
+        side: int,
+        windows: Floats | None = None,
+    ) -> tuple[Segments, Mask]:
+        """Return motions with one joint straight and the other around what is in its way.
 
         Args:
-            rows: robots, shape (m,).
-            profiles: the motion of everybody else, from profiles_of.
+            rows: the robots, shape (m,).
+            profiles: the motion of all other robots, from profiles_of.
             required_mm: gap each pair must keep [mm], shape (p,).
-            joint: the motor that bends, 0 theta or 1 phi.
+            joint: the joint that bends, 0 theta or 1 phi.
             side: whether it passes at higher (+1) or at lower angles (-1).
             windows: as for straight.
 
@@ -87,135 +96,159 @@ class Candidates:
         windows = self.planned_windows(rows) if windows is None else windows
         lines = [self._line(rows, j, windows[:, j]) for j in (0, 1)]
         times = windows[:, :, 1].max(axis=1)[:, None] * _SHARES
-        wish = np.stack([line.at(times) for line in lines], axis=1)
-        walls = self._walls(rows, profiles, required_mm, joint, times, wish, side)
-        lines[joint], found = self._path(rows, joint, times, wish, walls)
+        desired = np.stack([line.at(times) for line in lines], axis=1)
+        walls = self._walls(rows, profiles, required_mm, joint, times, desired, side)
+        lines[joint], found = self._path(rows, joint, times, desired, walls)
         return self._rounded(rows, lines), found
 
-    def along_plan(self, rows, profiles: Profiles, required_mm, first_joint: int):
-        """Return motions along the plan: the tube of one motor, then that of the other.
+    def along_trajectory(
+        self, rows: Rows, profiles: Profiles, required_mm: Floats, first_joint: int
+    ) -> tuple[Segments, Mask]:
+        """Return motions around the trajectory: in the corridor of one joint, then of the other.
 
         Args:
-            rows: robots, shape (m,).
-            profiles: the motion of everybody else, from profiles_of.
+            rows: the robots, shape (m,).
+            profiles: the motion of all other robots, from profiles_of.
             required_mm: gap each pair must keep [mm], shape (p,).
-            first_joint: the motor done first.
+            first_joint: the joint that is fitted first.
 
         Returns:
-            As bent.
+            Segments of 2 m profiles, and which of the robots have such a motion, shape (m,).
         """
         times = self.arrival_s[rows].max(axis=1)[:, None] * _SHARES
-        wish = self._plan_at(rows, times)
-        wish[:, :, 0] = self._draft.units.to_angles(self.start[rows])
-        lines, found = [None, None], np.ones(len(rows), dtype=bool)
+        desired = self._planned_at(rows, times)
+        desired[:, :, 0] = self._plan.units.to_angles(self.start[rows])
+        lines: dict[int, Polylines] = {}
+        found = np.ones(len(rows), dtype=bool)
         for joint in (first_joint, 1 - first_joint):
-            walls = self._walls(rows, profiles, required_mm, joint, times, wish, 0)
-            lines[joint], possible = self._path(rows, joint, times, wish, walls)
+            walls = self._walls(rows, profiles, required_mm, joint, times, desired, 0)
+            lines[joint], possible = self._path(rows, joint, times, desired, walls)
             found &= possible
-            wish[:, joint] = lines[joint].at(times)
-        return self._rounded(rows, lines), found
+            desired[:, joint] = lines[joint].at(times)
+        return self._rounded(rows, [lines[0], lines[1]]), found
 
-    def planned(self, rows, width_mm: float) -> Segments:
-        """Return the plan itself, followed so closely [mm], nothing rounded."""
-        return Segments.along(self._along(rows, width_mm)[0], self._draft.units)
+    def traced(self, rows: Rows, width_mm: float) -> Segments:
+        """Return the trajectory itself, within a width [mm], not rounded."""
+        return Segments.along(self._trace(rows, width_mm)[0], self._plan.units)
 
-    def rounded_plan(self, rows, width_mm: float) -> Segments:
-        """Return the plan, followed so closely [mm], in whole units."""
-        lines, width_rad = self._along(rows, width_mm)
+    def traced_rounded(self, rows: Rows, width_mm: float) -> Segments:
+        """Return the trajectory itself, within a width [mm], in whole units."""
+        lines, width_rad = self._trace(rows, width_mm)
         joints = np.tile([0, 1], len(rows))
         return self._quantized(lines, np.repeat(rows, 2), joints, width_rad)
 
-    def too_many_segments(self, rows) -> np.ndarray:
-        """Return which of some robots, shape (m,), at rest could go with more segments."""
-        finest = self.rounded_plan(rows, _FINEST_MM)
-        crowded = finest.counts.reshape(-1, 2).max(axis=1) > self._options.max_segments
-        pairs = self._draft.pairs_of(rows)
-        unsafe = self._draft.robots_in(pairs[self._draft.unproven(pairs, rows, finest)])
-        return rows[crowded & ~unsafe[rows]]
+    def too_many_segments(self, rows: Rows) -> Rows:
+        """Return those of some robots at rest that could move with more segments.
 
-    def _along(self, rows, width_mm):
-        # the plan as lines within a width, half of it for each motor, and that in angles
-        profiles = self._planned[rows].reshape(2 * len(rows), len(self.time_s))
-        width_rad = 0.5 * width_mm / self._draft.levers_mm[rows].ravel()
-        low, high = profiles - width_rad[:, None], profiles + width_rad[:, None]
-        return linearize(self.time_s, profiles, low, high, "greedy"), width_rad
-
-    def planned_windows(self, rows) -> np.ndarray:
-        """Return when each motor turns as planned [s], shape (m, 2, 2).
-
-        Where one segment would be too long for its field, the motor ends sooner if it can.
+        Args:
+            rows: the robots, shape (m,).
         """
-        longest = self._draft.units.max_ticks * self._draft.units.tick_s
+        finest = self.traced_rounded(rows, _FINEST_MM)
+        too_many = finest.counts.reshape(-1, 2).max(axis=1) > self._options.max_segments
+        pairs = self._plan.pairs_of(rows)
+        unsafe = self._plan.robots_in(pairs[self._plan.unproven(pairs, rows, finest)])
+        return rows[too_many & ~unsafe[rows]]
+
+    def planned_windows(self, rows: Rows) -> Floats:
+        """Return when each joint turns in the trajectory [s], shape (m, 2, 2).
+
+        Where one segment would be too long for its field, the joint ends sooner if it can.
+        """
+        longest = self._plan.units.max_ticks * self._plan.units.tick_s
         end = np.minimum(self.arrival_s[rows], np.maximum(longest, self.fastest_s[rows]))
         return np.stack([np.zeros_like(end), end], axis=-1)
 
-    def _line(self, rows, joint, window):
-        # from start to goal in a window; a motor that stays has one knot
-        ends = self._draft.units.to_angles(np.stack([self.start, self.goal], axis=-1)[rows, joint])
+    def _trace(self, rows: Rows, width_mm: float) -> tuple[Polylines, Floats]:
+        # the trajectory as lines within a width, half for each joint, and that in angles
+        profiles = self._planned[rows].reshape(2 * len(rows), len(self.time_s))
+        width_rad = 0.5 * width_mm / self._plan.levers_mm[rows].ravel()
+        low, high = profiles - width_rad[:, None], profiles + width_rad[:, None]
+        return linearize(self.time_s, profiles, low, high, "greedy"), width_rad
+
+    def _line(self, rows: Rows, joint: int, window: Floats) -> Polylines:
+        # from start to goal in a window; a joint that rests has one knot
+        ends = self._plan.units.to_angles(np.stack([self.start, self.goal], axis=-1)[rows, joint])
         moves = (self.start[rows, joint] != self.goal[rows, joint]) & (window[:, 1] > window[:, 0])
         keep = np.stack([np.ones_like(moves), moves], axis=1)
         offsets = np.concatenate([[0], np.cumsum(keep.sum(axis=1))])
         return Polylines(offsets, window[keep], ends[keep])
 
-    def _plan_at(self, rows, times):
+    def _planned_at(self, rows: Rows, times: Floats) -> Floats:
         # planned angles of each robot at its own times, shape (m, 2, t)
         k = np.clip(np.searchsorted(self.time_s, times, side="right") - 1, 0, len(self.time_s) - 2)
         part = (times - self.time_s[k]) / (self.time_s[k + 1] - self.time_s[k])
-        mine = self._planned[rows]
-        here = np.take_along_axis(mine, k[:, None], axis=2)
-        there = np.take_along_axis(mine, k[:, None] + 1, axis=2)
-        return here + np.clip(part, 0.0, 1.0)[:, None] * (there - here)
+        planned = self._planned[rows]
+        before = np.take_along_axis(planned, k[:, None], axis=2)
+        after = np.take_along_axis(planned, k[:, None] + 1, axis=2)
+        return before + np.clip(part, 0.0, 1.0)[:, None] * (after - before)
 
-    def _walls(self, rows, profiles, required_mm, joint, times, wish, side):
-        draft = self._draft
-        return free_corridors(
-            draft.bodies.table, self._draft.levers_mm, draft.plane.limits, profiles, draft.beside,
-            required_mm, rows, joint, times, wish, side, self._options.reach_rad,
+    def _walls(
+        self,
+        rows: Rows,
+        profiles: Profiles,
+        required_mm: Floats,
+        joint: int,
+        times: Floats,
+        desired: Floats,
+        side: int,
+    ) -> tuple[Floats, Floats, Bools]:
+        plan = self._plan
+        return corridor_walls(
+            plan.bodies.table, plan.levers_mm, plan.plane.limits, profiles, plan.neighbours,
+            required_mm, rows, joint, times, desired, side, self._options.reach_rad,
         )  # fmt: skip
 
-    def _path(self, rows, joint, times, wish, walls):
+    def _path(
+        self,
+        rows: Rows,
+        joint: int,
+        times: Floats,
+        desired: Floats,
+        walls: tuple[Floats, Floats, Bools],
+    ) -> tuple[Polylines, Mask]:
+        # lines through the corridor of one joint, and which of the robots have such lines
         low, high, found = walls
-        lasting = times[:, -1]
-        speed = self._speeds[rows, joint] * lasting
+        duration = times[:, -1]
+        speed = self._speeds[rows, joint] * duration
         pad = np.minimum(_PAD_RAD, 0.25 * (high - low))
         low, high = low + pad, high - pad
-        wish = np.clip(wish[:, joint], low, high)
-        wish[:, 0], wish[:, -1] = self._draft.units.to_angles(
+        center = np.clip(desired[:, joint], low, high)
+        center[:, 0], center[:, -1] = self._plan.units.to_angles(
             np.stack([self.start[rows, joint], self.goal[rows, joint]])
         )
         last = np.full(len(rows), _INTERVALS)
-        path = linearize(_SHARES, wish, low, high, self._options.method, speed, last)
+        path = linearize(_SHARES, center, low, high, self._options.method, speed, last)
         found = found & (path.counts >= 0)
-        if not found.all():  # a robot without a path gets one that is thrown away
-            straight = linearize(_SHARES, wish, -np.inf, np.inf, "minimal", np.inf, last)
-            path = _chosen(found, path, straight)
+        if not found.all():  # a robot without a path gets one that the caller drops
+            straight = linearize(_SHARES, center, -np.inf, np.inf, "minimal", np.inf, last)
+            path = _merged(found, path, straight)
         row = np.repeat(np.arange(len(rows)), np.diff(path.offsets))
-        return Polylines(path.offsets, path.time_s * lasting[row], path.angles), found
+        return Polylines(path.offsets, path.time_s * duration[row], path.angles), found
 
-    def _rounded(self, rows, lines, slack=None):
-        slack = self._options.slack_rad if slack is None else slack
-        done = Segments.none(2 * len(rows))
+    def _rounded(self, rows: Rows, lines: list[Polylines], slack: float | None = None) -> Segments:
+        slack_rad = np.full(len(rows), self._options.slack_rad if slack is None else slack)
+        both = Segments.none(2 * len(rows))
         for joint in (0, 1):
-            one = self._quantized(lines[joint], rows, np.full(len(rows), joint), slack)
-            done = done.replaced(2 * np.arange(len(rows)) + joint, one)
-        return done
+            one = self._quantized(lines[joint], rows, np.full(len(rows), joint), slack_rad)
+            both = both.replaced(2 * np.arange(len(rows)) + joint, one)
+        return both
 
-    def _quantized(self, lines, rows, joints, slack):
+    def _quantized(self, lines: Polylines, rows: Rows, joints: Ints, slack: Floats) -> Segments:
         return quantize(
             lines,
             self.start[rows, joints],
             self.goal[rows, joints],
             self._ranges[rows, joints],
-            self._draft.plane.speeds[rows, joints],
-            np.broadcast_to(slack, len(rows)),
-            self._draft.units,
+            self._plan.plane.speeds[rows, joints],
+            slack,
+            self._plan.units,
             self._options.rounding,
             self._latest_s,
         )
 
 
-def _chosen(first, one: Polylines, other: Polylines) -> Polylines:
-    # the paths of one where `first`, else those of the other
+def _merged(first: Mask, one: Polylines, other: Polylines) -> Polylines:
+    # the paths of `one` where `first`, else those of `other`
     counts = np.where(first, np.diff(one.offsets), np.diff(other.offsets))
     begin = np.where(first, one.offsets[:-1], other.offsets[:-1] + len(one.time_s))
     offsets = np.concatenate([[0], np.cumsum(counts)])

@@ -1,9 +1,11 @@
-"""Segments of every motor while they are being made, and what is proven about them."""
+"""The segments of all joints while they are made, and the pairs that are not proven safe."""
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Bools, Counts, Ints, Mask, Rows
 from fiber_core.clearance import (
     Profiles,
     Safety,
@@ -21,77 +23,87 @@ from fiber_core.wire_units import WireUnits
 from fiber_discretizer.corridor import neighbours_of
 from fiber_discretizer.segments import Segments
 
-__all__ = ["Draft", "profiles_of_robots"]
+__all__ = ["SegmentPlan", "profile_rows", "profiles_with"]
 
 
 class Snapshot(NamedTuple):
-    """Segments of everybody at some moment, and what was known about them; as in Draft."""
+    """The state of a SegmentPlan at some moment; fields as its attributes."""
 
     segments: Segments
-    settled: np.ndarray
-    unsafe: np.ndarray
+    is_rounded: Mask
+    unsafe: Bools
 
 
-class Draft:
-    """Segments of every motor so far. A new draft has none: everybody rests.
+class SegmentPlan:
+    """The segments of all joints so far; at first all robots rest.
 
     Args:
         plane: the focal plane.
         units: size of tick and quantum, and the widths of the fields.
-        start: where the motors are [quanta], shape (n, 2).
+        start: encoder counts at the start [quanta], shape (n, 2).
         safety: gap asked for and timing errors to survive.
         makespan_s: how long any motion may last [s].
 
     Attributes:
-        segments: of profiles 2 i + j, robot i, joint j.
-        settled: robots whose segments are in whole units, shape (n,).
-        unsafe: pairs not proven to keep their gap, shape (p,).
-        pairs: who may ever come too close, rows a, b as from neighbour_pairs, shape (p, 2).
-        most_required_mm: gap each of them must keep at full speed [mm], shape (p,).
+        segments: segments of profiles 2 i + j, robot i, joint j.
+        is_rounded: robots with segments in whole units, shape (n,).
+        unsafe: pairs that are not proven to keep their gap, shape (p,).
+        pairs: pairs that can come too close, rows a, b as from neighbour_pairs, shape (p, 2).
+        most_required_mm: gap each of these must keep at full speed [mm], shape (p,).
         levers_mm: from levers_of, shape (n, 2).
         bodies: outlines, from bodies_of.
-        beside: who is beside whom, from neighbours_of.
+        neighbours: from neighbours_of.
     """
 
     def __init__(
-        self, plane: FocalPlane, units: WireUnits, start, safety: Safety, makespan_s: float
+        self,
+        plane: FocalPlane,
+        units: WireUnits,
+        start: Counts,
+        safety: Safety,
+        makespan_s: float,
     ):
         self.plane, self.units, self.start = plane, units, start
         self._safety, self._makespan_s = safety, makespan_s
         self.levers_mm = levers_of(plane)
         speeds = point_speeds(self.levers_mm, plane.speeds * plane.enabled[:, None])
-        two = np.repeat(np.argsort(speeds)[-1:], 2)  # the fastest, beside one like itself
+        two = np.repeat(np.argsort(speeds)[-1:], 2)  # the fastest robot, twice
         most = safety.required_at(speeds, makespan_s, two).max(initial=0.0)
         self.pairs = neighbour_pairs(plane, max(1.0, most))
         self._at_start_mm = gaps(plane, self.pairs, units.to_angles(start))
         self.most_required_mm = safety.required_at(
             speeds, makespan_s, self.pairs, self._at_start_mm
         )
-        self.bodies, self.beside = bodies_of(plane), neighbours_of(plane.n, self.pairs)
+        self.bodies, self.neighbours = bodies_of(plane), neighbours_of(plane.n, self.pairs)
         self.segments = Segments.none(2 * plane.n)
-        self.settled = np.ones(plane.n, dtype=bool)
+        self.is_rounded = np.ones(plane.n, dtype=bool)
         self.unsafe = np.zeros(len(self.pairs), dtype=bool)
-        self._profiles = None
+        self._profiles: Profiles | None = None
 
     @property
     def motion(self) -> SegmentMotion:
-        """What these segments stand for."""
+        """The motion that the segments make."""
         return self.motion_of(np.arange(self.plane.n), self.segments)
 
     @property
     def profiles(self) -> Profiles:
-        """The same, as profiles_of."""
+        """The same motion, as from profiles_of."""
         if self._profiles is None:
             self._profiles = profiles_of(self.motion)
         return self._profiles
 
     @property
-    def in_conflict(self) -> np.ndarray:
+    def in_conflict(self) -> Mask:
         """Robots in an unsafe pair, shape (n,)."""
         return self.robots_in(np.flatnonzero(self.unsafe))
 
-    def motion_of(self, rows, segments: Segments) -> SegmentMotion:
-        """Return the motion some robots, shape (m,), make of segments of 2 m profiles."""
+    def motion_of(self, rows: Rows, segments: Segments) -> SegmentMotion:
+        """Return the motion of some robots along segments of their own.
+
+        Args:
+            rows: the robots, shape (m,).
+            segments: their segments, of 2 m profiles.
+        """
         units = self.units
         return SegmentMotion(
             units.to_angles(self.start[rows]),
@@ -100,90 +112,103 @@ class Draft:
             segments.velocity * units.velocity_rad_s,
         )
 
-    def counts(self) -> np.ndarray:
-        """Number of segments, shape (n, 2)."""
+    def counts(self) -> Ints:
+        """Return the number of segments of each joint, shape (n, 2)."""
         return self.segments.counts.reshape(-1, 2)
 
-    def pairs_of(self, rows) -> np.ndarray:
-        """Return the pairs with one of the robots, shape (k,), increasing."""
-        first, stop = self.beside.offsets[rows], self.beside.offsets[np.asarray(rows) + 1]
+    def pairs_of(self, rows: Rows) -> Ints:
+        """Return the pairs with at least one of some robots, increasing, shape (k,)."""
+        first, stop = self.neighbours.offsets[rows], self.neighbours.offsets[np.asarray(rows) + 1]
         counts = stop - first
         at = np.arange(counts.sum()) + np.repeat(first - np.cumsum(counts) + counts, counts)
-        return np.unique(self.beside.pair[at])
+        return np.unique(self.neighbours.pair[at])
 
-    def robots_in(self, pairs) -> np.ndarray:
-        """Return the robots in some pairs, shape (k,): bool, shape (n,)."""
+    def robots_in(self, pairs: Ints) -> Mask:
+        """Return the robots in some pairs, shape (n,).
+
+        Args:
+            pairs: the pairs, shape (k,).
+        """
         found = np.zeros(self.plane.n + len(self.plane.obstacles), dtype=bool)
         found[self.pairs[pairs].ravel()] = True
         return found[: self.plane.n]
 
-    def unproven(self, pairs, rows=(), segments: Segments | None = None) -> np.ndarray:
-        """Return which pairs, shape (k,), would be unsafe with other segments of some robots.
+    def unproven(
+        self, pairs: Ints, rows: Rows | None = None, segments: Segments | None = None
+    ) -> Bools:
+        """Return whether pairs would be unsafe with other segments of some robots, shape (k,).
 
         Args:
-            pairs: which to look at, shape (k,).
-            rows: robots that would have other segments, shape (m,).
-            segments: theirs, of 2 m profiles.
+            pairs: the pairs that are checked, shape (k,).
+            rows: robots that would have other segments, shape (m,); none by default.
+            segments: these segments, of 2 m profiles.
         """
         profiles = self.profiles
-        if segments is not None:
-            theirs = profiles_of(self.motion_of(rows, segments))
-            profiles = profiles_of_robots(profiles, rows, theirs)
+        if rows is not None and segments is not None:
+            changed = profiles_of(self.motion_of(rows, segments))
+            profiles = profiles_with(profiles, rows, changed)
         speeds = point_speeds(self.levers_mm, profiles.fastest)
         required = self._safety.required_at(
             speeds, self._makespan_s, self.pairs[pairs], self._at_start_mm[pairs]
         )
         return unproven(self.bodies, profiles, self.pairs[pairs], required)
 
-    def give(self, rows, segments: Segments, settled: bool = True) -> None:
-        """Let robots, shape (m,), have other segments, of 2 m profiles."""
+    def assign(self, rows: Rows, segments: Segments, is_rounded: bool = True) -> None:
+        """Replace the segments of some robots.
+
+        Args:
+            rows: the robots, shape (m,).
+            segments: their segments, of 2 m profiles.
+            is_rounded: whether the segments are in whole units.
+        """
         self.segments = self.segments.replaced(profile_rows(rows), segments)
-        self.settled[rows] = settled
+        self.is_rounded[rows] = is_rounded
         self._profiles = None
         concerned = self.pairs_of(rows)
         self.unsafe[concerned] = self.unproven(concerned)
 
     def snapshot(self) -> Snapshot:
-        """Return what go_back needs to undo all that is given from now on."""
-        return Snapshot(self.segments, self.settled.copy(), self.unsafe.copy())
+        """Return the present state, for `restore`."""
+        return Snapshot(self.segments, self.is_rounded.copy(), self.unsafe.copy())
 
-    def go_back(self, before: Snapshot) -> None:
-        """Undo all that was given since a snapshot."""
-        self.segments, self.settled, self.unsafe = before
+    def restore(self, snapshot: Snapshot) -> None:
+        """Undo all that was assigned since a snapshot."""
+        self.segments, self.is_rounded, self.unsafe = snapshot
         self._profiles = None
 
-    def rest(self, robots: np.ndarray) -> None:
-        """Let the robots, bool of shape (n,), stay where they are."""
+    def rest(self, robots: Mask) -> None:
+        """Let some robots, shape (n,), stay where they are."""
         rows = np.flatnonzero(robots)
-        self.give(rows, Segments.none(2 * len(rows)))
+        self.assign(rows, Segments.none(2 * len(rows)))
 
 
-def profile_rows(rows) -> np.ndarray:
+def profile_rows(rows: ArrayLike) -> Ints:
     """Return the profiles of robots, shape (m,): theta and phi of each, shape (2 m,)."""
-    return (2 * np.asarray(rows)[:, None] + [0, 1]).ravel()
+    return (2 * np.asarray(rows, dtype=np.int64)[:, None] + np.array([0, 1])).ravel()
 
 
-def profiles_of_robots(everybody: Profiles, rows, theirs: Profiles) -> Profiles:
-    """Return the profiles with those of some robots, shape (m,), taken from another set."""
-    segments = len(everybody.begins_s)
+def profiles_with(profiles: Profiles, rows: Rows, changed: Profiles) -> Profiles:
+    """Return profiles with those of some robots replaced; start, low and high stay.
 
-    def replaced(name, shift=0):
-        column = getattr(everybody, name).copy()
-        column[rows] = getattr(theirs, name) + shift
-        return column
-
-    def joined(name):
-        return np.concatenate([getattr(everybody, name), getattr(theirs, name)])
-
+    Args:
+        profiles: profiles of all robots.
+        rows: the robots, shape (m,).
+        changed: their new profiles, of m robots.
+    """
+    segments = len(profiles.begins_s)
+    first, stop = profiles.first.copy(), profiles.stop.copy()
+    first[rows], stop[rows] = changed.first + segments, changed.stop + segments
+    fastest = profiles.fastest.copy()
+    fastest[rows] = changed.fastest
     return Profiles(
-        start=everybody.start,
-        first=replaced("first", segments),
-        stop=replaced("stop", segments),
-        begins_s=joined("begins_s"),
-        ends_s=joined("ends_s"),
-        angle=joined("angle"),
-        velocity=joined("velocity"),
-        low=everybody.low,
-        high=everybody.high,
-        fastest=replaced("fastest"),
+        start=profiles.start,
+        first=first,
+        stop=stop,
+        begins_s=np.concatenate([profiles.begins_s, changed.begins_s]),
+        ends_s=np.concatenate([profiles.ends_s, changed.ends_s]),
+        angle=np.concatenate([profiles.angle, changed.angle]),
+        velocity=np.concatenate([profiles.velocity, changed.velocity]),
+        low=profiles.low,
+        high=profiles.high,
+        fastest=fastest,
     )

@@ -1,87 +1,103 @@
-"""What robots choose at their turn: the fewest segments that are proven safe."""
+"""Select for each robot the motion with the fewest segments that is proven safe."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Floats, Ints, Mask, Rows
 from fiber_discretizer.segments import Segments
-from fiber_discretizer.sequential.segment_plan import Draft, profile_rows
+from fiber_discretizer.sequential.segment_plan import SegmentPlan, profile_rows
 
-__all__ = ["Choice"]
+__all__ = ["Selection"]
 
-_NOT_IN_THE_WAY_MM = -1e6  # gap asked of somebody who has to do something else anyway
+_UNCONSTRAINED_MM = -1e6  # required gap to a robot that will get another motion anyway
 
 
-class Choice:
-    """The best motion seen so far of some robots, no two of them neighbours.
+class Selection:
+    """The best motion found so far for some robots, no two of them neighbours.
 
-    A motion is safe when its pairs are proven to keep their gaps. Unsettled neighbours that
-    are in conflict themselves do not count: they will move otherwise, or not at all.
+    A motion is safe when its pairs are proven to keep their gaps. Pairs with a robot that is
+    in conflict and not rounded yet do not count: that robot gets another motion, or rests.
 
     Args:
-        draft: segments of everybody.
-        rows: the robots whose turn it is, shape (m,).
+        plan: segments of all robots.
+        rows: the robots that select a motion, shape (m,).
         idle: which of them rest though they are to move, shape (m,).
-        allowance_mm: what tubes keep beyond the gaps required, for rounding [mm].
-        max_segments: most segments of one motor.
+        allowance_mm: gap that corridors keep beyond the required ones, for rounding [mm].
+        max_segments: largest number of segments of one joint.
 
     Attributes:
-        asked_mm: gap that tubes of these robots keep to each pair, shape (p,).
+        required_mm: gap that corridors of these robots keep to each pair, shape (p,).
     """
 
-    def __init__(self, draft: Draft, rows, idle, allowance_mm: float, max_segments: int):
-        self.draft, self.rows, self._most = draft, rows, max_segments
-        in_conflict = draft.in_conflict
-        in_trouble = np.zeros(draft.plane.n + len(draft.plane.obstacles), dtype=bool)
-        in_trouble[: draft.plane.n] = in_conflict & ~draft.settled
-        in_trouble[rows] = False
-        self._ignored = in_trouble[draft.pairs].any(axis=1)
-        self.asked_mm = np.where(
-            self._ignored, _NOT_IN_THE_WAY_MM, draft.most_required_mm + allowance_mm
+    def __init__(
+        self, plan: SegmentPlan, rows: Rows, idle: Mask, allowance_mm: float, max_segments: int
+    ):
+        self.plan, self.rows, self._max_segments = plan, rows, max_segments
+        in_conflict = plan.in_conflict
+        provisional = np.zeros(plan.plane.n + len(plan.plane.obstacles), dtype=bool)
+        provisional[: plan.plane.n] = in_conflict & ~plan.is_rounded
+        provisional[rows] = False
+        self._ignored = provisional[plan.pairs].any(axis=1)
+        self.required_mm: Floats = np.where(
+            self._ignored, _UNCONSTRAINED_MM, plan.most_required_mm + allowance_mm
         )
-        content = draft.settled[rows] & ~in_conflict[rows] & ~idle
-        self._before = self._cost(draft.counts()[rows])
-        self._before[~content] = np.inf
-        self._best, self._chosen = self._before.copy(), Segments.none(2 * len(rows))
+        acceptable = plan.is_rounded[rows] & ~in_conflict[rows] & ~idle
+        self._present_cost = self._cost(plan.counts()[rows])
+        self._present_cost[~acceptable] = np.inf
+        self._best_cost = self._present_cost.copy()
+        self._best = Segments.none(2 * len(rows))
 
-    def without(self) -> np.ndarray:
-        """Return those that have no safe motion yet, places in rows, shape (k,)."""
-        return np.flatnonzero(np.isinf(self._best))
+    def unsolved(self) -> Ints:
+        """Return the robots without a safe motion, as places in `rows`, shape (k,)."""
+        return np.flatnonzero(np.isinf(self._best_cost))
 
-    def longer_than(self, segments) -> np.ndarray:
-        """Return those with more segments than these, shape (m,), or no motion; as without."""
-        return np.flatnonzero(self._best >= np.asarray(segments) + 1)
-
-    def consider(self, which, segments: Segments, possible=True) -> None:
-        """Take what is shorter than the best so far and safe.
+    def longer_than(self, segments: ArrayLike) -> Ints:
+        """Return the robots with more segments or without a safe motion.
 
         Args:
-            which: robots, places in rows, shape (k,).
+            segments: number of segments of both joints together, shape (m,).
+
+        Returns:
+            Places in `rows`, shape (k,).
+        """
+        return np.flatnonzero(self._best_cost >= np.asarray(segments) + 1)
+
+    def evaluate(self, which: Ints, segments: Segments, possible: Mask | None = None) -> None:
+        """Keep the motions that are shorter than the best so far and safe.
+
+        Args:
+            which: the robots, as places in `rows`, shape (k,).
             segments: their motions, of 2 k profiles.
-            possible: which of them are motions at all, shape (k,).
+            possible: which of them are motions at all, shape (k,); all by default.
         """
         cost = self._cost(segments.counts.reshape(-1, 2))
-        hopeful = np.flatnonzero(possible & (cost < self._best[which]))
-        if len(hopeful) == 0:
+        shorter: Mask = cost < self._best_cost[which]
+        promising = np.flatnonzero(shorter if possible is None else possible & shorter)
+        if len(promising) == 0:
             return
-        which, cost = which[hopeful], cost[hopeful]
-        segments = segments.rows(profile_rows(hopeful))
-        draft, rows = self.draft, self.rows[which]
-        pairs = draft.pairs_of(rows)
+        which, cost = which[promising], cost[promising]
+        segments = segments.rows(profile_rows(promising))
+        plan, rows = self.plan, self.rows[which]
+        pairs = plan.pairs_of(rows)
         pairs = pairs[~self._ignored[pairs]]
-        unsafe = draft.robots_in(pairs[draft.unproven(pairs, rows, segments)])[rows]
+        unsafe = plan.robots_in(pairs[plan.unproven(pairs, rows, segments)])[rows]
         which, safe = which[~unsafe], np.flatnonzero(~unsafe)
-        self._best[which] = cost[safe]
-        self._chosen = self._chosen.replaced(profile_rows(which), segments, profile_rows(safe))
+        self._best_cost[which] = cost[safe]
+        self._best = self._best.replaced(profile_rows(which), segments, profile_rows(safe))
 
-    def settle(self) -> np.ndarray:
-        """Give each robot what it chose; return which, places in rows, shape (k,)."""
-        better = np.flatnonzero(self._best < self._before)
+    def commit(self) -> Ints:
+        """Assign each robot its best motion where that is an improvement.
+
+        Returns:
+            The robots that got a new motion, as places in `rows`, shape (k,).
+        """
+        better = np.flatnonzero(self._best_cost < self._present_cost)
         if len(better):
-            chosen = self._chosen.rows(profile_rows(better))
-            self.draft.give(self.rows[better], chosen)
+            self.plan.assign(self.rows[better], self._best.rows(profile_rows(better)))
         return better
 
-    def _cost(self, counts):
-        # segments of both motors; of as many, rather two and two than one and three
+    def _cost(self, counts: Ints) -> Floats:
+        # segments of both joints; two and two cost less than one and three
         longest = counts.max(axis=1)
-        cost = counts.sum(axis=1) + longest / (2.0 * self._most + 2.0)
-        return np.where(longest <= self._most, cost, np.inf)
+        cost = counts.sum(axis=1) + longest / (2.0 * self._max_segments + 2.0)
+        return np.where(longest <= self._max_segments, cost, np.inf)

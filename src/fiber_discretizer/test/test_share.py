@@ -1,3 +1,5 @@
+"""Shares of the free space: safe by the rule "safe", contact by the rule "printed"."""
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -5,7 +7,7 @@ from hypothesis import strategies as st
 
 from fiber_core import kinematics
 from fiber_core.clearance import gaps, neighbour_pairs, sampled_gaps
-from fiber_discretizer import joint_margins, lever_arms_mm, tip_distances_mm
+from fiber_discretizer import joint_shares, lever_arms_mm, tip_distances_mm
 from fiber_discretizer.makarem2014.free_space import FreeSpace, free_space_mm
 
 REQUIRED_MM = 0.1
@@ -17,57 +19,57 @@ def random_angles(rng, n, samples):
     return rng.uniform([-3, 0], [3, 3], (n, 2))[:, :, None] + np.cumsum(steps, axis=2)
 
 
-def margins_of(plane, joint, angles, robots, printed=False):
+def shares_of(plane, joint, angles, robots, printed=False):
     pairs = neighbour_pairs(plane)
     if printed:
         free = tip_distances_mm(plane, pairs, angles)
     else:
         free = sampled_gaps(plane, pairs, angles) - REQUIRED_MM
-    return joint_margins(plane, joint, pairs, free, angles[:, 1], robots)
+    return joint_shares(plane, joint, pairs, free, angles[:, 1], robots)
 
 
 @given(seed=st.integers(0, 2**32 - 1), joint=st.sampled_from([0, 1]))
-def test_safe_margins_used_in_any_way_keep_the_required_gap(plane_at, seed, joint):
+def test_safe_shares_used_in_any_way_keep_the_required_gap(plane_at, seed, joint):
     rng = np.random.default_rng(seed)
     plane = plane_at(TRIANGLE, obstacles=[[-4.0, 5.0, 1.5]])
     pairs = neighbour_pairs(plane)
     robots = rng.random(3) < 0.7
     angles = random_angles(rng, 3, 12)
     before = sampled_gaps(plane, pairs, angles)
-    margins = margins_of(plane, joint, angles, robots)
+    shares = shares_of(plane, joint, angles, robots)
     moved = angles.copy()
-    moved[robots, joint] += margins * rng.choice([-1.0, 1.0, 0.3], margins.shape)
+    moved[robots, joint] += shares * rng.choice([-1.0, 1.0, 0.3], shares.shape)
     after = sampled_gaps(plane, pairs, moved)
     assert np.all(after >= np.minimum(before, REQUIRED_MM) - 1e-9)
 
 
-def test_printed_margins_let_two_neighbours_meet_and_safe_ones_do_not(plane_at):
+def test_printed_shares_let_two_neighbours_meet_and_safe_ones_do_not(plane_at):
     # Stretched arms that point past each other; each turns towards the other.
     plane = plane_at([[0.0, 0.0], [10.0, 0.0]])
     angles = np.array([[0.5, 0.0], [np.pi + 0.5, 0.0]])
     both = np.ones(2, dtype=bool)
     gap = {}
     for printed in (True, False):
-        margins = margins_of(plane, 0, angles[:, :, None], both, printed)
-        gap[printed] = gaps(plane, [[0, 1]], angles - margins * [[1.0, 0.0]])[0]
+        shares = shares_of(plane, 0, angles[:, :, None], both, printed)
+        gap[printed] = gaps(plane, [[0, 1]], angles - shares * [[1.0, 0.0]])[0]
     assert gaps(plane, [[0, 1]], angles)[0] > 1.0
-    assert gap[True] < 0.0  # erratum: the half distances add up to contact
+    assert gap[True] < 0.0  # erratum: half the distance twice is contact
     assert gap[False] >= REQUIRED_MM
 
 
-def test_a_settled_neighbour_leaves_all_the_space(plane_at):
+def test_a_neighbour_that_keeps_its_profile_leaves_all_the_space(plane_at):
     plane = plane_at([[0.0, 0.0], [10.0, 0.0]])
     angles = np.array([[0.5, 0.0], [np.pi + 0.5, 0.0]])[:, :, None]
-    shared = margins_of(plane, 0, angles, np.array([True, True]))
-    alone = margins_of(plane, 0, angles, np.array([True, False]))
+    shared = shares_of(plane, 0, angles, np.array([True, True]))
+    alone = shares_of(plane, 0, angles, np.array([True, False]))
     np.testing.assert_allclose(alone[0], 2 * shared[0])
     assert len(alone) == 1
 
 
-def test_a_robot_nobody_is_near_has_the_cap(plane_at):
+def test_a_robot_without_neighbours_has_the_cap(plane_at):
     plane = plane_at([[0.0, 0.0], [100.0, 0.0]])
     angles = np.zeros((2, 2, 3))
-    np.testing.assert_array_equal(margins_of(plane, 0, angles, np.ones(2, bool)), np.pi)
+    np.testing.assert_array_equal(shares_of(plane, 0, angles, np.ones(2, bool)), np.pi)
 
 
 @given(seed=st.integers(0, 2**32 - 1), joint=st.sampled_from([0, 1]))
@@ -119,7 +121,7 @@ def test_free_space_is_a_close_lower_bound(plane_at, seed):
     assert np.all(bound >= exact - 0.1 * np.maximum(exact, 0.0) / 0.9 - 1e-9)
 
 
-def test_free_space_follows_the_robots_that_were_moved(plane_at):
+def test_free_space_is_updated_where_robots_were_moved(plane_at):
     rng = np.random.default_rng(4)
     plane = plane_at(TRIANGLE, obstacles=[[-4.0, 5.0, 1.5]])
     pairs, required = neighbour_pairs(plane), np.full(4, REQUIRED_MM)
@@ -131,7 +133,7 @@ def test_free_space_follows_the_robots_that_were_moved(plane_at):
     angles[1] = random_angles(rng, 1, 20)
     space.move(one, angles[one])
     expected = free_space_mm(plane, pairs, required, angles)
-    some = space.touching(np.array([True, False, False]))
+    some = space.pairs_with(np.array([True, False, False]))
     np.testing.assert_array_equal(space.space_mm(some), expected[some])
     np.testing.assert_array_equal(space.space_mm(every), expected)
 

@@ -1,29 +1,38 @@
-"""How far a joint may leave its planned profile without its robot meeting a neighbour."""
+"""How far a joint may leave its planned profile: its share of the free space, as an angle.
+
+The paper calls the result the margin of a motor.
+"""
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Floats, Mask
 from fiber_core.focal_plane import FocalPlane
 
-__all__ = ["RULES", "joint_margins", "lever_arms_mm", "tip_distances_mm"]
-
-RULES = ("safe", "printed")
+__all__ = ["joint_shares", "lever_arms_mm", "tip_distances_mm"]
 
 
-def joint_margins(
-    plane: FocalPlane, joint: int, pairs, free_mm, phi, robots, cap_rad: float = np.pi
-) -> np.ndarray:
+def joint_shares(
+    plane: FocalPlane,
+    joint: int,
+    pairs: ArrayLike,
+    free_mm: Floats,
+    phi: Floats,
+    robots: Mask,
+    cap_rad: float = np.pi,
+) -> Floats:
     """Return how far one joint of some robots may be from its profile [rad], shape (m, t).
 
     The free space of a pair is shared by halves; a robot beside an obstacle, or beside
-    one that will not leave its profile any more, has all of it. Divided by the lever arm
-    it is an angle, because every point of a robot whose joint turns by x moves by at
-    most x times the lever.
+    a robot that will not leave its profile any more, has all of the space. Divided by the
+    lever arm it is an angle, because every point of a robot that turns a joint by x moves by
+    at most x times the lever.
 
-    Free space is the gap between whole outlines less the gap required ("safe"): what two
-    robots share by halves never lets them meet. The paper (Makarem et al. 2014, SPIE,
-    arXiv 1410.1181) takes the distance between fibre tips instead ("printed"): it asks
-    for no gap and knows no arms, and both halves together add up to contact.
+    Free space is the gap between whole outlines less the required gap ("safe"): with half of
+    that each, two robots never meet. The paper (Makarem et al. 2014, SPIE, arXiv 1410.1181)
+    takes the distance between fibre tips instead ("printed"): it asks for no gap and ignores
+    the arms, and both halves together add up to contact.
 
     Args:
         plane: the focal plane.
@@ -31,19 +40,19 @@ def joint_margins(
         pairs: rows a, b as from neighbour_pairs, shape (p, 2).
         free_mm: how much each pair may approach at each sample [mm], shape (p, t).
         phi: phi angles at each sample [rad], shape (n, t).
-        robots: those that may still leave their profile, bool, shape (n,), m of them.
-        cap_rad: margin of a joint nobody is near [rad].
+        robots: robots that may still leave their profile, shape (n,), m of them.
+        cap_rad: share of a joint without neighbours [rad].
     """
-    settled = np.append(~robots, np.ones(len(plane.obstacles), dtype=bool))
-    row = np.where(settled, -1, np.cumsum(~settled) - 1)
-    margins = lever_arms_mm(plane, joint, phi, robots)
-    _divide_free_space(np.asarray(pairs, dtype=np.int64), free_mm, row, margins, cap_rad)
-    return margins
+    fixed = np.append(~robots, np.ones(len(plane.obstacles), dtype=bool))
+    row = np.where(fixed, -1, np.cumsum(~fixed) - 1)
+    shares = lever_arms_mm(plane, joint, phi, robots)
+    _divide_free_space(np.asarray(pairs, dtype=np.int64), free_mm, row, shares, cap_rad)
+    return shares
 
 
 @njit(cache=True)
 def _divide_free_space(pairs, free, row, lever, cap):
-    # turns lever (m, t) into margins: the least share over each robot's pairs / lever
+    # replaces lever (m, t) by the shares: the least share over each robot's pairs / lever
     space = np.full(lever.shape, np.inf)
     for i in range(len(pairs)):
         a, b = row[pairs[i, 0]], row[pairs[i, 1]]
@@ -59,14 +68,14 @@ def _divide_free_space(pairs, free, row, lever, cap):
             lever[i, k] = min(space[i, k] / lever[i, k], cap) if lever[i, k] > 0.0 else cap
 
 
-def lever_arms_mm(plane: FocalPlane, joint: int, phi, robots) -> np.ndarray:
+def lever_arms_mm(plane: FocalPlane, joint: int, phi: Floats, robots: Mask) -> Floats:
     """Return the farthest distance of a robot's outline from a joint's axis [mm], shape (m, t).
 
     Args:
         plane: the focal plane.
         joint: 0 theta, 1 phi.
         phi: phi angles at each sample [rad], shape (n, t).
-        robots: for whom, bool, shape (n,), m of them.
+        robots: the robots concerned, shape (n,), m of them.
     """
     x, y = np.moveaxis(plane.phi_vertices[robots], -1, 0)
     around_elbow = np.hypot(x, y).max(axis=1) + plane.phi_radius[robots]
@@ -96,7 +105,7 @@ def _reach_from_center(arm1, x, y, radius, phi, lever):
             lever[i, k] = max(lever[i, k], reach)
 
 
-def tip_distances_mm(plane: FocalPlane, pairs, angles) -> np.ndarray:
+def tip_distances_mm(plane: FocalPlane, pairs: ArrayLike, angles: ArrayLike) -> Floats:
     """Return the distance between the fibre tips of each pair at each sample [mm], shape (p, t).
 
     Args:
@@ -113,5 +122,5 @@ def tip_distances_mm(plane: FocalPlane, pairs, angles) -> np.ndarray:
     return np.hypot(x[a] - x[b], y[a] - y[b])
 
 
-def _polar(length, angle):
+def _polar(length: Floats, angle: Floats) -> Floats:
     return np.stack([length * np.cos(angle), length * np.sin(angle)])
