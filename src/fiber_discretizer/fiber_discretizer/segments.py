@@ -12,7 +12,7 @@ from fiber_discretizer.fit.linearize import Polylines
 
 __all__ = ["Segments"]
 
-Numbers: TypeAlias = NDArray[np.number[Any]]  # floats, or integers once they are rounded
+Numbers: TypeAlias = NDArray[np.floating[Any] | np.integer[Any]]  # integers once rounded
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ class Selection:
         provisional = np.zeros(plan.plane.n + len(plan.plane.obstacles), dtype=bool)
         provisional[: plan.plane.n] = in_conflict & ~plan.is_rounded
         provisional[rows] = False
-        self._ignored = provisional[plan.pairs].any(axis=1)
+        self._ignored = np.any(provisional[plan.pairs], axis=1)
         self.required_mm: Floats = np.where(
             self._ignored, _UNCONSTRAINED_MM, plan.most_required_mm + allowance_mm
         )
