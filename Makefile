@@ -95,6 +95,10 @@ bench: build ## plan one field with no ROS and print one JSON line, into OUT
 	@$(INSTALLED) && $(PYTHON) bench/plan_field.py $(OPTIONS) \
 		--out $(if $(filter-out out/demo,$(OUT)),$(OUT),out/bench)
 
+.PHONY: wheel
+wheel: $(ENV_STAMP) ## build the wheel of the packages that need no ROS, into dist/
+	@$(PYTHON) -m pip wheel --no-deps -w dist .
+
 .PHONY: bench-bus
 bench-bus: build ## load, verify and start 5000 robots, on bad buses too, and print a table
 	@$(INSTALLED) && $(PYTHON) bench/bus.py --out bench/results/bus.md

@@ -7,6 +7,7 @@ print(result.report)
 """
 
 from fiber_core.clearance import Safety
+from fiber_core.custom_plane import hexagonal
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome, Reason
@@ -34,6 +35,7 @@ __all__ = [
     "Recording",
     "Safety",
     "SimulatedRun",
+    "hexagonal",
     "load_problem",
     "load_recording",
     "make_orders",
