@@ -1,0 +1,51 @@
+"""Layouts, present angles and targets from the files of many instruments, and results to files.
+
+`read_layout`, `read_starts` and `read_targets` find the format by the content of the files; what a
+file holds and is not used stands in the notices of what they return.
+"""
+
+from fiber_formats.convert import convert
+from fiber_formats.errors import FormatError
+from fiber_formats.formats import FORMATS
+from fiber_formats.interface import Format
+from fiber_formats.reading import (
+    find_format,
+    read_layout,
+    read_obstacles,
+    read_starts,
+    read_targets,
+)
+from fiber_formats.records import (
+    Layout,
+    LayoutColumns,
+    StartColumns,
+    Starts,
+    TargetColumns,
+    Targets,
+)
+from fiber_formats.results import Results, read_results, results_of, write_results
+from fiber_formats.source import DataFile, Source
+
+__all__ = [
+    "FORMATS",
+    "DataFile",
+    "Format",
+    "FormatError",
+    "Layout",
+    "LayoutColumns",
+    "Results",
+    "Source",
+    "StartColumns",
+    "Starts",
+    "TargetColumns",
+    "Targets",
+    "convert",
+    "find_format",
+    "read_layout",
+    "read_obstacles",
+    "read_results",
+    "read_starts",
+    "read_targets",
+    "results_of",
+    "write_results",
+]

@@ -1,0 +1,120 @@
+"""Convert any format into our own columns."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiber_formats.errors import FormatError
+from fiber_formats.formats.own import LAYOUT_COLUMNS
+from fiber_formats.reading import Paths, find_format, read_layout, read_targets
+from fiber_formats.records import Layout, StartColumns
+from fiber_formats.source import Source
+from fiber_formats.writing import kind_of, write_table
+
+__all__ = ["KINDS", "convert"]
+
+KINDS = ("layout", "targets", "starts")
+
+
+def convert(
+    source: Paths,
+    target: str | os.PathLike[str],
+    preset: str | None = None,
+    what: str | None = None,
+) -> tuple[str, ...]:
+    """Write the layout, the targets or the starts of any format as a table of our own columns.
+
+    Obstacles of a layout go to a second file, its name ending in _obstacles.
+
+    Args:
+        source: a file, or several joined by commas.
+        target: the table; .csv, .ecsv or .fits, also with .gz.
+        preset: for a layout, instrument that supplies what the files lack.
+        what: one of `KINDS`; by default the first of them that the format holds. A table of our
+            own columns is a layout if it has arms or a preset is named, else targets, else starts.
+
+    Returns:
+        One line that sums up, and the notices.
+
+    Raises:
+        FormatError: the source is refused, holds nothing of that kind, or the target cannot be
+            written.
+    """
+    if what is not None and what not in KINDS:
+        raise FormatError(f"{what!r} is not one of {', '.join(KINDS)}")
+    kind_of(target)
+    files = Source(source)
+    for file in files.files:
+        if os.path.exists(target) and os.path.samefile(file.path, target):
+            raise FormatError(f"{target} is read and cannot be written")
+    kinds = _kinds(files, preset) if what is None else [what]
+    notices: tuple[str, ...] = ()
+    if len(kinds) > 1:
+        notices = (f"{kinds[0]} is written; the format also holds {', '.join(kinds[1:])}",)
+    if kinds[0] == "layout":
+        layout = read_layout(source, preset)
+        notices = (layout.summary, *_write_layout(target, layout), *notices, *layout.notices)
+    elif kinds[0] == "targets":
+        found = read_targets(source)
+        columns = {"id": found.ids, "x_mm": found.xy_mm[:, 0], "y_mm": found.xy_mm[:, 1]}
+        idle = len(found.without_target)
+        columns["id"] = np.append(columns["id"], found.without_target)
+        for axis in ("x_mm", "y_mm"):
+            columns[axis] = np.append(columns[axis], np.full(idle, np.nan))
+        write_table(target, columns)
+        notices = (found.summary, *notices, *found.notices)
+    else:
+        notices = (*_write_starts(files, target), *notices)
+    return notices
+
+
+def _kinds(files: Source, preset: str | None) -> list[str]:
+    found = find_format(files)
+    kinds = [kind for kind in KINDS if getattr(found, kind) is not None]
+    if len(kinds) < len(KINDS):
+        return kinds
+    file = files.files[0]
+    if preset is not None or file.has_columns("arm_theta_mm") or file.has_columns("preset"):
+        return ["layout"]
+    return ["targets"] if file.has_columns("x_mm") else ["starts"]
+
+
+def _write_layout(target: str | os.PathLike[str], layout: Layout) -> tuple[str, ...]:
+    found = layout.found.columns
+    order = np.argsort(found["id"], kind="stable")
+    columns: dict[str, NDArray] = {
+        name: np.asarray(found[name])[order] for name in LAYOUT_COLUMNS if name in found
+    }
+    columns["preset"] = np.full(len(order), layout.preset)
+    write_table(target, columns)
+    if not len(layout.plane.obstacles):
+        return ()
+    beside = _beside(Path(target), "_obstacles")
+    discs = layout.plane.obstacles
+    write_table(beside, {"x_mm": discs[:, 0], "y_mm": discs[:, 1], "radius_mm": discs[:, 2]})
+    return (f"{len(discs)} obstacles are in {beside}",)
+
+
+def _beside(path: Path, ending: str) -> Path:
+    stem = path.name.split(".")[0] if path.suffix == ".gz" else path.stem
+    return path.with_name(stem + ending + path.name[len(stem) :])
+
+
+def _write_starts(files: Source, target: str | os.PathLike[str]) -> tuple[str, ...]:
+    found = find_format(files)
+    if found.starts is None:
+        raise FormatError(f"{files.name} is of format {found.name}, which holds no starts")
+    starts: StartColumns = found.starts(files)
+    if starts.from_lower_stop:
+        raise FormatError(
+            f"{files.name}: angles count from the stops of a layout: read them with read_starts"
+        )
+    columns = {
+        "id": starts.ids,
+        "theta_deg": starts.angles_deg[:, 0],
+        "phi_deg": starts.angles_deg[:, 1],
+    }
+    write_table(target, columns)
+    return (f"{files.name}: present angles of {len(starts.ids)} robots", *starts.notices)

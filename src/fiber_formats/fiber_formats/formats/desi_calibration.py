@@ -1,0 +1,98 @@
+"""DESI: table of the calibration with its history (`calib-*.csv`); the newest row a robot counts.
+
+Places are offset_x_cs5, offset_y_cs5 in the focal plane; offset_t is in the frame of the petal,
+whose place is the thousands of `location`.
+"""
+
+import numpy as np
+
+from fiber_core.array_types import Bools
+from fiber_formats.columns import MOST_ID, Columns
+from fiber_formats.formats.desi_frame import expansion_notices, petal_angle_deg
+from fiber_formats.interface import Format
+from fiber_formats.records import LayoutColumns
+from fiber_formats.source import Source
+from fiber_formats.table import Table
+
+__all__ = ["FORMAT"]
+
+_SIGN = ("location", "offset_x_cs5", "offset_y_cs5", "length_r1", "offset_t", "time_recorded")
+
+
+def matches(source: Source) -> bool:
+    """Return whether the one file is a table with the columns of a calibration."""
+    return len(source.files) == 1 and source.files[0].has_columns(*_SIGN)
+
+
+def layout(source: Source) -> LayoutColumns:
+    """Read the newest row of every robot."""
+    table = source.only.table_with(*_SIGN)
+    newest = _newest_rows(table)
+    columns = Columns(table, keep=newest)
+    ids = columns.ids("location")
+    columns.words("time_recorded")
+    petal = ids // 1000
+    columns.refuse_rows((petal < 0) | (petal > 9), "location", "is in no petal from 0 to 9")
+    found = {
+        "id": ids,
+        "x_mm": columns.numbers("offset_x_cs5", "mm"),
+        "y_mm": columns.numbers("offset_y_cs5", "mm"),
+        "arm_theta_mm": columns.numbers("length_r1", "mm"),
+        "arm_phi_mm": columns.numbers("length_r2", "mm"),
+        "theta_zero_deg": columns.numbers("offset_t", "deg") + petal_angle_deg(petal),
+        "phi_zero_deg": columns.numbers("offset_p", "deg"),
+        "theta_range_deg": columns.numbers("physical_range_t", "deg"),
+        "phi_range_deg": columns.numbers("physical_range_p", "deg"),
+        "enabled": ~columns.flags("device_classified_nonfunctional"),
+        "petal": petal,
+        "bus": columns.words("bus_id"),
+    }
+    notices: tuple[str, ...] = ()
+    older = np.count_nonzero(~newest)
+    if older:
+        notices += (f"{older} rows are older than another row of the same robot and not used",)
+    notices += expansion_notices(columns)
+    for name in ("zeno_motor_t", "zeno_motor_p"):
+        if name in columns:
+            linear = np.count_nonzero(np.char.lower(columns.words(name, missing=True)) == "true")
+            if linear:
+                notices += (f"{linear} robots have a linear motor ({name}); that is not used",)
+    columns.check()
+    notices += ("petal edges and GFA polygons are not in the file and not used",)
+    return LayoutColumns(found, preset="desi_outlines", notices=notices + columns.unused_notice())
+
+
+def _newest_rows(table: Table) -> Bools:
+    every = Columns(table)
+    place = every.whole("location", least=0, most=MOST_ID)
+    times = _moments(every)
+    every.check()
+    order = np.lexsort([times, place])
+    last = np.append(np.diff(place[order]) != 0, True) if len(order) else np.zeros(0, bool)
+    newest = np.zeros(len(order), dtype=bool)
+    newest[order[last]] = True
+    same = np.zeros(len(order), dtype=bool)
+    ordered = (np.diff(place[order]) == 0) & (np.diff(times[order]) == np.timedelta64(0))
+    same[order[1:][ordered]] = True
+    every.refuse_rows(same, "time_recorded", "is the same in two rows of one robot")
+    every.check()
+    return newest
+
+
+def _moments(columns: Columns) -> np.ndarray:
+    # ISO 8601 with the offset of UTC, which numpy does not read
+    words = columns.words("time_recorded")
+    moments = np.zeros(len(words), dtype="datetime64[us]")
+    bad = np.zeros(len(words), dtype=bool)
+    for k, word in enumerate(words.tolist()):
+        for ending in ("+00:00", "+0000", "Z"):
+            word = word.removesuffix(ending)
+        try:
+            moments[k] = np.datetime64(word, "us")
+        except ValueError:
+            bad[k] = True
+    columns.refuse_rows(bad, "time_recorded", "is not a time in UTC")
+    return moments
+
+
+FORMAT = Format("DESI calibration", matches, layout=layout)

@@ -1,0 +1,83 @@
+"""DESI: state of the whole plane on one night (`fp-*.ecsv` of desihub/fpoffline).
+
+Robots are the rows of DEVICE_TYPE POS. The zero of theta is OFFSET_T in the frame of the petal,
+which is turned by 36 (PETAL_LOC - 3) degrees. Present angles are POS_T and POS_P, counted from
+that zero and from OFFSET_P: tips from them lie 58 um (median) from the observed ones.
+"""
+
+import numpy as np
+
+from fiber_formats.columns import Columns
+from fiber_formats.formats.desi_frame import expansion_notices, petal_angle_deg
+from fiber_formats.interface import Format
+from fiber_formats.records import LayoutColumns, StartColumns
+from fiber_formats.source import Source
+
+__all__ = ["FORMAT"]
+
+_SIGN = ("LOCATION", "X_FP", "Y_FP", "DEVICE_TYPE", "LENGTH_R1", "OFFSET_T", "POS_T")
+_NO_BUS = -1
+
+
+def matches(source: Source) -> bool:
+    """Return whether the one file is a table with the columns of a state."""
+    return len(source.files) == 1 and source.files[0].has_columns(*_SIGN)
+
+
+def layout(source: Source) -> LayoutColumns:
+    """Read the positioners; disabled are those with DEVICE_CLASSIFIED_NONFUNCTIONAL."""
+    columns, notices = _positioners(source)
+    petal = columns.whole("PETAL_LOC", least=0, most=9, what="is not a petal from 0 to 9")
+    bus = columns.whole("BUS_ID", otherwise=_NO_BUS)
+    found = {
+        "id": columns.ids("LOCATION"),
+        "x_mm": columns.numbers("X_FP", "mm"),
+        "y_mm": columns.numbers("Y_FP", "mm"),
+        "arm_theta_mm": columns.numbers("LENGTH_R1", "mm"),
+        "arm_phi_mm": columns.numbers("LENGTH_R2", "mm"),
+        "theta_zero_deg": columns.numbers("OFFSET_T", "deg") + petal_angle_deg(petal),
+        "phi_zero_deg": columns.numbers("OFFSET_P", "deg"),
+        "theta_range_deg": columns.numbers("PHYSICAL_RANGE_T", "deg"),
+        "phi_range_deg": columns.numbers("PHYSICAL_RANGE_P", "deg"),
+        "enabled": ~columns.flags("DEVICE_CLASSIFIED_NONFUNCTIONAL"),
+        "petal": petal,
+        "bus": bus,
+    }
+    notices += expansion_notices(columns)
+    columns.check()
+    if np.any(bus == _NO_BUS):
+        notices += (
+            f"{np.count_nonzero(bus == _NO_BUS)} robots have no BUS_ID: those of a petal are put "
+            "on a bus of their own",
+        )
+    notices += ("petal edges and GFA polygons are not used",)
+    return LayoutColumns(found, preset="desi_outlines", notices=notices + columns.unused_notice())
+
+
+def starts(source: Source) -> StartColumns:
+    """Read the angles after the last move of the night."""
+    columns, notices = _positioners(source)
+    ids = columns.ids("LOCATION")
+    petal = columns.whole("PETAL_LOC", least=0, most=9, what="is not a petal from 0 to 9")
+    theta = columns.numbers("POS_T", "deg", missing=True) + columns.numbers("OFFSET_T", "deg")
+    phi = columns.numbers("POS_P", "deg", missing=True) + columns.numbers("OFFSET_P", "deg")
+    columns.check()
+    angles = np.stack([theta + petal_angle_deg(petal), phi], axis=1)
+    return StartColumns(ids, angles, notices=notices)
+
+
+def _positioners(source: Source) -> tuple[Columns, tuple[str, ...]]:
+    table = source.only.table_with(*_SIGN)
+    every = Columns(table)
+    kinds = every.words("DEVICE_TYPE")
+    every.check()
+    columns = Columns(table, keep=kinds == "POS")
+    columns.words("DEVICE_TYPE")
+    others, counts = np.unique(kinds[kinds != "POS"], return_counts=True)
+    if not len(others):
+        return columns, ()
+    listed = ", ".join(f"{count} {kind}" for kind, count in zip(others, counts))
+    return columns, (f"rows that are no robots and are not used: {listed}",)
+
+
+FORMAT = Format("DESI state", matches, layout=layout, starts=starts)

@@ -1,0 +1,176 @@
+"""Our own columns, in CSV, ECSV or FITS; units are part of the names.
+
+A layout needs `x_mm` and `y_mm`; `LAYOUT_COLUMNS` lists the others, which are optional. Targets
+need `id`, `x_mm`, `y_mm`; starts need `id`, `theta_deg`, `phi_deg`. A column that differs from a
+known name by a few letters is refused, an unknown one is named in a notice. A second file beside a
+layout holds obstacles: `x_mm`, `y_mm`, `radius_mm`.
+"""
+
+import numpy as np
+
+from fiber_core.array_types import Bools, Floats
+from fiber_formats.columns import Columns, near
+from fiber_formats.errors import FormatError
+from fiber_formats.interface import Format
+from fiber_formats.records import LayoutColumns, StartColumns, TargetColumns
+from fiber_formats.source import DataFile, Source
+from fiber_formats.table import folded
+
+__all__ = ["FORMAT", "LAYOUT_COLUMNS", "obstacles_of"]
+
+NUMBERS = {
+    "arm_theta_mm": "mm",
+    "arm_phi_mm": "mm",
+    "theta_zero_deg": "deg",
+    "phi_zero_deg": "deg",
+    "theta_range_deg": "deg",
+    "phi_range_deg": "deg",
+    "theta_min_deg": "deg",
+    "theta_max_deg": "deg",
+    "phi_min_deg": "deg",
+    "phi_max_deg": "deg",
+    "theta_speed_deg_s": "deg / s",
+    "phi_speed_deg_s": "deg / s",
+    "radius_mm": "mm",
+}
+_ENABLED, _DISABLED = ("enabled", "functional"), ("nonfunctional", "disabled")
+_IDS = ("id", "location")
+_WIRED = ("petal", "bus", "address")
+LAYOUT_COLUMNS = ("id", "x_mm", "y_mm", *NUMBERS, "enabled", *_WIRED, "preset")
+_STARTS = ("theta_deg", "phi_deg")
+_LAYOUT_NAMES = (*LAYOUT_COLUMNS, *_IDS, *_ENABLED, *_DISABLED)
+_ONLY_LAYOUT = (*NUMBERS, *_ENABLED, *_DISABLED)
+_RESULT_NAMES = ("outcome", "reason", "reached_x_mm", "reached_y_mm", "error_um")
+
+
+def layout(source: Source) -> LayoutColumns:
+    """Read the robots of a table, one row each, in any order of ids."""
+    file, *others = source.files
+    if len(others) > 1:
+        raise FormatError(f"{source.name}: a layout of own columns has at most two files")
+    table = file.likely_table("x_mm", "y_mm")
+    columns = Columns(table)
+    notices = file.other_tables(table)
+    identity, why = _layout_ids(columns)
+    found: dict[str, np.ndarray] = {"id": identity}
+    for name in ("x_mm", "y_mm"):
+        found[name] = columns.numbers(name, "mm")
+    for name, unit in NUMBERS.items():
+        if name in columns:
+            found[name] = columns.numbers(name, unit)
+    for joint in ("theta", "phi"):
+        ends = [f"{joint}_{end}_deg" for end in ("min", "max")]
+        if sum(end in columns for end in ends) == 1:
+            columns.numbers(next(end for end in ends if end not in columns))  # notes what lacks
+    enabled = _enabled(columns)
+    if enabled is not None:
+        found["enabled"] = enabled
+    for name in ("petal", "bus"):
+        if name in columns:
+            is_number = columns.is_number(name)
+            found[name] = columns.whole(name) if is_number else columns.words(name)
+    if "address" in columns:
+        found["address"] = columns.whole("address")
+    preset = _preset(columns)
+    _refuse_near_names(columns, _LAYOUT_NAMES)
+    columns.check()
+    notices += why + columns.unused_notice()
+    discs = np.zeros((0, 3))
+    if others:
+        discs, more = obstacles_of(others[0])
+        notices += more
+    return LayoutColumns(found, discs, preset, notices)
+
+
+def starts(source: Source) -> StartColumns:
+    """Read present angles from columns id, theta_deg, phi_deg, in the focal plane frame."""
+    columns = Columns(source.only.likely_table(*_STARTS))
+    ids = columns.ids(_id_name(columns))
+    angles = [columns.numbers(name, "deg", missing=True) for name in _STARTS]
+    half = np.isnan(angles[0]) != np.isnan(angles[1])
+    columns.refuse_rows(half, "theta_deg", "and phi_deg must both be given or both be missing")
+    _refuse_near_names(columns, (*_IDS, *_STARTS))
+    columns.check()
+    notices = source.only.other_tables(columns.table) + columns.unused_notice()
+    return StartColumns(ids, np.stack(angles, axis=1), notices=notices)
+
+
+def targets(source: Source) -> TargetColumns:
+    """Read targets from columns id, x_mm, y_mm; a row without both is a robot without target."""
+    columns = Columns(source.only.likely_table("x_mm", "y_mm"))
+    of_layouts = [name for name in columns.table.names if folded(name) in _ONLY_LAYOUT]
+    if of_layouts:
+        columns.note(f"it is a layout and no table of targets: it has {', '.join(of_layouts)}")
+    ids = columns.ids(_id_name(columns))
+    xy_mm = [columns.numbers(name, "mm", missing=True) for name in ("x_mm", "y_mm")]
+    half = np.isnan(xy_mm[0]) != np.isnan(xy_mm[1])
+    columns.refuse_rows(half, "x_mm", "and y_mm must both be given or both be missing")
+    _refuse_near_names(columns, (*_IDS, "x_mm", "y_mm"))
+    columns.check()
+    notices = source.only.other_tables(columns.table) + columns.unused_notice()
+    return TargetColumns(ids, np.stack(xy_mm, axis=1), notices)
+
+
+def obstacles_of(file: DataFile) -> tuple[Floats, tuple[str, ...]]:
+    """Return fixed discs x, y, radius [mm], shape (k, 3), and notices.
+
+    Raises:
+        FormatError: the table is refused.
+    """
+    names = ("x_mm", "y_mm", "radius_mm")
+    columns = Columns(file.likely_table(*names))
+    discs = np.stack([columns.numbers(name, "mm") for name in names], axis=1)
+    columns.refuse_rows(discs[:, 2] < 0, "radius_mm", "is negative")
+    columns.check()
+    return discs, columns.unused_notice()
+
+
+def _id_name(columns: Columns) -> str:
+    return next((name for name in _IDS if name in columns), "id")
+
+
+def _layout_ids(columns: Columns) -> tuple[np.ndarray, tuple[str, ...]]:
+    if any(name in columns for name in _IDS):
+        return columns.ids(_id_name(columns)), ()
+    known = {*_LAYOUT_NAMES, *_STARTS, *_RESULT_NAMES}
+    likely = [
+        name
+        for name in columns.table.names
+        if folded(name) not in known
+        and (folded(name).endswith(("id", "ids")) or columns.holds_other_ids(name))
+    ]
+    if likely:
+        columns.note(f"no column id; is {' or '.join(likely)} meant? Rename it to id")
+    return np.arange(len(columns)), ("no column id: robots have the numbers of their rows, from 0",)
+
+
+def _enabled(columns: Columns) -> Bools | None:
+    enabled = None
+    for name in (*_ENABLED, *_DISABLED):
+        if name in columns:
+            value = columns.flags(name)
+            value = ~value if name in _DISABLED else value
+            enabled = value if enabled is None else enabled & value
+    return enabled
+
+
+def _preset(columns: Columns) -> str | None:
+    if "preset" not in columns:
+        return None
+    names = np.unique(columns.words("preset"))
+    if len(names) > 1:
+        columns.note(f"column preset names several: {', '.join(names.tolist())}")
+    return str(names[0]) if len(names) else None
+
+
+def _refuse_near_names(columns: Columns, known: tuple[str, ...]) -> None:
+    everything = {*_LAYOUT_NAMES, *_STARTS, *_RESULT_NAMES}
+    for name in columns.unused:
+        if folded(name) in everything:
+            continue  # of another kind of table, named in a notice
+        meant = near(name, known)
+        if meant is not None:
+            columns.note(f"column {name} is not known; is {meant} meant?")
+
+
+FORMAT = Format("own columns", lambda source: False, layout, starts, targets)

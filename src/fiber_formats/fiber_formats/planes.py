@@ -1,0 +1,154 @@
+"""Focal planes from columns, with the figures of a preset for what the columns lack."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiber_core.array_types import Floats, Ints
+from fiber_core.errors import LayoutError
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.presets import PRESETS, Preset, plane_from
+from fiber_formats.errors import FormatError
+from fiber_formats.records import LayoutColumns
+
+__all__ = ["plane_of", "preset_of"]
+
+_ARMS_ALIKE = 0.1  # relative difference of arm lengths up to which an instrument is recognised
+_KNOWN_BY_ARMS = ("desi", "pfs", "sdss_v", "moons", "lamost")
+_SAME_PLACE_MM = 0.001
+_NAMED = 10
+
+
+def preset_of(name: str, found: LayoutColumns, preset: str | None) -> str:
+    """Return the preset that supplies what a layout lacks.
+
+    Args:
+        name: path of the file, for messages.
+        found: the layout.
+        preset: the user's choice; without one the file's own, else the instrument with such arms.
+
+    Raises:
+        FormatError: there is no such preset, or none has such arms.
+    """
+    chosen = preset or found.preset
+    if chosen is not None:
+        if chosen not in PRESETS:
+            raise FormatError(f"no preset is named {chosen!r}; there are {', '.join(PRESETS)}")
+        return chosen
+    lacking = [key for key in ("arm_theta_mm", "arm_phi_mm") if key not in found.columns]
+    if lacking:
+        raise FormatError(f"{name} has no column {' nor '.join(lacking)}: name a preset")
+    arms = [float(np.median(found.columns[key])) for key in ("arm_theta_mm", "arm_phi_mm")]
+    for known in _KNOWN_BY_ARMS:
+        if np.allclose(arms, PRESETS[known].arms_mm, rtol=_ARMS_ALIKE, atol=0.0):
+            return known
+    raise FormatError(f"{name}: no instrument is known by arms of {arms} mm; name a preset")
+
+
+def plane_of(
+    name: str, stem: str, found: LayoutColumns, preset: str
+) -> tuple[FocalPlane, tuple[str, ...]]:
+    """Return the focal plane of a layout, and what the preset supplied.
+
+    Args:
+        name: path of the file, for messages.
+        stem: name of the plane.
+        found: the layout; its rows may be in any order.
+        preset: name of the preset.
+
+    Raises:
+        FormatError: two robots stand on one place, or FocalPlane refuses a value.
+    """
+    order = np.argsort(found.columns["id"], kind="stable")
+    columns = {key: np.asarray(values)[order] for key, values in found.columns.items()}
+    ids = columns["id"].astype(np.int64)
+    centers = np.stack([columns["x_mm"], columns["y_mm"]], axis=1)
+    _refuse_shared_places(name, ids, centers)
+    figures = PRESETS[preset]
+    supplied: list[str] = []
+    arms = _pair(columns, "arm_theta_mm", "arm_phi_mm", figures.arms_mm, supplied, "arms")
+    limits = _limits(columns, figures, supplied)
+    speed = ("theta_speed_deg_s", "phi_speed_deg_s")
+    speeds = np.deg2rad(_pair(columns, *speed, figures.speeds_deg_s, supplied, "speeds"))
+    fields: dict[str, object] = {
+        "limits": limits,
+        "speeds": speeds,
+        "enabled": columns.get("enabled", np.ones(len(ids), dtype=bool)),
+        "bus": _buses(columns),
+        "address": columns.get("address"),
+        "obstacles": found.obstacles,
+        "name": stem,
+    }
+    supplied.append("spacing")
+    if "radius_mm" in columns:
+        outline = figures.phi_outline if figures.phi_outline == "tip" else "capsule"
+        figures = replace(figures, phi_outline=outline, theta_outline=())
+        fields["phi_radius"] = columns["radius_mm"]
+    else:
+        supplied.append("outlines")
+    try:
+        return plane_from(figures, ids, centers, arms, **fields), tuple(supplied)
+    except LayoutError as error:
+        raise FormatError(f"{name}: {error}") from None
+
+
+def _refuse_shared_places(name: str, ids: NDArray, centers: Floats) -> None:
+    places = np.rint(centers / _SAME_PLACE_MM)
+    order = np.lexsort([places[:, 1], places[:, 0]])
+    same = np.flatnonzero((np.diff(places[order], axis=0) == 0).all(axis=1))
+    if len(same):
+        pairs = [
+            f"{ids[order[k]]} and {ids[order[k + 1]]} at {centers[order[k]].tolist()} mm"
+            for k in same[:_NAMED]
+        ]
+        raise FormatError(f"{name}: two robots stand on one place: {'; '.join(pairs)}")
+
+
+def _pair(
+    columns: Mapping[str, NDArray],
+    first: str,
+    second: str,
+    otherwise: tuple[float, float],
+    supplied: list[str],
+    what: str,
+) -> Floats:
+    rows = len(columns["id"])
+    lacking = [name for name in (first, second) if name not in columns]
+    if lacking:
+        supplied.append(what if len(lacking) == 2 else lacking[0])
+    values = [
+        columns[name] if name in columns else np.full(rows, value)
+        for name, value in zip((first, second), otherwise)
+    ]
+    return np.stack(values, axis=1)
+
+
+def _limits(columns: Mapping[str, NDArray], figures: Preset, supplied: list[str]) -> Floats:
+    rows = len(columns["id"])
+    limits = np.empty((rows, 2, 2))
+    for j, (joint, usual) in enumerate((("theta", figures.theta_deg), ("phi", figures.phi_deg))):
+        if f"{joint}_min_deg" in columns:
+            ends = [columns[f"{joint}_{end}_deg"] for end in ("min", "max")]
+            limits[:, j] = np.stack(ends, axis=1)
+            continue
+        zero = columns.get(f"{joint}_zero_deg", np.zeros(rows))
+        if f"{joint}_range_deg" in columns:
+            span = columns[f"{joint}_range_deg"]
+            low = zero - span / 2 if joint == "theta" else zero
+            limits[:, j] = np.stack([low, low + span], axis=1)
+        else:
+            supplied.append(f"range of {joint}")
+            limits[:, j] = np.add.outer(zero, usual)
+    return np.deg2rad(limits)
+
+
+def _buses(columns: Mapping[str, NDArray]) -> Ints | None:
+    if "bus" not in columns:
+        return None
+    if "petal" not in columns and columns["bus"].dtype.kind in "iu":
+        return columns["bus"].astype(np.int64)
+    keys = [np.unique(columns[k], return_inverse=True)[1] for k in ("petal", "bus") if k in columns]
+    _, number = np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)
+    return number.reshape(-1).astype(np.int64)

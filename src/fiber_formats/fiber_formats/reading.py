@@ -1,0 +1,173 @@
+"""Find the format of files by their content, and read a layout, starts or targets from them."""
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeAlias, TypeVar
+
+import numpy as np
+
+from fiber_core.array_types import Floats, Ids
+from fiber_core.focal_plane import FocalPlane
+from fiber_formats.errors import FormatError
+from fiber_formats.formats import FORMATS, OWN
+from fiber_formats.formats.own import obstacles_of
+from fiber_formats.interface import Format
+from fiber_formats.planes import plane_of, preset_of
+from fiber_formats.records import Layout, Starts, Targets
+from fiber_formats.source import Source
+
+__all__ = ["find_format", "read_layout", "read_obstacles", "read_starts", "read_targets"]
+
+Paths: TypeAlias = "str | os.PathLike[str] | Iterable[str | os.PathLike[str]]"
+_Columns = TypeVar("_Columns")
+_NAMED = 10
+_STOP_DEG = 1e-4  # a start this far beyond a stop is on the stop
+
+
+def find_format(source: Source, formats: Sequence[Format] = FORMATS) -> Format:
+    """Return the format of a source: the only one that matches, else our own columns.
+
+    Raises:
+        FormatError: several formats match.
+    """
+    matching = [item for item in formats if item.matches(source)]
+    if len(matching) > 1:
+        names = ", ".join(item.name for item in matching)
+        raise FormatError(f"{source.name} fits several formats: {names}")
+    return matching[0] if matching else OWN
+
+
+def read_layout(
+    path: Paths,
+    preset: str | None = None,
+    obstacles: str | os.PathLike[str] | None = None,
+    formats: Sequence[Format] = FORMATS,
+) -> Layout:
+    """Read a focal plane from an instrument's own files or from a table of our columns.
+
+    Args:
+        path: a file, or several joined by commas where an instrument splits them.
+        preset: instrument that supplies what the files lack; by default the one that the format
+            or the arms point to.
+        obstacles: table of fixed discs x_mm, y_mm, radius_mm, in addition to those of the files.
+        formats: the formats that are tried, apart from our own columns.
+
+    Raises:
+        FormatError: a file is refused; names file, column, robot and value.
+    """
+    source = Source(path)
+    found_format = find_format(source, formats)
+    found = _reader(found_format, found_format.layout, source, "layout")(source)
+    if len(found.columns["id"]) == 0:
+        raise FormatError(f"{source.name} has no robots")
+    if obstacles is not None:
+        discs = np.concatenate([found.obstacles, read_obstacles(obstacles)])
+        found = type(found)(found.columns, discs, found.preset, found.notices)
+    chosen = preset_of(source.name, found, preset)
+    plane, supplied = plane_of(source.name, source.stem, found, chosen)
+    disabled = np.count_nonzero(~plane.enabled)
+    summary = f"{_short(source)}: {plane.n} robots, {disabled} disabled"
+    if len(plane.obstacles):
+        summary += f", {len(plane.obstacles)} obstacles"
+    summary += f"; from preset {chosen}: {', '.join(supplied)}"
+    return Layout(plane, found, found_format.name, chosen, summary, found.notices)
+
+
+def read_obstacles(path: str | os.PathLike[str]) -> Floats:
+    """Read fixed discs from a table with columns x_mm, y_mm, radius_mm: [mm], shape (k, 3).
+
+    Raises:
+        FormatError: as read_layout.
+    """
+    return obstacles_of(Source([path]).only)[0]
+
+
+def read_starts(path: Paths, plane: FocalPlane, formats: Sequence[Format] = FORMATS) -> Starts:
+    """Read the present joint angles of all robots of a plane.
+
+    Args:
+        path: as for read_layout.
+        plane: the focal plane.
+        formats: as for read_layout.
+
+    Raises:
+        FormatError: a file is refused, or a robot of the plane has no angles.
+    """
+    source = Source(path)
+    found_format = find_format(source, formats)
+    found = _reader(found_format, found_format.starts, source, "starts")(source)
+    rows = plane.index_of(found.ids)
+    angles = np.full((plane.n, 2), np.nan)
+    angles[rows[rows >= 0]] = np.deg2rad(found.angles_deg[rows >= 0])
+    if found.from_lower_stop:
+        angles += plane.limits[:, :, 0]
+    lacking = plane.ids[np.asarray(np.isnan(angles).any(axis=1))]
+    if len(lacking):
+        raise FormatError(
+            f"{source.name} has no present angles for {_robots(lacking)}, {len(lacking)} of "
+            f"{plane.n}: the place of every robot must be known, also of disabled ones"
+        )
+    notices = found.notices + _not_in_plane(found.ids[rows < 0])
+    stop = np.deg2rad(_STOP_DEG)
+    low, high = plane.limits[:, :, 0] - stop, plane.limits[:, :, 1] + stop
+    outside = plane.ids[np.asarray(((angles < low) | (angles > high)).any(axis=1))]
+    if len(outside):
+        notices += (f"starts outside the joint ranges, so held: {_robots(outside)}",)
+    summary = f"{_short(source)}: present angles of {plane.n} robots"
+    return Starts(angles, found_format.name, summary, notices)
+
+
+def read_targets(
+    path: Paths, plane: FocalPlane | None = None, formats: Sequence[Format] = FORMATS
+) -> Targets:
+    """Read where fibres should go.
+
+    Args:
+        path: as for read_layout.
+        plane: the focal plane; with it robots that it does not have are named in a notice.
+        formats: as for read_layout.
+
+    Raises:
+        FormatError: a file is refused.
+    """
+    source = Source(path)
+    found_format = find_format(source, formats)
+    found = _reader(found_format, found_format.targets, source, "targets")(source)
+    asked = np.asarray(np.isfinite(found.xy_mm).all(axis=1))
+    notices = found.notices
+    if plane is not None:
+        notices += _not_in_plane(found.ids[asked & (plane.index_of(found.ids) < 0)])
+    count = np.count_nonzero(asked)
+    summary = f"{_short(source)}: {count} targets, {len(asked) - count} robots without target"
+    return Targets(
+        found.ids[asked],
+        found.xy_mm[asked],
+        found.ids[~asked],
+        found_format.name,
+        summary,
+        notices,
+    )
+
+
+def _reader(
+    found: Format,
+    reader: Callable[[Source], _Columns] | None,
+    source: Source,
+    kind: str,
+) -> Callable[[Source], _Columns]:
+    if reader is None:
+        raise FormatError(f"{source.name} is of format {found.name}, which holds no {kind}")
+    return reader
+
+
+def _short(source: Source) -> str:
+    return ",".join(file.path.name for file in source.files)
+
+
+def _robots(ids: Ids) -> str:
+    more = f" and {len(ids) - _NAMED} more" if len(ids) > _NAMED else ""
+    return f"robot {', '.join(str(i) for i in ids[:_NAMED])}{more}"
+
+
+def _not_in_plane(ids: Ids) -> tuple[str, ...]:
+    return (f"not in the plane: {_robots(ids)}, {len(ids)} rows",) if len(ids) else ()

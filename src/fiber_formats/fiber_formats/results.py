@@ -1,0 +1,155 @@
+"""Results as a table: one row for every robot, with outcome, reason, place, error and angles."""
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fiber_core.array_types import Codes, Floats, Ids, Points
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.kinematics import forward
+from fiber_core.outcomes import Outcome, PlanOutcome, Reason
+from fiber_formats.columns import Columns
+from fiber_formats.errors import FormatError
+from fiber_formats.result_forms import FORMS
+from fiber_formats.source import Source
+from fiber_formats.writing import write_table
+
+__all__ = ["RESULT_COLUMNS", "Results", "read_results", "results_of", "write_results"]
+
+RESULT_COLUMNS = (
+    "id",
+    "outcome",
+    "reason",
+    "reached_x_mm",
+    "reached_y_mm",
+    "error_um",
+    "theta_deg",
+    "phi_deg",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What became of every robot of a plan, one row each, by id.
+
+    Args:
+        ids: robot ids, shape (n,).
+        outcome: Outcome of each, shape (n,).
+        reason: Reason of each, shape (n,).
+        reached_mm: where each tip is [mm], shape (n, 2).
+        error_um: distance from tip to target [um], nan without a target, shape (n,).
+        angles_deg: joint angles theta, phi [deg], shape (n, 2).
+    """
+
+    ids: Ids
+    outcome: Codes
+    reason: Codes
+    reached_mm: Points
+    error_um: Floats
+    angles_deg: Floats
+
+
+def results_of(plane: FocalPlane, outcome: PlanOutcome, angles: ArrayLike) -> Results:
+    """Return the results of a plan.
+
+    Args:
+        plane: the focal plane.
+        outcome: outcomes of all robots of the plane, in any order.
+        angles: joint angles after the motion [rad], in the order of the plane, shape (n, 2).
+
+    Raises:
+        FiberError: a robot of the plane has no outcome.
+        FormatError: the angles have another shape.
+    """
+    final = np.asarray(angles, dtype=float)
+    if final.shape != (plane.n, 2):
+        raise FormatError(f"angles have shape {final.shape}, expected ({plane.n}, 2)")
+    ordered = outcome.of(plane.ids)
+    tips = forward(plane, final)[1]
+    return Results(
+        plane.ids,
+        np.asarray(ordered.outcome, dtype=np.int64),
+        np.asarray(ordered.reason, dtype=np.int64),
+        tips,
+        1000 * np.asarray(ordered.error_mm, dtype=float),
+        np.rad2deg(final),
+    )
+
+
+def write_results(
+    path: str | os.PathLike[str],
+    plane: FocalPlane,
+    outcome: PlanOutcome,
+    angles: ArrayLike,
+    form: str | None = None,
+) -> Results:
+    """Write what became of every robot as CSV, ECSV or FITS, by the suffix; return it too.
+
+    Such a table can be read again by `read_results`, and by `read_starts` for the next plan.
+
+    Args:
+        path: where to; .csv, .ecsv or .fits, also with .gz.
+        plane: the focal plane.
+        outcome: outcomes of all robots.
+        angles: joint angles after the motion [rad], in the order of the plane, shape (n, 2).
+        form: an instrument, one of `FORMS`, that gets columns in its own form as well.
+
+    Raises:
+        FormatError: the suffix or the form is not known, or the file cannot be written.
+        FiberError: a robot of the plane has no outcome.
+    """
+    results = results_of(plane, outcome, angles)
+    columns: dict[str, NDArray] = {
+        "id": results.ids,
+        "outcome": np.array([Outcome(code).name.lower() for code in results.outcome], dtype=str),
+        "reason": np.array([Reason(code).name.lower() for code in results.reason], dtype=str),
+        "reached_x_mm": results.reached_mm[:, 0],
+        "reached_y_mm": results.reached_mm[:, 1],
+        "error_um": results.error_um,
+        "theta_deg": results.angles_deg[:, 0],
+        "phi_deg": results.angles_deg[:, 1],
+    }
+    if form is not None:
+        if form not in FORMS:
+            raise FormatError(f"no form is named {form!r}; there are {', '.join(FORMS)}")
+        columns.update(
+            FORMS[form](
+                plane,
+                results.outcome,
+                results.reason,
+                results.reached_mm,
+                np.asarray(angles, dtype=float),
+                results.error_um,
+            )
+        )
+    write_table(path, columns)
+    return results
+
+
+def read_results(path: str | os.PathLike[str]) -> Results:
+    """Read a table that `write_results` wrote.
+
+    Raises:
+        FormatError: a column is missing or a value is refused.
+    """
+    columns = Columns(Source([path]).only.table_with("id", "outcome", "reason"))
+    ids = columns.ids("id")
+    outcome = _codes(columns, "outcome", Outcome)
+    reason = _codes(columns, "reason", Reason)
+    reached = [columns.numbers(f"reached_{axis}_mm", "mm") for axis in "xy"]
+    error_um = columns.numbers("error_um", "um", missing=True)
+    angles = [columns.numbers(name, "deg") for name in ("theta_deg", "phi_deg")]
+    columns.check()
+    return Results(
+        ids, outcome, reason, np.stack(reached, axis=1), error_um, np.stack(angles, axis=1)
+    )
+
+
+def _codes(columns: Columns, name: str, kind: type[Outcome] | type[Reason]) -> Codes:
+    numbers = {member.name.lower(): int(member) for member in kind}
+    words = columns.words(name).tolist()
+    bad = np.array([word not in numbers for word in words], dtype=bool)
+    columns.refuse_rows(bad, name, f"is not one of {', '.join(numbers)}")
+    return np.array([numbers.get(word, 0) for word in words], dtype=np.int64)

@@ -1,0 +1,72 @@
+"""Write tables as CSV, ECSV or FITS, plain or gzip, by the suffix of the path."""
+
+import gzip
+import io
+import os
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiber_formats.errors import FormatError
+
+__all__ = ["kind_of", "write_table"]
+
+_KINDS = {".csv": "ascii.csv", ".ecsv": "ascii.ecsv", ".fits": "fits", ".fit": "fits"}
+_UNITS = {"_deg_s": "deg / s", "_deg": "deg", "_mm": "mm", "_um": "um"}
+
+
+def kind_of(path: str | os.PathLike[str]) -> str:
+    """Return how astropy calls the kind of table that a path names.
+
+    Raises:
+        FormatError: the suffix is none of .csv, .ecsv, .fits, .fit, with or without .gz.
+    """
+    suffixes = [suffix.lower() for suffix in Path(path).suffixes]
+    if suffixes and suffixes[-1] == ".gz":
+        suffixes.pop()
+    kind = _KINDS.get(suffixes[-1]) if suffixes else None
+    if kind is None:
+        raise FormatError(f"{path}: a table is written as {', '.join(_KINDS)}, also with .gz")
+    return kind
+
+
+def write_table(path: str | os.PathLike[str], columns: Mapping[str, NDArray]) -> None:
+    """Write columns of equal length; units in the names go into ECSV and FITS as well.
+
+    Args:
+        path: where to; an existing file is replaced.
+        columns: arrays by name.
+
+    Raises:
+        FormatError: the suffix is not known, or the file cannot be written.
+    """
+    kind = kind_of(path)
+    from astropy.table import Table  # slow to import
+
+    wide = [name for name, values in columns.items() if np.ndim(values) > 1]
+    if wide and kind == "ascii.csv":
+        raise FormatError(
+            f"{path}: {', '.join(wide)} has several numbers a row: write ECSV or FITS"
+        )
+    table = Table({name: np.asarray(values) for name, values in columns.items()})
+    for name in columns:
+        unit = next((_UNITS[end] for end in _UNITS if name.endswith(end)), None)
+        if unit is not None and kind != "ascii.csv":
+            table[name].unit = unit
+    data = io.BytesIO() if kind == "fits" else io.StringIO()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            table.write(data, format=kind)
+        content = data.getvalue()
+        raw = content if isinstance(content, bytes) else content.encode()
+        if Path(path).suffix.lower() == ".gz":
+            raw = gzip.compress(raw, mtime=0)
+        partial = Path(f"{os.fspath(path)}.partial")
+        partial.write_bytes(raw)
+        os.replace(partial, path)
+    except (OSError, ValueError, TypeError) as error:
+        raise FormatError(f"{path} cannot be written: {error}") from None
