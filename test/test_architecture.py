@@ -37,6 +37,7 @@ NODES = {
 ROS = {"rclpy", "rcl_interfaces"}
 ARROWS = {
     "fiber_core": {"numpy", "numba", "scipy", "astropy"},
+    "fiber_formats": {"fiber_core", "numpy", "astropy"},
     "fiber_msgs_py": {"fiber_core", "rclpy.qos"} | STOCK_MESSAGES,
     "fiber_node": {"fiber_core", "fiber_msgs_py", "ament_index_python"} | ROS,
     "fiber_planner": {"fiber_core"},

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fiber_core.array_types import Floats, Ints
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.presets import PRESETS, Preset, plane_from
+from fiber_core.presets import PRESETS, PlaneColumns, Preset, plane_from
 from fiber_formats.errors import FormatError
 from fiber_formats.records import LayoutColumns
 
@@ -72,15 +72,15 @@ def plane_of(
     limits = _limits(columns, figures, supplied)
     speed = ("theta_speed_deg_s", "phi_speed_deg_s")
     speeds = np.deg2rad(_pair(columns, *speed, figures.speeds_deg_s, supplied, "speeds"))
-    fields: dict[str, object] = {
-        "limits": limits,
-        "speeds": speeds,
-        "enabled": columns.get("enabled", np.ones(len(ids), dtype=bool)),
-        "bus": _buses(columns),
-        "address": columns.get("address"),
-        "obstacles": found.obstacles,
-        "name": stem,
-    }
+    fields = PlaneColumns(
+        limits=limits,
+        speeds=speeds,
+        enabled=columns.get("enabled", np.ones(len(ids), dtype=bool)),
+        bus=_buses(columns),
+        address=columns.get("address"),
+        obstacles=found.obstacles,
+        name=stem,
+    )
     supplied.append("spacing")
     if "radius_mm" in columns:
         outline = figures.phi_outline if figures.phi_outline == "tip" else "capsule"

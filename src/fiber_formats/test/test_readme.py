@@ -18,7 +18,9 @@ def example(name):
 @pytest.fixture(autouse=True)
 def folder(made_up, tmp_path, monkeypatch):
     shutil.copy(made_up / "desi_state.ecsv", tmp_path)
-    (tmp_path / "mine.csv").write_text("Fibre,XFP,YFP,Broken,Colour\n5,0,0,no,red\n6,25,0,YES,blue\n")
+    (tmp_path / "mine.csv").write_text(
+        "Fibre,XFP,YFP,Broken,Colour\n5,0,0,no,red\n6,25,0,YES,blue\n"
+    )
     monkeypatch.chdir(tmp_path)
 
 
@@ -41,7 +43,9 @@ def test_the_example_of_a_new_format_reads_its_file(capsys):
 
 
 def test_every_format_stands_in_the_table_of_the_readme():
-    modules = {p.stem for p in (Path(__file__).parents[1] / "fiber_formats" / "formats").glob("*.py")}
+    modules = {
+        p.stem for p in (Path(__file__).parents[1] / "fiber_formats" / "formats").glob("*.py")
+    }
     formats = modules - {"__init__", "desi_frame", "numbers"}
     table = README.split("## Formats")[1].split("## Own columns")[0]
     assert table.count("\n|") == len(formats) + 2
