@@ -1,9 +1,11 @@
-"""The proof that a motion is safe: every gap at every instant, limits, speeds, the disabled."""
+"""Certificates: the proof that a motion keeps gaps, limits and speeds in continuous time."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Floats, Gaps, Mask, Pairs, Rows, Times
 from fiber_core.clearance.collision_bodies import Bodies, bodies_of
 from fiber_core.clearance.minimum_distance import FINEST_MM, Minima, minimum_gaps
 from fiber_core.clearance.neighbours import neighbour_pairs
@@ -19,32 +21,32 @@ _TOLERANCE_MM = 0.5e-3
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is proven about a motion at every instant from its start to its end.
+    """The properties of a motion that are proven at every instant from its start to its end.
 
     Args:
         pairs: the pairs examined, rows as from neighbour_pairs, shape (p, 2).
         required_mm: gap each pair must keep [mm], shape (p,).
-        gap_mm: lower bound of the smallest gap of each pair [mm], shape (p,); within
-            the tolerance of it where it is below the required gap or the smallest of all.
-        time_s: when the smallest gap met of each pair occurs [s], shape (p,).
+        gap_mm: lower bound of the smallest gap of each pair [mm], shape (p,); within the
+            tolerance of that gap where it is below the required gap or the smallest of all.
+        time_s: instant of the smallest gap found of each pair [s], shape (p,).
         unsafe: pairs not proven to keep their required gap, shape (p,).
         limits_broken: robots that move a joint outside its limits or too fast, shape (n,).
         moved_disabled: disabled robots that move, shape (n,).
     """
 
-    pairs: np.ndarray
-    required_mm: np.ndarray
-    gap_mm: np.ndarray
-    time_s: np.ndarray
-    unsafe: np.ndarray
-    limits_broken: np.ndarray
-    moved_disabled: np.ndarray
+    pairs: Pairs
+    required_mm: Gaps
+    gap_mm: Gaps
+    time_s: Times
+    unsafe: Mask
+    limits_broken: Mask
+    moved_disabled: Mask
 
     def __post_init__(self):
         for name, value in list(vars(self).items()):
-            value = np.array(value)
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+            array = np.array(value)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
 
     @property
     def ok(self) -> bool:
@@ -52,7 +54,7 @@ class Certificate:
         return not (self.unsafe.any() or self.limits_broken.any() or self.moved_disabled.any())
 
     @property
-    def unsafe_robots(self) -> np.ndarray:
+    def unsafe_robots(self) -> Mask:
         """Robots in an unsafe pair, shape (n,)."""
         n = len(self.limits_broken)
         rows = self.pairs[self.unsafe].ravel()
@@ -72,7 +74,7 @@ class Certificate:
 
     @property
     def min_time_s(self) -> float:
-        """When the smallest gap occurs [s]; nan without pairs."""
+        """Instant of the smallest gap [s]; nan without pairs."""
         return float(self.time_s[np.argmin(self.gap_mm)]) if len(self.pairs) else float("nan")
 
 
@@ -80,7 +82,7 @@ def certify(
     plane: FocalPlane,
     motion: SegmentMotion,
     safety: Safety,
-    pairs=None,
+    pairs: ArrayLike | None = None,
     tolerance_mm: float = _TOLERANCE_MM,
 ) -> Certificate:
     """Prove, in continuous time, that a motion keeps every pair of outlines apart.
@@ -92,11 +94,11 @@ def certify(
     Args:
         plane: the focal plane.
         motion: joint profiles of all robots.
-        safety: gap asked for and timing errors to survive.
-        pairs: rows a < b to examine, shape (p, 2); by default all that could ever
+        safety: the margin and the timing errors that the motion must survive.
+        pairs: rows a < b to examine, shape (p, 2); by default all pairs that could ever
             come closer than the largest required gap (at least 1 mm).
-        tolerance_mm: how closely gaps below their required value and the smallest of all
-            are resolved, 1e-6 at the finest [mm].
+        tolerance_mm: resolution of the gaps below their required value and of the smallest
+            of all, at least 1e-6 [mm].
     """
     if pairs is None:
         pairs = certified_pairs(plane, motion, safety)
@@ -109,22 +111,24 @@ def certify(
     return certificate_of(plane, bodies, profiles, pairs, required, minima, tolerance_mm)
 
 
-def unproven(bodies: Bodies, profiles: Profiles, pairs, required_mm) -> np.ndarray:
+def unproven(bodies: Bodies, profiles: Profiles, pairs: ArrayLike, required_mm: ArrayLike) -> Mask:
     """Return which pairs are not proven to keep their gap at every instant, shape (p,).
 
-    A certificate without figures: a pair is left as soon as it is decided.
+    A certificate without figures: the search on a pair ends as soon as it is decided.
 
     Args:
         bodies: outlines, from bodies_of.
         profiles: the motion, from profiles_of.
         pairs: rows a, b of bodies, shape (p, 2).
-        required_mm: gap each must keep [mm], shape (p,).
+        required_mm: gap that each pair must keep [mm], shape (p,).
     """
     required = np.asarray(required_mm, dtype=float)
-    return _lower(bodies, profiles, pairs, required, False) < required
+    return _lower_bounds(bodies, profiles, pairs, required, False) < required
 
 
-def smallest_gaps(bodies: Bodies, profiles: Profiles, pairs, level_mm) -> np.ndarray:
+def smallest_gaps(
+    bodies: Bodies, profiles: Profiles, pairs: ArrayLike, level_mm: ArrayLike
+) -> Gaps:
     """Return a lower bound of the smallest gap of each pair in a motion [mm], shape (p,).
 
     It is within half a micrometre of that gap where the gap is below the level.
@@ -133,19 +137,21 @@ def smallest_gaps(bodies: Bodies, profiles: Profiles, pairs, level_mm) -> np.nda
         bodies: outlines, from bodies_of.
         profiles: the motion, from profiles_of.
         pairs: rows a, b of bodies, shape (p, 2).
-        level_mm: gap of each pair that is enough to know [mm], shape (p,).
+        level_mm: gap of each pair above which no better bound is needed [mm], shape (p,).
     """
-    return _lower(bodies, profiles, pairs, np.asarray(level_mm, dtype=float), True)
+    return _lower_bounds(bodies, profiles, pairs, np.asarray(level_mm, dtype=float), True)
 
 
-def _lower(bodies, profiles, pairs, level, resolve):
+def _lower_bounds(
+    bodies: Bodies, profiles: Profiles, pairs: ArrayLike, level: Floats, resolve: bool
+) -> Gaps:
     pairs = np.asarray(pairs, dtype=np.int32).reshape(-1, 2)
     minima, rows = Minima.unknown(len(pairs)), np.arange(len(pairs))
     minimum_gaps(bodies, profiles, pairs, rows, level, _TOLERANCE_MM, resolve, minima)
     return minima.lower
 
 
-def certified_pairs(plane: FocalPlane, motion: SegmentMotion, safety: Safety) -> np.ndarray:
+def certified_pairs(plane: FocalPlane, motion: SegmentMotion, safety: Safety) -> Pairs:
     """Return every pair that must be examined to certify a motion, shape (p, 2)."""
     with_itself = np.repeat(np.arange(plane.n)[:, None], 2, axis=1)
     most = safety.required_mm(plane, motion, with_itself).max(initial=0.0)
@@ -156,12 +162,22 @@ def certificate_of(
     plane: FocalPlane,
     bodies: Bodies,
     profiles: Profiles,
-    pairs: np.ndarray,
-    required: np.ndarray,
+    pairs: Pairs,
+    required: Gaps,
     minima: Minima,
     tolerance_mm: float,
 ) -> Certificate:
-    """Resolve the smallest gap of the plane and put everything known in a certificate."""
+    """Return the certificate of a motion, after the smallest gap of the plane is resolved.
+
+    Args:
+        plane: the focal plane.
+        bodies: outlines, from bodies_of.
+        profiles: the motion, from profiles_of.
+        pairs: rows a, b of bodies, shape (p, 2).
+        required: gap that each pair must keep [mm], shape (p,).
+        minima: the smallest gaps as far as they are known; updated.
+        tolerance_mm: resolution of the smallest gap [mm].
+    """
     _resolve_smallest(bodies, profiles, pairs, required, minima, tolerance_mm)
     return Certificate(
         pairs=pairs,
@@ -174,33 +190,40 @@ def certificate_of(
     )
 
 
-def limits_broken(plane: FocalPlane, profiles: Profiles) -> np.ndarray:
+def limits_broken(plane: FocalPlane, profiles: Profiles) -> Mask:
     """Return the robots that move a joint outside its limits or too fast, shape (n,)."""
     low, high = np.moveaxis(plane.limits, -1, 0)
     outside = (profiles.low < low - 1e-9) | (profiles.high > high + 1e-9)
     too_fast = profiles.fastest > plane.speeds * (1 + 1e-9)
-    return ((profiles.fastest > 0.0) & outside | too_fast).any(axis=1)
+    return np.any((profiles.fastest > 0.0) & outside | too_fast, axis=1)
 
 
-def moved_disabled(plane: FocalPlane, profiles: Profiles) -> np.ndarray:
+def moved_disabled(plane: FocalPlane, profiles: Profiles) -> Mask:
     """Return the disabled robots that move, shape (n,)."""
     return ~plane.enabled & (profiles.fastest > 0.0).any(axis=1)
 
 
-def _resolve_smallest(bodies, profiles, pairs, required, minima, tolerance_mm):
+def _resolve_smallest(
+    bodies: Bodies,
+    profiles: Profiles,
+    pairs: Pairs,
+    required: Gaps,
+    minima: Minima,
+    tolerance_mm: float,
+) -> None:
     tolerance_mm = max(tolerance_mm, FINEST_MM)
     smallest = minima.best.min(initial=np.inf)
     level = required.copy()
-    rows = np.arange(len(pairs))
+    rows: Rows = np.arange(len(pairs))
     while True:
-        # Only a pair whose bound is not clear of the smallest gap met can hold the smallest;
-        # as that only falls, a pair once clear stays clear.
+        # A pair can only have the smallest gap if its lower bound is not clear of the smallest
+        # gap found; as that only falls, a pair once clear stays clear.
         level[rows] = np.maximum(required[rows], smallest + tolerance_mm)
         unclear = np.minimum(level[rows], minima.best[rows] - 2 * tolerance_mm)
         rows = rows[minima.lower[rows] < unclear]
         if len(rows) == 0:
             return
         nearest = rows[np.argmin(minima.best[rows])]
-        one = np.array([nearest])
-        minimum_gaps(bodies, profiles, pairs, one, level, tolerance_mm, True, minima)
+        only = np.array([nearest])
+        minimum_gaps(bodies, profiles, pairs, only, level, tolerance_mm, True, minima)
         smallest = min(smallest, minima.best[nearest])

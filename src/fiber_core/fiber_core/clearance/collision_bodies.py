@@ -6,6 +6,7 @@ from weakref import WeakKeyDictionary
 import numba as nb
 import numpy as np
 
+from fiber_core.array_types import Floats, Ints, Points
 from fiber_core.focal_plane import FocalPlane
 
 __all__ = ["Bodies", "bodies_of"]
@@ -14,11 +15,12 @@ __all__ = ["Bodies", "bodies_of"]
 X, Y, ARM1, THETA, PHI = range(5)  # THETA holds the column of the theta record
 COUNT, RADIUS, DISC, VERTICES = 0, 1, 2, 5  # columns of a record from its first
 
-_known = WeakKeyDictionary()  # the bodies of every plane in use; a plane never changes
+# the bodies of every plane in use; a plane never changes
+_known: WeakKeyDictionary[FocalPlane, "Bodies"] = WeakKeyDictionary()
 
 
 class Bodies(NamedTuple):
-    """Robots followed by obstacles, one row each; what the distance kernels work on.
+    """Robots followed by obstacles, one row each: the input of the distance kernels.
 
     An obstacle is a body without arms whose phi outline is one vertex rounded by the
     radius of the disc. Vertices are hulls: convex, counter-clockwise, the first
@@ -28,8 +30,8 @@ class Bodies(NamedTuple):
 
     Args:
         center: theta axes [mm], shape (b, 2).
-        arm1: lengths of the first arms [mm], shape (b,).
-        arm2: lengths of the second arms [mm], shape (b,).
+        arm1: lengths of the theta arms [mm], shape (b,).
+        arm2: lengths of the phi arms [mm], shape (b,).
         phi_vertices: hull of the phi outline [mm], shape (b, k, 2).
         phi_count: number of its vertices, at least 1, shape (b,).
         phi_radius: its rounding [mm], shape (b,).
@@ -40,24 +42,24 @@ class Bodies(NamedTuple):
         theta_radius: its rounding [mm], shape (b,).
         theta_disc: circle around its vertices [mm], shape (b, 3).
         theta_reach: farthest vertex from the centre [mm], shape (b,).
-        table: the same once more, a body a row, for the kernels: one row is one or two
-            cache lines, and many arrays would cost each call more than its arithmetic.
+        table: the same numbers, one row for each body, for the kernels: one row is one or
+            two cache lines, and many arrays would cost each call more than its arithmetic.
     """
 
-    center: np.ndarray
-    arm1: np.ndarray
-    arm2: np.ndarray
-    phi_vertices: np.ndarray
-    phi_count: np.ndarray
-    phi_radius: np.ndarray
-    phi_disc: np.ndarray
-    phi_reach: np.ndarray
-    theta_vertices: np.ndarray
-    theta_count: np.ndarray
-    theta_radius: np.ndarray
-    theta_disc: np.ndarray
-    theta_reach: np.ndarray
-    table: np.ndarray
+    center: Points
+    arm1: Floats
+    arm2: Floats
+    phi_vertices: Floats
+    phi_count: Ints
+    phi_radius: Floats
+    phi_disc: Floats
+    phi_reach: Floats
+    theta_vertices: Floats
+    theta_count: Ints
+    theta_radius: Floats
+    theta_disc: Floats
+    theta_reach: Floats
+    table: Floats
 
 
 def bodies_of(plane: FocalPlane) -> Bodies:
@@ -67,18 +69,18 @@ def bodies_of(plane: FocalPlane) -> Bodies:
         plane: the focal plane.
     """
     if plane not in _known:
-        _known[plane] = _made(plane)
+        _known[plane] = _build(plane)
     return _known[plane]
 
 
-def _made(plane):
+def _build(plane: FocalPlane) -> Bodies:
     discs = plane.obstacles
     nothing = np.zeros(len(discs))
 
-    def rows(of_robots, of_obstacles):
+    def rows(of_robots: Floats, of_obstacles: Floats) -> Floats:
         return np.concatenate([of_robots, of_obstacles])
 
-    def padded(vertices):
+    def padded(vertices: Floats) -> Floats:
         return rows(vertices, np.zeros((len(discs), *vertices.shape[1:])))
 
     center = rows(plane.centers, discs[:, :2])
@@ -89,8 +91,9 @@ def _made(plane):
     theta_count[plane.n :] = 0
     theta_radius = rows(plane.theta_radius, nothing)
 
-    def record(count, radius, disc, hull):
-        return np.column_stack([count, radius, disc, hull.reshape(len(hull), 2 * hull.shape[1])])
+    def record(count: Ints, radius: Floats, disc: Floats, hull: Floats) -> Floats:
+        corners = hull.reshape(len(hull), 2 * hull.shape[1])
+        return np.column_stack([count.astype(np.float64), radius, disc, corners])
 
     phi_record = record(phi_count, phi_radius, phi_disc, phi_hull)
     theta_record = record(theta_count, theta_radius, theta_disc, theta_hull)
@@ -107,7 +110,7 @@ def _made(plane):
 
 
 @nb.njit(cache=True)
-def _hulls(vertices):
+def _hulls(vertices: Floats) -> tuple[Floats, Ints, Floats, Floats]:
     # per row: convex hull, its size, a circle around it, its reach from the origin
     rows, most, _ = vertices.shape
     hull = np.zeros((rows, max(most, 1), 2))
@@ -132,8 +135,9 @@ def _hulls(vertices):
 
 
 @nb.njit(cache=True)
-def _hull(points, out):
-    # Andrew's monotone chain (Information Processing Letters 9, 1979); returns the size
+def _hull(points: Points, out: Points) -> int:
+    # Fills in the convex hull of some points by Andrew's monotone chain (Information
+    # Processing Letters 9, 1979); returns the number of its vertices.
     most = len(points)
     if most == 0:
         return 0

@@ -4,7 +4,9 @@ import math
 
 import numba as nb
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Floats, Gaps, Pairs
 from fiber_core.clearance.collision_bodies import (
     ARM1,
     COUNT,
@@ -13,6 +15,7 @@ from fiber_core.clearance.collision_bodies import (
     RADIUS,
     THETA,
     VERTICES,
+    Bodies,
     X,
     Y,
     bodies_of,
@@ -24,11 +27,19 @@ __all__ = ["gaps", "pair_gap", "pair_gap_below", "posed_gap", "sampled_gaps"]
 
 
 @nb.njit(cache=True, error_model="numpy")
-def pair_gap(bodies, a, b, theta_a, phi_a, theta_b, phi_b):
+def pair_gap(
+    bodies: Bodies,
+    a: int,
+    b: int,
+    theta_a: float,
+    phi_a: float,
+    theta_b: float,
+    phi_b: float,
+) -> float:
     """Return the gap between the outlines of two bodies [mm]; negative when they overlap.
 
     The gap is the signed separation of the nearest of the four pairs of links. It
-    changes by no more than the sum of the displacements of the two bodies' points.
+    changes by no more than the sum of the displacements of the points of both bodies.
 
     Args:
         bodies: outlines, from bodies_of.
@@ -39,20 +50,38 @@ def pair_gap(bodies, a, b, theta_a, phi_a, theta_b, phi_b):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def pair_gap_below(bodies, a, b, theta_a, phi_a, theta_b, phi_b, cutoff):
-    """Return pair_gap where it is below a cutoff, else any lower bound of it above the cutoff.
+def pair_gap_below(
+    bodies: Bodies,
+    a: int,
+    b: int,
+    theta_a: float,
+    phi_a: float,
+    theta_b: float,
+    phi_b: float,
+    cutoff: float,
+) -> float:
+    """Return pair_gap where it is below a cutoff, else a lower bound that is above the cutoff.
 
     Args:
         bodies: outlines, from bodies_of.
         a, b: rows of the two bodies; an obstacle ignores its angles.
         theta_a, phi_a, theta_b, phi_b: joint angles [rad].
-        cutoff: gap above which the exact value is of no interest [mm].
+        cutoff: gap above which the exact value is not needed [mm].
     """
     return table_gap(bodies.table, a, b, theta_a, phi_a, theta_b, phi_b, cutoff)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def table_gap(table, a, b, theta_a, phi_a, theta_b, phi_b, cutoff):
+def table_gap(
+    table: Floats,
+    a: int,
+    b: int,
+    theta_a: float,
+    phi_a: float,
+    theta_b: float,
+    phi_b: float,
+    cutoff: float,
+) -> float:
     """Return pair_gap_below, from the table of the bodies."""
     psi_a, psi_b = theta_a + phi_a, theta_b + phi_b
     return posed_gap(
@@ -64,9 +93,28 @@ def table_gap(table, a, b, theta_a, phi_a, theta_b, phi_b, cutoff):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def posed_gap(table, a, b, ca, sa, cpa, spa, cb, sb, cpb, spb, cutoff):
-    """Return pair_gap_below, from the table of the bodies, with their angles already turned
-    into cosines and sines of theta (c, s) and of theta + phi (cp, sp).
+def posed_gap(
+    table: Floats,
+    a: int,
+    b: int,
+    ca: float,
+    sa: float,
+    cpa: float,
+    spa: float,
+    cb: float,
+    sb: float,
+    cpb: float,
+    spb: float,
+    cutoff: float,
+) -> float:
+    """Return pair_gap_below for bodies that are given by cosines and sines of their angles.
+
+    Args:
+        table: outlines, the table of Bodies.
+        a, b: rows of the two bodies.
+        ca, sa, cb, sb: cosine and sine of theta of each body.
+        cpa, spa, cpb, spb: cosine and sine of theta + phi of each body.
+        cutoff: gap above which the exact value is not needed [mm].
     """
     x, y = table[b, X] - table[a, X], table[b, Y] - table[a, Y]
     elbow_a_x, elbow_a_y = table[a, ARM1] * ca, table[a, ARM1] * sa
@@ -88,7 +136,20 @@ def posed_gap(table, a, b, ca, sa, cpa, spa, cb, sb, cpb, spb, cutoff):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _link_gap(table, a, p, b, q, dx, dy, ca, sa, cb, sb, cutoff):
+def _link_gap(
+    table: Floats,
+    a: int,
+    p: int,
+    b: int,
+    q: int,
+    dx: float,
+    dy: float,
+    ca: float,
+    sa: float,
+    cb: float,
+    sb: float,
+    cutoff: float,
+) -> float:
     # Gap between two links, whose records begin at columns p and q. (dx, dy) leads from
     # the origin of the first to that of the second in the plane; (c, s) turns a link.
     x, y = ca * dx + sa * dy, ca * dy - sa * dx
@@ -107,7 +168,7 @@ def _link_gap(table, a, p, b, q, dx, dy, ca, sa, cb, sb, cutoff):
     return gjk_distance(table, a, p, p_count, b, q, q_count, x, y, c, s, cutoff + radii) - radii
 
 
-def gaps(plane: FocalPlane, pairs, angles) -> np.ndarray:
+def gaps(plane: FocalPlane, pairs: ArrayLike, angles: ArrayLike) -> Gaps:
     """Return the gap of each pair at one instant [mm], shape (p,).
 
     Args:
@@ -118,7 +179,7 @@ def gaps(plane: FocalPlane, pairs, angles) -> np.ndarray:
     return sampled_gaps(plane, pairs, np.asarray(angles, dtype=float)[:, :, None])[:, 0]
 
 
-def sampled_gaps(plane: FocalPlane, pairs, angles) -> np.ndarray:
+def sampled_gaps(plane: FocalPlane, pairs: ArrayLike, angles: ArrayLike) -> Floats:
     """Return the gap of each pair at many instants [mm], shape (p, t).
 
     Args:
@@ -129,14 +190,14 @@ def sampled_gaps(plane: FocalPlane, pairs, angles) -> np.ndarray:
     angles = np.asarray(angles, dtype=float)
     theta, both = angles[:, 0], angles[:, 0] + angles[:, 1]
     poses = np.stack([np.cos(theta), np.sin(theta), np.cos(both), np.sin(both)], axis=-1)
-    still = np.zeros((len(plane.obstacles), *poses.shape[1:]))
-    still[..., ::2] = 1.0
+    obstacles = np.zeros((len(plane.obstacles), *poses.shape[1:]))
+    obstacles[..., ::2] = 1.0  # the cosines of angles of 0
     pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
-    return _posed_gaps(bodies_of(plane).table, pairs, np.concatenate([poses, still]))
+    return _posed_gaps(bodies_of(plane).table, pairs, np.concatenate([poses, obstacles]))
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _posed_gaps(table, pairs, poses):
+def _posed_gaps(table: Floats, pairs: Pairs, poses: Floats) -> Floats:
     out = np.empty((len(pairs), poses.shape[1]))
     for i in range(len(pairs)):
         a, b = pairs[i]

@@ -6,14 +6,16 @@ that overlap it is minus the shortest push that parts them. Because it is a maxi
 of support functions, moving every point of one set by no more than e changes it by
 no more than e. Growing the sets by radii subtracts the radii.
 
-A polygon is passed as a row and a column of a table, where its vertices x, y, x, y, ...
-begin, and their number: a view of them would cost more than the arithmetic.
+A polygon is passed as the row and the column of a table where its vertices x, y, x, y, ...
+begin, and their number: a view of the vertices would cost more than the arithmetic.
 """
 
 import math
 
 import numba as nb
 import numpy as np
+
+from fiber_core.array_types import Floats
 
 __all__ = ["gjk_distance"]
 
@@ -22,7 +24,20 @@ _ROUNDS = 64  # more than the vertices of any outline: the search ends long befo
 
 
 @nb.njit(cache=True, error_model="numpy")
-def gjk_distance(table, i, p, p_count, j, q, q_count, x, y, c, s, cutoff):
+def gjk_distance(
+    table: Floats,
+    i: int,
+    p: int,
+    p_count: int,
+    j: int,
+    q: int,
+    q_count: int,
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+    cutoff: float,
+) -> float:
     """Return the signed separation of two hulls [mm]; above the cutoff a lower bound of it.
 
     Args:
@@ -33,15 +48,17 @@ def gjk_distance(table, i, p, p_count, j, q, q_count, x, y, c, s, cutoff):
         q_count: number of its vertices.
         x, y: origin of the second frame, seen in the first [mm].
         c, s: cosine and sine of the angle from the first frame to the second.
-        cutoff: value above which any lower bound above it will do [mm].
+        cutoff: value above which any lower bound above the cutoff is enough [mm].
     """
     if p_count <= 2 and q_count <= 2:
-        return _of_segments(table, i, p, p_count, j, q, q_count, x, y, c, s)
-    return _of_polygons(table, i, p, p_count, j, q, q_count, x, y, c, s, cutoff)
+        return _segment_distance(table, i, p, p_count, j, q, q_count, x, y, c, s)
+    return _polygon_distance(table, i, p, p_count, j, q, q_count, x, y, c, s, cutoff)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _square_to_segment(px, py, ax, ay, ux, uy, u2):
+def _square_to_segment(
+    px: float, py: float, ax: float, ay: float, ux: float, uy: float, u2: float
+) -> float:
     # squared distance of a point from the segment a, a + u
     px -= ax
     py -= ay
@@ -56,8 +73,20 @@ def _square_to_segment(px, py, ax, ay, ux, uy, u2):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _of_segments(table, i, p, p_count, j, q, q_count, x, y, c, s):
-    # A point is a segment of length zero.
+def _segment_distance(
+    table: Floats,
+    i: int,
+    p: int,
+    p_count: int,
+    j: int,
+    q: int,
+    q_count: int,
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+) -> float:
+    # gjk_distance of two segments; a point is a segment of length zero
     p_last, q_last = p + 2 * p_count - 2, q + 2 * q_count - 2
     ax, ay = table[i, p], table[i, p + 1]
     ux, uy = table[i, p_last] - ax, table[i, p_last + 1] - ay
@@ -67,7 +96,7 @@ def _of_segments(table, i, p, p_count, j, q, q_count, x, y, c, s):
     vx, vy = c * qx - s * qy, s * qx + c * qy
     u2, v2 = ux * ux + uy * uy, vx * vx + vy * vy
     dx, dy = bx - ax, by - ay
-    # ends of each segment beside the line of the other, times that line's length
+    # distances of the ends of each segment from the line of the other, times its length
     turn = ux * vy - uy * vx
     b0 = ux * dy - uy * dx
     b1 = b0 + turn
@@ -86,7 +115,7 @@ def _of_segments(table, i, p, p_count, j, q, q_count, x, y, c, s):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _farthest(table, i, p, count, ux, uy):
+def _farthest(table: Floats, i: int, p: int, count: int, ux: float, uy: float) -> int:
     # column of the vertex farthest along u
     at = p
     best = table[i, p] * ux + table[i, p + 1] * uy
@@ -99,7 +128,7 @@ def _farthest(table, i, p, count, ux, uy):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _nearest_on_segment(ax, ay, bx, by):
+def _nearest_on_segment(ax: float, ay: float, bx: float, by: float) -> tuple[float, float, int]:
     # the point of the segment a, b nearest to the origin; 1 if it is a, 2 if b, else 0
     ux, uy = bx - ax, by - ay
     u2 = ux * ux + uy * uy
@@ -113,7 +142,20 @@ def _nearest_on_segment(ax, ay, bx, by):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _of_polygons(table, i, p, p_count, j, q, q_count, x, y, c, s, cutoff):
+def _polygon_distance(
+    table: Floats,
+    i: int,
+    p: int,
+    p_count: int,
+    j: int,
+    q: int,
+    q_count: int,
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+    cutoff: float,
+) -> float:
     # Gilbert, Johnson, Keerthi (IEEE J. Robotics and Automation 4, 1988) on the
     # difference q - p: v is its point nearest to the origin as far as known, on the
     # segment a, b (or at the vertex a); w is its vertex farthest against v. Then
@@ -167,13 +209,25 @@ def _of_polygons(table, i, p, p_count, j, q, q_count, x, y, c, s, cutoff):
     # They touch or overlap: the best direction is an edge normal of one of them.
     back_x, back_y = -(c * x + s * y), s * x - c * y
     return max(
-        _beside_edges(table, i, p, p_count, j, q, q_count, x, y, c, s),
-        _beside_edges(table, j, q, q_count, i, p, p_count, back_x, back_y, c, -s),
+        _edge_separation(table, i, p, p_count, j, q, q_count, x, y, c, s),
+        _edge_separation(table, j, q, q_count, i, p, p_count, back_x, back_y, c, -s),
     )
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _beside_edges(table, i, p, p_count, j, q, q_count, x, y, c, s):
+def _edge_separation(
+    table: Floats,
+    i: int,
+    p: int,
+    p_count: int,
+    j: int,
+    q: int,
+    q_count: int,
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+) -> float:
     # largest separation along an outward edge normal of the first polygon
     best = -np.inf
     k = p + 2 * p_count - 2

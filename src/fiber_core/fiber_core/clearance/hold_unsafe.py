@@ -1,7 +1,9 @@
 """Make a motion safe by holding a few robots where they are."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Mask, Rows
 from fiber_core.clearance.certificate import (
     Certificate,
     certificate_of,
@@ -23,29 +25,28 @@ def hold_until_safe(
     plane: FocalPlane,
     motion: SegmentMotion,
     safety: Safety,
-    pairs=None,
+    pairs: ArrayLike | None = None,
     tolerance_mm: float = 0.5e-3,
-) -> tuple[SegmentMotion, np.ndarray, Certificate]:
+) -> tuple[SegmentMotion, Mask, Certificate]:
     """Hold as few robots as a greedy choice finds, so that the rest of a motion is certified.
 
     A held robot rests at its start for the whole motion. Robots that break a limit or
     move although disabled are held first. Then, as long as pairs are unsafe, the moving
-    robot in most of them is held, the lowest row among equals, until each of them has
-    lost one; the pairs of held robots are certified again. At the end held robots are
-    tried once more, in order and until none can go, and move again if their own pairs
-    allow it. Two resting robots that are too close cannot be helped: the certificate
-    says so.
+    robot with the most unsafe pairs is held, the lowest row among equals, until every unsafe
+    pair has a held robot; the pairs of held robots are certified again. At the end, held
+    robots are released in order if their own pairs stay safe, until no more can be
+    released. Two resting robots that are too close stay so: the certificate shows it.
 
     Args:
         plane: the focal plane.
         motion: joint profiles of all robots.
-        safety: gap asked for and timing errors to survive.
+        safety: the margin and the timing errors that the motion must survive.
         pairs: rows a < b to examine, shape (p, 2), as for certify.
-        tolerance_mm: how closely gaps below their required value are resolved [mm].
+        tolerance_mm: resolution of the gaps below their required value [mm].
 
     Returns:
-        The motion that remains, which robots were held by this, shape (n,), and the
-        certificate of the motion returned.
+        The motion that remains, which robots were held, shape (n,), and the certificate of
+        the motion that remains.
     """
     if pairs is None:
         pairs = certified_pairs(plane, motion, safety)
@@ -57,40 +58,56 @@ def hold_until_safe(
         candidates = ~faulty
         while candidates.any():
             candidates = search.release(candidates) & ~faulty
-        search.hold_until_covered()  # those released may have made the whole motion longer
+        search.hold_until_covered()  # released robots may have made the whole motion longer
     return search.motion, search.held, search.certificate()
 
 
 class _Search:
-    # A motion with some robots held, and what is known about the gaps of its pairs.
+    # A motion with some robots held, and the bounds of the gaps of its pairs.
 
-    def __init__(self, plane, motion, safety, pairs, tolerance_mm):
+    def __init__(
+        self,
+        plane: FocalPlane,
+        motion: SegmentMotion,
+        safety: Safety,
+        pairs: ArrayLike,
+        tolerance_mm: float,
+    ):
         self.plane, self.wished, self.safety = plane, motion, safety
         self.tolerance_mm = tolerance_mm
         self.pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
         self.bodies, self.profiles = bodies_of(plane), profiles_of(motion)
         self.stop = self.profiles.stop.copy()
-        self.held = np.zeros(plane.n, dtype=bool)
+        self.held: Mask = np.zeros(plane.n, dtype=np.bool_)
         self.minima = Minima.unknown(len(self.pairs))
         self.update()
 
     @property
-    def motion(self):
+    def motion(self) -> SegmentMotion:
         return self.wished.without(self.held)
 
-    def update(self):
-        # What is required changes with the makespan, so with every robot held or released.
-        # A pair is looked at only if a gap that low was not met and is not excluded.
+    def update(self) -> None:
+        # The required gaps change with the makespan, so with every robot held or released.
+        # A pair is examined only if a gap that low was not found and is not excluded.
         self.required = self.safety.required_mm(self.plane, self.motion, self.pairs)
         lower, best, _ = self.minima
         self.prove(np.flatnonzero((lower < self.required) & (best >= self.required)))
         self.unsafe = lower < self.required
 
-    def prove(self, rows):
-        known = (self.bodies, self.profiles, self.pairs, rows, self.required, self.tolerance_mm)
-        minimum_gaps(*known, False, self.minima)
+    def prove(self, rows: Rows) -> None:
+        # improve the bounds of some pairs until each is proven safe or found unsafe
+        minimum_gaps(
+            self.bodies,
+            self.profiles,
+            self.pairs,
+            rows,
+            self.required,
+            self.tolerance_mm,
+            False,
+            self.minima,
+        )
 
-    def hold(self, robots):
+    def hold(self, robots: Mask) -> None:
         # the robots, shape (n,), rest from now on; nothing is known about their pairs
         self.held |= robots
         self.profiles.stop[robots] = self.profiles.first[robots]
@@ -98,14 +115,14 @@ class _Search:
         self.minima.lower[touched], self.minima.best[touched] = -np.inf, np.inf
         self.update()
 
-    def hold_until_covered(self):
+    def hold_until_covered(self) -> None:
         while (chosen := self._cover()).any():
             self.hold(chosen)
 
-    def _cover(self):
+    def _cover(self) -> Mask:
         # greedy vertex cover of the unsafe pairs by robots that move
         movable = self._of_bodies(self.profiles.fastest.any(axis=1) & ~self.held)
-        chosen = np.zeros(self.plane.n, dtype=bool)
+        chosen = np.zeros(self.plane.n, dtype=np.bool_)
         uncovered = self.pairs[self.unsafe & movable[self.pairs].any(axis=1)]
         while len(uncovered):
             times = np.bincount(uncovered.ravel(), minlength=len(movable))
@@ -114,10 +131,11 @@ class _Search:
             uncovered = uncovered[(uncovered != most).all(axis=1)]
         return chosen
 
-    def release(self, allowed):
-        # Let those go whose own pairs stay safe; returns the neighbours of those who went.
+    def release(self, allowed: Mask) -> Mask:
+        # Release the allowed robots with pairs that stay safe; return the neighbours of the
+        # released robots.
         held_before = self.held.copy()
-        # No motion with robots held requires more than the wished one does.
+        # No motion with robots held requires larger gaps than the wished motion.
         self.required = self.safety.required_mm(self.plane, self.wished, self.pairs)
         order = np.argsort(self.pairs, axis=None, kind="stable")
         begin = np.searchsorted(self.pairs.ravel()[order], np.arange(self.plane.n + 1))
@@ -134,14 +152,15 @@ class _Search:
                 column[own] = known
         self.update()
         released = self._of_bodies(held_before & ~self.held)
-        beside = np.zeros(len(released), dtype=bool)
-        beside[self.pairs[released[self.pairs].any(axis=1)]] = True
-        return beside[: self.plane.n]
+        neighbours = np.zeros(len(released), dtype=np.bool_)
+        neighbours[self.pairs[released[self.pairs].any(axis=1)]] = True
+        return neighbours[: self.plane.n]
 
-    def _of_bodies(self, robots):
+    def _of_bodies(self, robots: Mask) -> Mask:
+        # the same of robots and obstacles; obstacles are never meant
         return np.append(robots, np.zeros(len(self.plane.obstacles), dtype=bool))
 
-    def certificate(self):
+    def certificate(self) -> Certificate:
         return certificate_of(
             self.plane,
             self.bodies,

@@ -1,4 +1,4 @@
-"""Smallest gap of a pair over a whole motion, bracketed from below and from above."""
+"""The smallest gap of a pair over a whole motion, bracketed from below and from above."""
 
 import heapq
 from typing import NamedTuple
@@ -6,7 +6,10 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
+from fiber_core.array_types import Angles, Floats, Gaps, Ints, Pairs, Rows, Times
+from fiber_core.clearance.collision_bodies import Bodies
 from fiber_core.clearance.distance import table_gap
+from fiber_core.clearance.piecewise import Profiles
 
 __all__ = ["FINEST_MM", "Minima", "minimum_gaps"]
 
@@ -15,26 +18,28 @@ _ROUNDING_MM = 1e-9  # far above the rounding of a gap, far below anything that 
 
 
 class Minima(NamedTuple):
-    """What is known about the smallest gap of each pair: lower <= smallest gap <= best.
+    """Bounds of the smallest gap of each pair: lower <= smallest gap <= best.
 
     Args:
         lower: proven lower bound [mm], shape (p,).
-        best: smallest gap met [mm], shape (p,).
-        time_s: when it was met [s], shape (p,).
+        best: smallest gap found [mm], shape (p,).
+        time_s: instant at which it was found [s], shape (p,).
     """
 
-    lower: np.ndarray
-    best: np.ndarray
-    time_s: np.ndarray
+    lower: Gaps
+    best: Gaps
+    time_s: Times
 
     @classmethod
     def unknown(cls, p: int) -> "Minima":
-        """Return that nothing is known about p pairs."""
+        """Return the bounds of p pairs about which nothing is known."""
         return cls(np.full(p, -np.inf), np.full(p, np.inf), np.zeros(p))
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _speed(arm1, phi_reach, theta_reach, w_theta, w_phi):
+def _speed(
+    arm1: float, phi_reach: float, theta_reach: float, w_theta: float, w_phi: float
+) -> float:
     # No vertex of a body moves faster [mm/s]. The phi link is bounded in two ways: elbow
     # plus turning about it, or theta about the centre plus phi about the elbow.
     phi_link = min(
@@ -45,14 +50,27 @@ def _speed(arm1, phi_reach, theta_reach, w_theta, w_phi):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _lowest(g0, g1, way):
+def _lower_bound(g0: float, g1: float, way: float) -> float:
     # Piyavskii (1972), Shubert (1972): no gap between two instants is below this when
     # the gap can change by at most `way` in between. g0 and g1 may be lower bounds.
     return max(0.5 * (g0 + g1 - way), max(g0, g1) - way)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _cut(start, first, stop, begins, ends, angle, velocity, a, b, t, q, w):
+def _cut(
+    start: Angles,
+    first: Ints,
+    stop: Ints,
+    begins: Times,
+    ends: Times,
+    angle: Floats,
+    velocity: Floats,
+    a: int,
+    b: int,
+    t: Times,
+    q: Floats,
+    w: Floats,
+) -> int:
     # Cut the motion of bodies a and b into pieces on which all four joint speeds are
     # constant: begin t[k], angles q[k] there, speeds w[k]. Returns their number; one row
     # more holds the end. An obstacle has no joints: its row is beyond those of the robots.
@@ -85,20 +103,29 @@ def _cut(start, first, stop, begins, ends, angle, velocity, a, b, t, q, w):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def minimum_gaps(bodies, profiles, pairs, rows, level, tolerance, resolve, minima):
+def minimum_gaps(
+    bodies: Bodies,
+    profiles: Profiles,
+    pairs: Pairs,
+    rows: Rows,
+    level: Gaps,
+    tolerance: float,
+    resolve: bool,
+    minima: Minima,
+) -> None:
     """Bracket the smallest gap of some pairs until it is proven or resolved.
 
-    A pair's interval with the lowest bound is halved until that bound reaches the
-    level (proven), or is within the tolerance of the smallest gap met (resolved).
+    For each pair, the time interval with the lowest bound is halved until that bound reaches
+    the level (proven), or is within the tolerance of the smallest gap found (resolved).
 
     Args:
         bodies: outlines, from bodies_of.
         profiles: the motion, from profiles_of.
         pairs: rows a, b of bodies, shape (p, 2).
         rows: pairs to work on, shape (r,).
-        level: gap of each pair that is enough to know [mm], shape (p,).
-        tolerance: how closely a gap below its level is resolved, 1e-6 at the finest [mm].
-        resolve: whether to go on with a pair after a gap below its level was met.
+        level: gap of each pair above which no better bound is needed [mm], shape (p,).
+        tolerance: resolution of a gap below its level, at least 1e-6 [mm].
+        resolve: whether the search goes on after a gap below the level was found.
         minima: filled in at the rows.
     """
     # Fields are read once: each reading of a tuple's array costs two atomic operations.
@@ -114,6 +141,9 @@ def minimum_gaps(bodies, profiles, pairs, rows, level, tolerance, resolve, minim
             longest = max(longest, stop[i, joint] - first[i, joint])
     piece_t = np.empty(4 * longest + 1)
     piece_q, piece_w = np.empty((4 * longest + 1, 4)), np.empty((4 * longest + 1, 4))
+    row: int
+    a: int
+    b: int
     for row in rows:
         a, b = pairs[row]
         pieces = _cut(
@@ -135,7 +165,7 @@ def minimum_gaps(bodies, profiles, pairs, rows, level, tolerance, resolve, minim
             gap = table_gap(table, a, b, q[0], q[1], q[2], q[3], enough + way)
             if gap < min(best, enough + way):
                 best, when = gap, t1
-            bound = _lowest(before, gap, way)
+            bound = _lower_bound(before, gap, way)
             if bound >= enough:
                 lower = min(lower, bound)
             else:
@@ -154,7 +184,7 @@ def minimum_gaps(bodies, profiles, pairs, rows, level, tolerance, resolve, minim
             if gap < min(best, enough + way):
                 best, when = gap, t
             for u0, h0, u1, h1 in ((t0, g0, t, gap), (t, gap, t1, g1)):
-                bound = _lowest(h0, h1, way)
+                bound = _lower_bound(h0, h1, way)
                 if bound >= enough:
                     lower = min(lower, bound)
                 else:

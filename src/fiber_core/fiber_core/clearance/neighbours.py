@@ -1,21 +1,22 @@
-"""Which robots and obstacles can ever meet."""
+"""Neighbours: the pairs of robots and obstacles that can come close to each other."""
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fiber_core.array_types import Pairs
 from fiber_core.focal_plane import FocalPlane
 
 __all__ = ["neighbour_pairs"]
 
 
-def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> np.ndarray:
-    """Return every pair whose reach discs come within a slack of each other.
+def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> Pairs:
+    """Return every pair with reach discs that come within a slack of each other.
 
-    All other pairs keep a gap above the slack, whatever their joints do.
+    All other pairs keep a gap above the slack in every configuration.
 
     Args:
         plane: the focal plane.
-        slack_mm: gap that reach discs must exceed to be left out [mm].
+        slack_mm: a pair is left out if the gap of its reach discs is larger than this [mm].
 
     Returns:
         Rows a < b in increasing order, int32, shape (p, 2). Rows from n on are the
@@ -29,10 +30,10 @@ def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> np.ndarray:
     close = np.sort(close.reshape(-1, 2), axis=1)
     x, y, radius = plane.obstacles.T
     if len(x):
-        near = robots.query_ball_point(np.c_[x, y], radius + reach.max() + slack_mm)
+        near = robots.query_ball_point(np.stack([x, y], axis=1), radius + reach.max() + slack_mm)
         obstacle = plane.n + np.repeat(np.arange(len(x)), [len(found) for found in near])
-        beside = np.c_[np.concatenate(near), obstacle].astype(close.dtype)
-        close = np.concatenate([close, beside])
+        with_obstacle = np.stack([np.concatenate(near), obstacle], axis=1).astype(close.dtype)
+        close = np.concatenate([close, with_obstacle])
     centers = np.concatenate([plane.centers, plane.obstacles[:, :2]])
     reach = np.concatenate([reach, radius])
     apart = np.hypot(*(centers[close[:, 0]] - centers[close[:, 1]]).T)

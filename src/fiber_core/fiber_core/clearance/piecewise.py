@@ -1,10 +1,11 @@
-"""A motion with the instant and the angle at which each of its segments begins."""
+"""Profiles: a piecewise linear motion with the instant and the angle at which segments begin."""
 
 from typing import NamedTuple
 
 import numba as nb
 import numpy as np
 
+from fiber_core.array_types import Angles, Floats, Ints, Times, Velocities
 from fiber_core.motion import SegmentMotion
 
 __all__ = ["Profiles", "profiles_of"]
@@ -13,42 +14,45 @@ __all__ = ["Profiles", "profiles_of"]
 class Profiles(NamedTuple):
     """A SegmentMotion with the instant and the angle at which each segment begins.
 
-    A robot is made to rest by ``stop[i] = first[i]``.
+    ``stop[i] = first[i]`` makes robot i rest at its start.
 
     Args:
         start: joint angles at time zero [rad], shape (n, 2).
         first: first segment of each joint, shape (n, 2).
-        stop: the one after its last segment, shape (n, 2).
-        begins_s: when each segment begins [s], shape (m,).
-        ends_s: when it ends [s], shape (m,).
-        angle: joint angle at its begin [rad], shape (m,).
-        velocity: joint speed in it [rad/s], shape (m,).
+        stop: the segment after the last segment of each joint, shape (n, 2).
+        begins_s: instant at which each segment begins [s], shape (m,).
+        ends_s: instant at which each segment ends [s], shape (m,).
+        angle: joint angle at the begin of each segment [rad], shape (m,).
+        velocity: joint velocity in each segment [rad/s], shape (m,).
         low: lowest angle of each joint [rad], shape (n, 2).
         high: highest angle of each joint [rad], shape (n, 2).
         fastest: highest speed of each joint [rad/s], shape (n, 2).
     """
 
-    start: np.ndarray
-    first: np.ndarray
-    stop: np.ndarray
-    begins_s: np.ndarray
-    ends_s: np.ndarray
-    angle: np.ndarray
-    velocity: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    fastest: np.ndarray
+    start: Angles
+    first: Ints
+    stop: Ints
+    begins_s: Times
+    ends_s: Times
+    angle: Floats
+    velocity: Floats
+    low: Angles
+    high: Angles
+    fastest: Velocities
 
 
 def profiles_of(motion: SegmentMotion) -> Profiles:
-    """Return the instant and angle at which each segment of a motion begins."""
+    """Return the profiles of a motion."""
     first, stop = motion.offsets[:-1].reshape(-1, 2), motion.offsets[1:].reshape(-1, 2)
-    segments = _unrolled(motion.start, first, stop, motion.duration_s, motion.velocity_rad_s)
-    return Profiles(motion.start.copy(), first.copy(), stop.copy(), *segments)
+    columns = _unroll(motion.start, first, stop, motion.duration_s, motion.velocity_rad_s)
+    return Profiles(motion.start.copy(), first.copy(), stop.copy(), *columns)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _unrolled(start, first, stop, duration, velocity):
+def _unroll(
+    start: Angles, first: Ints, stop: Ints, duration: Floats, velocity: Floats
+) -> tuple[Times, Times, Floats, Floats, Angles, Angles, Velocities]:
+    # the columns of Profiles from begins_s on
     m = len(duration)
     begins, ends, angles = np.empty(m), np.empty(m), np.empty(m)
     low, high = start.copy(), start.copy()

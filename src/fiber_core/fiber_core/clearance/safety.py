@@ -1,9 +1,11 @@
-"""How much clearance is asked for, timing errors included."""
+"""Safety: the clearance that is asked for, timing errors included."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Floats, Gaps
 from fiber_core.clearance.distance import gaps
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -32,19 +34,19 @@ class Safety:
     start_skew_s: float = 200e-6
     stop_skew_s: float = 4e-3
 
-    def required_mm(self, plane: FocalPlane, motion: SegmentMotion, pairs) -> np.ndarray:
-        """Gap each pair must keep on the nominal motion [mm], shape (p,).
+    def required_mm(self, plane: FocalPlane, motion: SegmentMotion, pairs: ArrayLike) -> Gaps:
+        """Return the gap that each pair must keep on the nominal motion [mm], shape (p,).
 
         Two robots whose clocks are off by up to e and that start up to s apart are where they
         should have been at t_a and t_b, with |t_a - t_b| <= 2 e T + s, T the makespan. No
         point of a robot moves faster than V = |w_theta| reach + |w_phi| reach of the phi
         link, with the highest speeds of this motion. Seen from the instant t_a only b is
         elsewhere, by at most V_b |t_a - t_b|, and from t_b only a: a pair needs
-        margin + min(V_a, V_b) (2 e T + s). Stopped up to h apart it must not touch, for which it
+        margin + min(V_a, V_b) (2 e T + s). Robots that stop up to h apart must not touch: a pair
         needs min(V_a, V_b) (2 e T + s + h).
 
-        A pair that starts closer than that may only be left by one of the two, the other
-        at rest, and without coming closer: the gap it starts with is what it must keep.
+        From a pair that starts closer than that, only one robot may move, the other being
+        at rest, and it may not come closer: the pair must keep the gap with which it starts.
         Timing does not matter then, as only one of them moves.
 
         Args:
@@ -59,15 +61,20 @@ class Safety:
         return self.required_from(plane, motion.start, fastest, motion.makespan_s, pairs)
 
     def required_from(
-        self, plane: FocalPlane, start_rad, fastest_rad_s, makespan_s: float, pairs
-    ) -> np.ndarray:
-        """As required_mm, for any motion from a start with some highest speeds.
+        self,
+        plane: FocalPlane,
+        start_rad: ArrayLike,
+        fastest_rad_s: ArrayLike,
+        makespan_s: float,
+        pairs: ArrayLike,
+    ) -> Gaps:
+        """Return required_mm of any motion with a given start and given highest speeds.
 
         Args:
             plane: the focal plane.
             start_rad: joint angles at time zero [rad], shape (n, 2).
             fastest_rad_s: highest speed of each joint [rad/s], shape (n, 2).
-            makespan_s: how long the motion lasts at most [s].
+            makespan_s: longest duration of the motion [s].
             pairs: rows a, b as from neighbour_pairs, shape (p, 2).
         """
         pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
@@ -79,17 +86,24 @@ class Safety:
             at_start[one_moves] = gaps(plane, pairs[one_moves], start_rad)
         return self.required_at(speeds, makespan_s, pairs, at_start)
 
-    def required_at(self, speeds_mm_s, makespan_s: float, pairs, at_start_mm=np.inf) -> np.ndarray:
-        """As required_mm, for robots whose points move no faster than some speeds.
+    def required_at(
+        self,
+        speeds_mm_s: ArrayLike,
+        makespan_s: float,
+        pairs: ArrayLike,
+        at_start_mm: ArrayLike = np.inf,
+    ) -> Gaps:
+        """Return required_mm of robots with points that move no faster than given speeds.
 
         Args:
             speeds_mm_s: V of each robot, as from point_speeds [mm/s], shape (n,).
-            makespan_s: how long the motion lasts at most [s].
+            makespan_s: longest duration of the motion [s].
             pairs: rows a, b as from neighbour_pairs, shape (p, 2).
             at_start_mm: gaps with which the pairs start [mm], shape (p,).
         """
         a, b = np.asarray(pairs).reshape(-1, 2).T
-        n = len(speeds_mm_s)
+        n = np.size(speeds_mm_s)
+        at_start_mm = np.asarray(at_start_mm)
         speed = np.append(speeds_mm_s, 0.0)  # obstacles stand still
         first, second = speed[np.minimum(a, n)], speed[np.minimum(b, n)]
         skew_s = 2e-6 * self.clock_ppm * makespan_s + self.start_skew_s
@@ -100,12 +114,21 @@ class Safety:
         return np.where(one_moves, np.minimum(required, at_start_mm - _MEASURED_MM), required)
 
 
-def levers_of(plane: FocalPlane) -> np.ndarray:
-    """Return the farthest any point of a robot can be from the axis of each joint [mm], (n, 2)."""
+def levers_of(plane: FocalPlane) -> Floats:
+    """Return the largest distance of a point of a robot from the axis of each joint [mm], (n, 2).
+
+    Args:
+        plane: the focal plane.
+    """
     phi_reach = np.hypot(*np.moveaxis(plane.phi_vertices, -1, 0)).max(axis=1)
     return np.stack([plane.reach_mm, phi_reach + plane.phi_radius], axis=1)
 
 
-def point_speeds(levers_mm, speed_rad_s) -> np.ndarray:
-    """Return how fast any point of a robot may be [mm/s], shape (n,), from both joint speeds."""
-    return (np.asarray(speed_rad_s) * levers_mm).sum(axis=1)
+def point_speeds(levers_mm: ArrayLike, speed_rad_s: ArrayLike) -> Floats:
+    """Return a bound of the speeds of all points of a robot [mm/s], shape (n,).
+
+    Args:
+        levers_mm: from levers_of [mm], shape (n, 2).
+        speed_rad_s: highest speeds of the joints [rad/s], shape (n, 2).
+    """
+    return (np.asarray(speed_rad_s) * np.asarray(levers_mm)).sum(axis=1)
