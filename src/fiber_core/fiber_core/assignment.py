@@ -1,63 +1,70 @@
-"""Which targets a focal plane accepts, and why it refuses the others."""
+"""Assignments: which targets a focal plane accepts, and why it refuses the others."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from fiber_core import kinematics
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Ids, Mask, Pairs, Points, Rows
 from fiber_core.clearance import Safety, gaps, neighbour_pairs
 from fiber_core.errors import TargetsError
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import Reason
+from fiber_core.outcomes import Reason, holds
 from fiber_core.validation import frozen_array
 
 __all__ = ["Assignment", "assign"]
 
-_NAMED = 10  # how many offending robots a message lists
-_ROUNDING_MM = 1e-9  # targets exactly at the spacing are allowed, whatever their last digit
+_NAMED = 10  # most robots that a message names
+_ROUNDING_MM = 1e-9  # targets exactly at the spacing are allowed, whatever the last digit is
 _ENCODER_RAD = 1e-5  # an encoder may read this far beyond a stop
 
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """What was asked of every robot, what of it is accepted, and why the rest is not.
+    """The targets of a plan: which are accepted, and why the others are refused.
 
     Args:
         plane: the focal plane.
-        asked_mm: the targets as asked [mm], shape (n, 2), nan = nothing asked.
+        asked_mm: the targets as given [mm], shape (n, 2), nan = no target.
         reason: OK, NO_TARGET, or why the target is refused (Reason), shape (n,).
-        blocker: row of the robot, or n + obstacle, whose target or body is in the way of
-            a TARGET_TOO_CLOSE or TARGET_ON_OBSTACLE, else -1, shape (n,).
+        blocker: for TARGET_TOO_CLOSE the row of the robot with the other target, for
+            TARGET_ON_OBSTACLE the row of the robot, or n + obstacle, that is in the way;
+            else -1, shape (n,).
     """
 
     plane: FocalPlane
-    asked_mm: np.ndarray
-    reason: np.ndarray
-    blocker: np.ndarray
+    asked_mm: Points
+    reason: Codes
+    blocker: Rows
 
     @property
-    def accepted(self) -> np.ndarray:
-        """Robots whose target is accepted, shape (n,)."""
+    def accepted(self) -> Mask:
+        """Robots with an accepted target, shape (n,)."""
         return self.reason == Reason.OK
 
     @property
-    def refused(self) -> np.ndarray:
-        """Robots whose target is refused, shape (n,)."""
-        return ~np.isin(self.reason, (Reason.OK, Reason.NO_TARGET))
+    def refused(self) -> Mask:
+        """Robots with a refused target, shape (n,)."""
+        return holds(self.reason)
 
     @property
-    def refused_ids(self) -> np.ndarray:
-        """Ids of the robots whose target is refused, shape (k,)."""
+    def refused_ids(self) -> Ids:
+        """Ids of the robots with a refused target, shape (k,)."""
         return self.plane.ids[self.refused]
 
     @property
-    def targets(self) -> np.ndarray:
-        """The accepted targets [mm], shape (n, 2), nan where none was asked or it is refused."""
+    def targets(self) -> Points:
+        """The accepted targets [mm], shape (n, 2), nan without a target or where it is refused."""
         return np.where(self.accepted[:, None], self.asked_mm, np.nan)
 
     def explain(self, robot: int) -> str:
-        """Say in a sentence what became of the target of a robot, given its id."""
+        """Return a sentence that says whether the target of a robot is accepted, and why not.
+
+        Args:
+            robot: id of the robot.
+        """
         row = int(self.plane.index_of(robot))
         if row < 0:
             return f"robot {robot} does not exist"
@@ -67,7 +74,7 @@ class Assignment:
             return f"robot {robot}: no target"
         return f"robot {robot}: target ({x:.4g}, {y:.4g}) mm {self._because(row, reason)}"
 
-    def _because(self, row, reason):
+    def _because(self, row: int, reason: Reason) -> str:
         arm1, arm2 = self.plane.arms[row]
         distance = np.hypot(*(self.asked_mm[row] - self.plane.centers[row]))
         reach = f"reach {abs(arm1 - arm2):.4g}..{arm1 + arm2:.4g} mm"
@@ -86,44 +93,56 @@ class Assignment:
                 other = self.blocker[row]
                 apart = np.hypot(*(self.asked_mm[row] - self.asked_mm[other]))
                 return (
-                    f"is {apart:.4g} mm from that of robot {self.plane.ids[other]}, "
+                    f"is {apart:.4g} mm from the target of robot {self.plane.ids[other]}, "
                     f"spacing {self.plane.spacing_mm:.4g} mm"
                 )
             case Reason.TARGET_ON_OBSTACLE:
                 other = self.blocker[row]
                 if other >= self.plane.n:
-                    return f"cannot be taken beside obstacle {other - self.plane.n}"
-                return f"cannot be taken beside robot {self.plane.ids[other]}, which cannot move"
-        return "accepted"
+                    return f"cannot be reached: obstacle {other - self.plane.n} is in the way"
+                return (
+                    f"cannot be reached: robot {self.plane.ids[other]}, which cannot move, "
+                    "is in the way"
+                )
+            case _:
+                return "accepted"
 
 
 def assign(
-    plane: FocalPlane, start, ids, xy_mm, pairs=None, margin_mm: float | None = None
+    plane: FocalPlane,
+    start: ArrayLike,
+    ids: ArrayLike,
+    xy_mm: ArrayLike,
+    pairs: ArrayLike | None = None,
+    margin_mm: float | None = None,
 ) -> Assignment:
     """Check targets against the focal plane; refuse the impossible ones robot by robot.
 
-    Of two targets closer than the plane's spacing the robot with the lower id keeps its
-    own. Robots that cannot move are those disabled and those whose start is outside their
-    joint limits; a target whose every configuration comes within the margin of one of
-    them, or of an obstacle, is refused. A target has the first reason that applies, in
-    the order DISABLED, START_OUTSIDE_LIMITS, UNREACHABLE, OUTSIDE_JOINT_RANGE,
+    Of two targets closer than the spacing of the plane, the robot with the lower id keeps
+    its target. A robot cannot move if it is disabled or starts outside its joint limits. A
+    target is refused if every configuration that reaches it comes within the margin of such
+    a robot or of an obstacle. A refused target gets the first reason that applies, in the
+    order DISABLED, START_OUTSIDE_LIMITS, UNREACHABLE, OUTSIDE_JOINT_RANGE,
     TARGET_ON_OBSTACLE, TARGET_TOO_CLOSE.
 
     Args:
         plane: the focal plane.
-        start: joint angles now [rad], shape (n, 2).
-        ids: ids of the robots asked, shape (k,).
-        xy_mm: where their fibres should go [mm], shape (k, 2).
-        pairs: the plane's neighbour pairs, where the caller has them, shape (p, 2).
-        margin_mm: gap to keep from what cannot move [mm]; by default the margin of Safety.
+        start: present joint angles [rad], shape (n, 2).
+        ids: ids of the robots with a target, shape (k,).
+        xy_mm: their targets [mm], shape (k, 2).
+        pairs: neighbour pairs of the plane, shape (p, 2); by default they are computed.
+        margin_mm: gap to robots and obstacles that cannot move [mm]; by default the margin
+            of Safety.
 
     Raises:
         TargetsError: shapes do not fit, an id is unknown or given twice, or a value is
             not finite; names the robots and values.
     """
-    rows, asked = _asked(plane, ids, xy_mm)
+    rows, asked = _checked(plane, ids, xy_mm)
     start = frozen_array(start, np.float64, (plane.n, 2), "start", TargetsError)
-    _refuse(~np.isfinite(start).all(axis=1), plane.ids, start, Reason.NOT_FINITE, "start angles")
+    _refuse(
+        ~np.all(np.isfinite(start), axis=1), plane.ids, start, Reason.NOT_FINITE, "start angles"
+    )
     margin_mm = Safety().margin_mm if margin_mm is None else margin_mm
 
     low, high = np.moveaxis(plane.limits, -1, 0)
@@ -144,7 +163,7 @@ def assign(
     ):
         reason[(reason == Reason.OK) & applies] = code
     blocker = np.full(plane.n, -1)
-    pairs = neighbour_pairs(plane, max(1.0, margin_mm)) if pairs is None else pairs
+    pairs = neighbour_pairs(plane, max(1.0, margin_mm)) if pairs is None else np.asarray(pairs)
     _refuse_blocked(plane, start, stuck, solutions, valid, pairs, margin_mm, reason, blocker)
     _refuse_close(plane, asked, reason, blocker)
     for value in (asked, reason, blocker):
@@ -152,23 +171,24 @@ def assign(
     return Assignment(plane, asked, reason, blocker)
 
 
-def _asked(plane, ids, xy_mm):
-    # malformed input raises; otherwise the rows asked and their targets, nan elsewhere
+def _checked(plane: FocalPlane, ids: ArrayLike, xy_mm: ArrayLike) -> tuple[Rows, Points]:
+    # rows of the robots with a target, and the targets of all robots, nan for those without
     ids = frozen_array(ids, np.int64, (None,), "ids", TargetsError)
     xy_mm = frozen_array(xy_mm, np.float64, (len(ids), 2), "targets", TargetsError)
     rows = plane.index_of(ids)
     _refuse(rows < 0, ids, xy_mm, Reason.UNKNOWN_ROBOT, "no such robot, target")
     _, first, count = np.unique(ids, return_index=True, return_counts=True)
-    again = np.ones(len(ids), dtype=bool)
-    again[first[count == 1]] = False
-    _refuse(again, ids, xy_mm, Reason.DUPLICATE, "asked more than once, target")
-    _refuse(~np.isfinite(xy_mm).all(axis=1), ids, xy_mm, Reason.NOT_FINITE, "target not finite")
+    repeated = np.ones(len(ids), dtype=np.bool_)
+    repeated[first[count == 1]] = False
+    _refuse(repeated, ids, xy_mm, Reason.DUPLICATE, "has more than one target, target")
+    _refuse(~np.all(np.isfinite(xy_mm), axis=1), ids, xy_mm, Reason.NOT_FINITE, "target not finite")
     asked = np.full((plane.n, 2), np.nan)
     asked[rows] = xy_mm
     return rows, asked
 
 
-def _refuse(bad, ids, values, reason, what):
+def _refuse(bad: Mask, ids: Ids, values: Floats, reason: Reason, what: str) -> None:
+    # raises if a robot is bad; names the first of them
     at = np.flatnonzero(bad)
     if len(at):
         named = "; ".join(f"robot {ids[i]}: {what} {values[i].tolist()}" for i in at[:_NAMED])
@@ -176,23 +196,34 @@ def _refuse(bad, ids, values, reason, what):
         raise TargetsError(named + more, ids[at], np.full(len(at), reason))
 
 
-def _refuse_blocked(plane, start, stuck, solutions, valid, pairs, margin_mm, reason, blocker):
-    # Turns of a joint change nothing here: one configuration stands for each elbow.
-    standing = np.concatenate([stuck, np.ones(len(plane.obstacles), dtype=bool)])
-    a, b = np.asarray(pairs, dtype=np.int64).reshape(-1, 2).T
-    beside = np.concatenate([np.stack([a, b], axis=1), np.stack([b, a], axis=1)])
-    beside = beside[standing[beside[:, 1]] & (beside[:, 0] < plane.n)]
-    beside = beside[reason[beside[:, 0]] == Reason.OK]
-    blocked = np.ones(plane.n, dtype=bool)
+def _refuse_blocked(
+    plane: FocalPlane,
+    start: Angles,
+    stuck: Mask,
+    solutions: Floats,
+    valid: Bools,
+    pairs: Pairs,
+    margin_mm: float,
+    reason: Codes,
+    blocker: Rows,
+) -> None:
+    # Turns of a joint do not change the outlines: one configuration represents each elbow.
+    # stuck: robots that cannot move; reason and blocker are filled in.
+    fixed = np.concatenate([stuck, np.ones(len(plane.obstacles), dtype=np.bool_)])
+    a, b = pairs.astype(np.int64).reshape(-1, 2).T
+    facing = np.concatenate([np.stack([a, b], axis=1), np.stack([b, a], axis=1)])
+    facing = facing[fixed[facing[:, 1]] & (facing[:, 0] < plane.n)]
+    facing = facing[reason[facing[:, 0]] == Reason.OK]
+    blocked = np.ones(plane.n, dtype=np.bool_)
     bent_left = np.sin(solutions[..., 1]) >= 0
     for elbow in (valid & bent_left, valid & ~bent_left):
-        has = elbow.any(axis=1)
+        has: Mask = np.any(elbow, axis=1)
         chosen = solutions[np.arange(plane.n), elbow.argmax(axis=1)]
         gap = gaps(
-            plane, np.sort(beside, axis=1), np.where(has[:, None] & ~stuck[:, None], chosen, start)
+            plane, np.sort(facing, axis=1), np.where(has[:, None] & ~stuck[:, None], chosen, start)
         )
-        touched = np.zeros(plane.n, dtype=bool)
-        near = beside[gap < margin_mm]
+        touched = np.zeros(plane.n, dtype=np.bool_)
+        near = facing[gap < margin_mm]
         touched[near[:, 0]] = True
         blocker[near[::-1, 0]] = near[::-1, 1]
         blocked &= touched | ~has
@@ -201,13 +232,14 @@ def _refuse_blocked(plane, start, stuck, solutions, valid, pairs, margin_mm, rea
     blocker[~blocked] = -1
 
 
-def _refuse_close(plane, asked, reason, blocker):
+def _refuse_close(plane: FocalPlane, asked: Points, reason: Codes, blocker: Rows) -> None:
+    # reason and blocker are filled in
     left = np.flatnonzero(reason == Reason.OK)
     pairs = left[cKDTree(asked[left]).query_pairs(plane.spacing_mm, output_type="ndarray")]
     low, high = np.sort(pairs, axis=1).T
     apart = np.hypot(*(asked[low] - asked[high]).T)
     low, high = (side[apart < plane.spacing_mm - _ROUNDING_MM] for side in (low, high))
-    order = np.lexsort([low, high])  # when a robot's turn comes, all before it are decided
+    order = np.lexsort([low, high])  # a robot is decided after all robots of lower rows
     for first, second in zip(low[order], high[order]):
         if reason[first] == Reason.OK and reason[second] == Reason.OK:
             reason[second], blocker[second] = Reason.TARGET_TOO_CLOSE, first

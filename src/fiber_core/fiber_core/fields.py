@@ -1,13 +1,15 @@
-"""Random valid fields: where robots start, and targets that can all be taken at once."""
+"""Random fields: a start and targets that all robots can take at the same time."""
 
 import math
 from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
-from fiber_core.clearance import Safety, bodies_of, neighbour_pairs, pair_gap_below
+from fiber_core.array_types import Angles, Bools, Floats, Mask, Offsets, Rows
+from fiber_core.clearance import Bodies, Safety, bodies_of, neighbour_pairs, pair_gap_below
 from fiber_core.errors import FieldError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
@@ -16,63 +18,63 @@ from fiber_core.validation import frozen_array
 __all__ = ["Field", "random_field", "random_problem"]
 
 _OVER_MARGIN_MM = 0.1
-_TRIES = 20  # draws after which a robot takes the place of those in its way
+_TRIES = 20  # draws after which a robot takes the place of the robots in its way
+_NAMED = 10  # most robots that a message names
 _DRAWS_PER_ROBOT = 2000  # on average, before a field counts as impossible
 _REDRAWS = 10_000  # points in the patrol region, until one lies inside the joint ranges
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A random problem and one arrangement that solves it.
+    """A random problem and joint angles that solve it.
 
     Args:
         problem: the problem.
-        goal: joint angles that put every target's fibre in place, outlines apart [rad],
+        goal: joint angles that put every fibre on its target, outlines apart [rad],
             shape (n, 2); the start angles of robots without a target.
     """
 
     problem: Problem
-    goal: np.ndarray
+    goal: Angles
 
 
 def random_field(
     plane: FocalPlane,
     rng: np.random.Generator,
     gap_mm: float | None = None,
-    asked=None,
-    start=None,
+    asked: ArrayLike | None = None,
+    start: ArrayLike | None = None,
 ) -> Field:
     """Draw start and target configurations in which no outlines come close.
 
-    Tips are drawn uniformly over the patrol region, then one of their configurations, each
-    elbow and turn inside the joint ranges alike. Only robots in each other's way are drawn
-    again: after some tries a robot takes its place and those in its way leave theirs.
-    Disabled robots stand at such a place and stay there, as do those not asked.
+    Tips are drawn uniformly over the patrol region, then one of their configurations: each
+    elbow and turn inside the joint ranges is equally likely. Only robots in conflict are drawn
+    again: after some tries a robot takes its place, and the robots in its way lose theirs.
+    Disabled robots start at such a place and stay there, as do robots without a target.
 
     Args:
         plane: the focal plane.
         rng: source of randomness; the same state gives the same field.
         gap_mm: gap between outlines at start and goal [mm]; by default the margin of
             Safety and 0.1 mm more. Targets keep the plane's spacing as well.
-        asked: robots to give a target, shape (n,); by default all. Disabled ones get none.
-        start: joint angles now [rad], shape (n, 2), where the start is given and not drawn.
+        asked: robots that get a target, shape (n,); by default all. Disabled robots get none.
+        start: present joint angles [rad], shape (n, 2); by default they are drawn.
 
     Raises:
-        FieldError: some robots found no place, or the start is not finite; names them.
+        FieldError: some robots could not be placed, or the start is not finite; names them.
     """
     gap_mm = Safety().margin_mm + _OVER_MARGIN_MM if gap_mm is None else gap_mm
     asked = np.ones(plane.n) if asked is None else asked
     asked = frozen_array(asked, np.bool_, (plane.n,), "asked", FieldError) & plane.enabled
     neighbours = _neighbours(plane, max(gap_mm, plane.spacing_mm))
-    everybody = np.ones(plane.n, dtype=bool)
-    nowhere = np.zeros((plane.n, 2))
     if start is None:
-        start = _arrange(plane, rng, neighbours, everybody, nowhere, gap_mm, 0.0, "start")
+        moves, unplaced = np.ones(plane.n, dtype=np.bool_), np.zeros((plane.n, 2))
+        start = _arrange(plane, rng, neighbours, moves, unplaced, gap_mm, 0.0, "start")
     else:
         start = frozen_array(start, np.float64, (plane.n, 2), "start", FieldError)
-        lost = plane.ids[~np.isfinite(start).all(axis=1)]
-        if len(lost):
-            raise FieldError(f"robot {lost[0]}: its start is not finite", lost)
+        not_finite = plane.ids[~np.isfinite(start).all(axis=1)]
+        if len(not_finite):
+            raise FieldError(f"robot {not_finite[0]}: its start is not finite", not_finite)
     goal = _arrange(plane, rng, neighbours, asked, start, gap_mm, plane.spacing_mm, "goal")
     targets = np.where(asked[:, None], kinematics.forward(plane, goal)[1], np.nan)
     goal.setflags(write=False)
@@ -83,17 +85,20 @@ def random_problem(
     plane: FocalPlane,
     rng: np.random.Generator,
     gap_mm: float | None = None,
-    asked=None,
-    start=None,
+    asked: ArrayLike | None = None,
+    start: ArrayLike | None = None,
 ) -> Problem:
-    """Draw a problem all of whose targets can be taken at once; see random_field."""
+    """Draw a problem with targets that all robots can take at the same time.
+
+    The arguments are those of random_field.
+    """
     return random_field(plane, rng, gap_mm, asked, start).problem
 
 
-def _neighbours(plane, slack_mm):
+def _neighbours(plane: FocalPlane, slack_mm: float) -> tuple[Rows, Offsets]:
     # flat lists of the rows that can come near each robot, obstacles from n on, and offsets
     beyond = max(0.0, (plane.arms.sum(axis=1) - plane.reach_mm).max(initial=0.0))
-    a, b = neighbour_pairs(plane, slack_mm + 2 * beyond).T.astype(np.int64)
+    a, b = neighbour_pairs(plane, float(slack_mm + 2 * beyond)).T.astype(np.int64)
     robots = b < plane.n
     own, other = np.concatenate([a, b[robots]]), np.concatenate([b, a[robots]])
     order = np.lexsort([other, own])
@@ -101,9 +106,18 @@ def _neighbours(plane, slack_mm):
     return other[order], offsets
 
 
-def _arrange(plane, rng, neighbours, moves, standing, gap_mm, spacing_mm, what):
+def _arrange(
+    plane: FocalPlane,
+    rng: np.random.Generator,
+    neighbours: tuple[Rows, Offsets],
+    moves: Mask,
+    standing: Angles,
+    gap_mm: float,
+    spacing_mm: float,
+    what: str,
+) -> Angles:
     # places for the robots `moves`, all others standing where they are
-    fixed = np.zeros(len(plane.obstacles), dtype=bool)
+    fixed = np.zeros(len(plane.obstacles), dtype=np.bool_)
     moves_all = np.concatenate([moves, fixed])
     angles = np.concatenate([standing, np.zeros((len(fixed), 2))])
     queue = rng.permutation(np.flatnonzero(moves))
@@ -114,17 +128,21 @@ def _arrange(plane, rng, neighbours, moves, standing, gap_mm, spacing_mm, what):
     )
     if len(left):
         ids = np.sort(plane.ids[left])
+        more = ", ..." if len(ids) > _NAMED else ""
         raise FieldError(
             f"{len(ids)} of {plane.n} robots found no {what} {gap_mm} mm apart from the others: "
-            f"{', '.join(map(str, ids[:10]))}{', ...' if len(ids) > 10 else ''}",
+            f"robot {', '.join(map(str, ids[:_NAMED]))}{more}",
             ids,
         )
     return angles[: plane.n]
 
 
 @nb.njit(cache=True)
-def _draw(rng, arm1, arm2, limits, options):
-    # a point uniform in the annulus, then any of its configurations; its index or -1
+def _draw(
+    rng: np.random.Generator, arm1: float, arm2: float, limits: Floats, options: Angles
+) -> int:
+    # Draws a point uniform in the annulus, then one of its configurations: its row in
+    # options, or -1 if no point has one.
     inner, outer = (arm1 - arm2) ** 2, (arm1 + arm2) ** 2
     for _ in range(_REDRAWS):
         distance = math.sqrt(inner + (outer - inner) * rng.random())
@@ -137,21 +155,33 @@ def _draw(rng, arm1, arm2, limits, options):
 
 
 @nb.njit(cache=True)
-def _tip(bodies, i, theta, phi):
+def _tip(bodies: Bodies, i: int, theta: float, phi: float) -> tuple[float, float]:
     x = bodies.arm1[i] * math.cos(theta) + bodies.arm2[i] * math.cos(theta + phi)
     y = bodies.arm1[i] * math.sin(theta) + bodies.arm2[i] * math.sin(theta + phi)
     return bodies.center[i, 0] + x, bodies.center[i, 1] + y
 
 
 @nb.njit(cache=True)
-def _in_the_way(
-    bodies, moves, placed, angles, near, i, theta, phi, gap_mm, spacing_mm, enough, found
-):
-    # Writes the rows that robot i would disturb, at most `enough`; returns how many, or
-    # the number of all rows if one of them cannot leave. Only robots with a target keep
-    # the spacing.
+def _conflicts(
+    bodies: Bodies,
+    moves: Bools,
+    placed: Bools,
+    angles: Angles,
+    near: Rows,
+    i: int,
+    theta: float,
+    phi: float,
+    gap_mm: float,
+    spacing_mm: float,
+    enough: int,
+    found: Rows,
+) -> int:
+    # Writes the rows in conflict with robot i at these angles, at most `enough`; returns their
+    # number, or the number of all rows if one of them cannot be moved. Only robots with a
+    # target keep the spacing.
     count = 0
     x, y = _tip(bodies, i, theta, phi)
+    j: int
     for j in near:
         if not placed[j]:
             continue
@@ -175,16 +205,26 @@ def _in_the_way(
 
 @nb.njit(cache=True)
 def _place_all(
-    rng, bodies, limits, other, offsets, moves, angles, queue, options, gap_mm, spacing_mm
-):
-    # Writes the angles of all robots of the queue; returns the rows left without a place.
+    rng: np.random.Generator,
+    bodies: Bodies,
+    limits: Floats,
+    other: Rows,
+    offsets: Offsets,
+    moves: Bools,
+    angles: Angles,
+    queue: Rows,
+    options: Angles,
+    gap_mm: float,
+    spacing_mm: float,
+) -> Rows:
+    # Writes the angles of all robots of the queue; returns the rows that found no place.
     size, head, waiting = len(queue), 0, len(queue)
     placed = ~moves
     found = np.empty(len(other), dtype=np.int64)
     leaving = np.empty(len(other), dtype=np.int64)
     budget = _DRAWS_PER_ROBOT * size + 1000 * _TRIES
     while waiting and budget > 0:
-        i = queue[head % size]
+        i: int = queue[head % size]
         head += 1
         waiting -= 1
         near = other[offsets[i] : offsets[i + 1]]
@@ -195,7 +235,7 @@ def _place_all(
             if pick < 0:
                 return np.array([i])
             theta, phi = options[pick]
-            count = _in_the_way(
+            count = _conflicts(
                 bodies, moves, placed, angles, near, i, theta, phi, gap_mm, spacing_mm, least, found
             )
             if count < least:

@@ -1,9 +1,14 @@
-"""What a reconfiguration came to, in figures, with the lower bounds beside them."""
+"""Metrics: the figures of a plan, with lower bounds for comparison."""
+
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
 from fiber_core import kinematics
+from fiber_core.array_types import Codes, Floats
 from fiber_core.clearance import Certificate
+from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.problem import Problem
@@ -15,11 +20,14 @@ ORDER_BYTES_BOUND = 35 / 8
 
 
 def lower_bound_s(problem: Problem) -> float:
-    """Time the slowest robot would need if it were alone [s].
+    """Return the time that the slowest robot would need if it were alone [s].
 
-    Each robot takes the elbow and turn that is fastest for it, both joints at full
-    speed, collisions ignored; disabled robots and those without a reachable target
-    do not count.
+    Each robot takes the elbow and turn that is fastest for it, with both joints at full
+    speed; collisions are ignored. Disabled robots and robots without a reachable target do
+    not count.
+
+    Args:
+        problem: the problem.
     """
     movable = np.where(problem.plane.enabled[:, None], problem.targets, np.nan)
     angles, valid = kinematics.inverse(problem.plane, movable)
@@ -32,27 +40,27 @@ def plan_metrics(
     problem: Problem,
     motion: SegmentMotion,
     certificate: Certificate,
-    outcome: np.ndarray,
-    reason: np.ndarray,
-) -> dict:
-    """Sum up a plan: counts, makespan, clearance, segments and end errors.
+    outcome: Codes,
+    reason: Codes,
+) -> dict[str, Any]:
+    """Return the figures of a plan: counts, makespan, clearance, segments and end errors.
 
     Args:
-        problem: what was asked.
+        problem: the problem that the plan solves.
         motion: the motion decoded from the bytes.
-        certificate: its certificate.
+        certificate: the certificate of that motion.
         outcome: Outcome of each robot, shape (n,).
         reason: Reason of each robot, shape (n,).
 
     Returns:
         Plain numbers and strings, ready for JSON. Segments are counted per motor that
         moves. The end error is the distance from the tip at the end of the motion to
-        the target, over the robots that reached theirs.
+        the target, over the robots that reached their target.
     """
     plane = problem.plane
     asked = problem.asked
     reached = asked & (outcome == Outcome.REACHED)
-    error_um = 1e3 * np.linalg.norm(
+    error_um: Floats = 1e3 * np.linalg.norm(
         kinematics.forward(plane, motion.end)[1][reached] - problem.targets[reached], axis=1
     )
     segments = motion.counts[motion.counts > 0]
@@ -66,11 +74,13 @@ def plan_metrics(
         "reached": int(reached.sum()),
         "held": int((asked & (outcome == Outcome.HELD)).sum()),
         "failed": int((asked & (outcome == Outcome.FAILED)).sum()),
-        "reasons": {Reason(c).name.lower(): int(k) for c, k in zip(codes, counts)},
+        "reasons": {
+            Reason(code).name.lower(): count for code, count in zip(codes.tolist(), counts.tolist())
+        },
         "makespan_s": motion.makespan_s,
         "lower_bound_s": bound,
         "makespan_ratio": motion.makespan_s / bound if bound else None,
-        "certified": bool(certificate.ok),
+        "certified": certificate.ok,
         "min_clearance_mm": certificate.min_gap_mm if certificate.min_pair else None,
         "min_clearance_ids": _names(plane, certificate.min_pair),
         "min_clearance_time_s": certificate.min_time_s if certificate.min_pair else None,
@@ -82,5 +92,6 @@ def plan_metrics(
     }
 
 
-def _names(plane, pair) -> list:
+def _names(plane: FocalPlane, pair: Iterable[int]) -> list[int | str]:
+    # ids of robots, and obstacles by number
     return [int(plane.ids[row]) if row < plane.n else f"obstacle {row - plane.n}" for row in pair]

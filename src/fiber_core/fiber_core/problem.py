@@ -1,11 +1,16 @@
-"""The exchange files: a reconfiguration problem, and the plan that answers it."""
+"""Problems and plans, and the exchange files that hold them."""
 
 import zipfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from os import PathLike
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from fiber_core.errors import LayoutError, MotionError
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Mask, Points
+from fiber_core.errors import FiberError, LayoutError, MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome
@@ -21,17 +26,19 @@ __all__ = [
     "save_problem",
 ]
 
+FilePath: TypeAlias = str | PathLike[str]
+
 _NEEDED = "id center_mm arm_mm radius_mm start_rad target_mm enabled speed_rad_s limits_rad".split()
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One reconfiguration: a plane, where its robots are, where their fibres should go.
+    """One reconfiguration: a plane, the present joint angles and the targets.
 
     Args:
         plane: the focal plane.
-        start: joint angles now [rad], shape (n, 2).
-        targets: where each fibre should go [mm], shape (n, 2), nan = nothing asked.
+        start: present joint angles [rad], shape (n, 2).
+        targets: target of each fibre [mm], shape (n, 2), nan = no target.
 
     Raises:
         LayoutError: a shape does not fit the plane, a start angle is not finite, or a
@@ -39,8 +46,8 @@ class Problem:
     """
 
     plane: FocalPlane
-    start: np.ndarray
-    targets: np.ndarray
+    start: Angles
+    targets: Points
 
     def __post_init__(self):
         for name in ("start", "targets"):
@@ -48,26 +55,31 @@ class Problem:
                 getattr(self, name), np.float64, (self.plane.n, 2), name, LayoutError
             )
             object.__setattr__(self, name, value)
-        nothing = np.isnan(self.targets).all(axis=1)
-        for name, good in {
-            "start": np.isfinite(self.start).all(axis=1),
-            "target": np.isfinite(self.targets).all(axis=1) | nothing,
-        }.items():
-            if not good.all():
-                at = int(np.argmin(good))
-                value = (self.start if name == "start" else self.targets)[at].tolist()
-                raise LayoutError(f"robot {self.plane.ids[at]}: {name} {value} is not finite")
+        started, asked = np.isfinite(self.start), np.isfinite(self.targets)
+        no_target = np.isnan(self.targets).all(axis=1)
+        self._check("start", self.start, np.all(started, axis=1))
+        self._check("target", self.targets, np.all(asked, axis=1) | no_target)
+
+    def _check(self, name: str, values: Floats, good: Bools) -> None:
+        if not good.all():
+            at = int(np.argmin(good))
+            raise LayoutError(
+                f"robot {self.plane.ids[at]}: {name} {values[at].tolist()} is not finite"
+            )
 
     @property
-    def asked(self) -> np.ndarray:
+    def asked(self) -> Mask:
         """Robots with a target, shape (n,)."""
-        return np.isfinite(self.targets).all(axis=1)
+        return np.all(np.isfinite(self.targets), axis=1)
 
 
-def problem_columns(problem: Problem) -> dict[str, np.ndarray]:
-    """Return a problem as named arrays, with units in the names; outlines join the plain capsule.
+def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
+    """Return a problem as named arrays with units in the names.
 
-    The dictionary is what a problem.npz holds, and part of what a recording holds.
+    A problem.npz holds these arrays, and a recording holds them among others.
+
+    Args:
+        problem: the problem.
     """
     plane = problem.plane
     return {
@@ -91,26 +103,41 @@ def problem_columns(problem: Problem) -> dict[str, np.ndarray]:
     }
 
 
-def save_problem(path, problem: Problem) -> None:
-    """Write a problem as .npz with units in the names; outlines are added to the plain capsule."""
-    np.savez_compressed(path, **problem_columns(problem))
+def save_problem(path: FilePath, problem: Problem) -> None:
+    """Write a problem as a .npz file with units in the names of its fields.
+
+    Args:
+        path: the .npz file.
+        problem: the problem.
+    """
+    # a dictionary of Any, as numpy's stubs count the option allow_pickle among the arrays
+    columns: dict[str, Any] = dict(problem_columns(problem))
+    np.savez_compressed(path, **columns)
 
 
-def load_problem(path) -> Problem:
-    """Read a problem written by anybody: without outlines the phi arm is a capsule.
+def load_problem(path: FilePath) -> Problem:
+    """Read a problem file, of this or any other program.
+
+    Only the fields of the exchange format must be there. Without outlines, the phi arm is a
+    capsule from elbow to tip.
+
+    Args:
+        path: the .npz file.
 
     Raises:
-        LayoutError: the file is not one, a field is missing or does not fit; names it.
+        LayoutError: the file is not a problem file, or a field is missing or does not fit;
+            names the file and the field.
     """
     return problem_of(_read(path, _NEEDED, LayoutError), str(path))
 
 
-def problem_of(data, name: str) -> Problem:
+def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
     """Return the problem in named arrays.
 
     Args:
-        data: named arrays, at least those every problem has.
-        name: what to call a plane that does not tell its name.
+        data: named arrays, as from problem_columns; outlines, discs, buses, spacing and name
+            may be missing.
+        name: name of the plane if the arrays hold none.
 
     Raises:
         LayoutError: a field does not fit; names it.
@@ -139,8 +166,8 @@ def problem_of(data, name: str) -> Problem:
     return Problem(plane, data["start_rad"], data["target_mm"])
 
 
-def save_plan(path, motion: SegmentMotion, outcome, reason) -> None:
-    """Write the motion decoded from the bytes, and what became of each robot.
+def save_plan(path: FilePath, motion: SegmentMotion, outcome: ArrayLike, reason: ArrayLike) -> None:
+    """Write a plan: the motion decoded from the bytes, and the outcome of each robot.
 
     Args:
         path: the .npz file.
@@ -160,23 +187,35 @@ def save_plan(path, motion: SegmentMotion, outcome, reason) -> None:
     )
 
 
-def load_plan(path, start) -> tuple[SegmentMotion, np.ndarray]:
-    """Read a plan for robots at `start` [rad], shape (n, 2): the motion and the outcomes (n,).
+def load_plan(path: FilePath, start: ArrayLike) -> tuple[SegmentMotion, Codes]:
+    """Read a plan file.
+
+    Args:
+        path: the .npz file.
+        start: joint angles at the start of the plan [rad], shape (n, 2).
+
+    Returns:
+        The motion, and the Outcome of each robot, shape (n,).
 
     Raises:
-        MotionError: the file is not one, a field is missing or does not fit; names it.
+        MotionError: the file is not a plan file, or a field is missing or does not fit; names
+            the file and the field.
     """
     data = _read(path, ["offsets", "duration_s", "velocity_rad_s", "outcome"], MotionError)
-    motion = SegmentMotion(start, data["offsets"], data["duration_s"], data["velocity_rad_s"])
+    motion = SegmentMotion(
+        np.asarray(start), data["offsets"], data["duration_s"], data["velocity_rad_s"]
+    )
     return motion, frozen_array(data["outcome"], np.int64, (motion.n,), "outcome", MotionError)
 
 
-def _read(path, needed, error):
+def _read(
+    path: FilePath, needed: Sequence[str], error: type[FiberError]
+) -> dict[str, NDArray[Any]]:
     try:
         with np.load(path) as file:
             data = dict(file)
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as reason:
-        raise error(f"{path} is no exchange file: {reason}") from None
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as problem:
+        raise error(f"{path} is not a problem or plan file: {problem}") from None
     missing = [name for name in needed if name not in data]
     if missing:
         raise error(f"{path} has no field {', '.join(missing)}")

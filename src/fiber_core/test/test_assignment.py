@@ -96,7 +96,7 @@ def test_of_two_close_targets_the_lower_id_keeps_its_own():
     for order in ([0, 1], [1, 0]):
         found = assign(plane, start, np.array([10, 11])[order], np.array(pair)[order])
         assert np.array_equal(found.reason[:2], [Reason.OK, Reason.TARGET_TOO_CLOSE])
-    assert "is 2.4 mm from that of robot 10, spacing 4 mm" in found.explain(11)
+    assert "is 2.4 mm from the target of robot 10, spacing 4 mm" in found.explain(11)
 
 
 @pytest.mark.parametrize("short_mm, reason", [(0.0, Reason.OK), (1e-6, Reason.TARGET_TOO_CLOSE)])

@@ -97,9 +97,9 @@ def test_a_bad_field_is_named(name, value, words, tmp_path):
 def test_what_is_no_exchange_file_is_refused(content, tmp_path):
     if content is not None:
         (tmp_path / "torn.npz").write_bytes(content)
-    with pytest.raises(LayoutError, match="torn.npz is no exchange file"):
+    with pytest.raises(LayoutError, match="torn.npz is not a problem or plan file"):
         load_problem(tmp_path / "torn.npz")
-    with pytest.raises(MotionError, match="torn.npz is no exchange file"):
+    with pytest.raises(MotionError, match="torn.npz is not a problem or plan file"):
         load_plan(tmp_path / "torn.npz", np.zeros((1, 2)))
 
 
