@@ -22,7 +22,7 @@ from fiber_client.terminal import table
 from fiber_core.fields import random_field
 from fiber_msgs_py import topics
 from fiber_node.ros_environment import own_domain, use_loopback
-from fiber_viewer.node import ARMS, WATCHED
+from fiber_viewer.node import WATCHED
 
 _WAIT_S = 300.0
 _TICKS = os.sysconf("SC_CLK_TCK")
@@ -61,7 +61,7 @@ def _measure(processes, beside, watched, folder, args):
         client.wait_for_graph(_WAIT_S)
         times = []
         topics.JOINT_STATES.subscription(client.node, lambda _: times.append(time.monotonic()))
-        seen = [client.collect(topic) for topic in (ARMS, WATCHED)] if watched else [[]]
+        seen = [client.collect(topic) for topic in (topics.VIEW_ARMS, WATCHED)] if watched else [[]]
         for seed in range(args.plans + 1):
             rng = np.random.default_rng(seed)
             problem = random_field(client.plane, rng, start=client.angles).problem

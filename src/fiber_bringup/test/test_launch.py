@@ -13,10 +13,11 @@ from visualization_msgs.msg import MarkerArray
 
 from fiber_bringup.graph import Graph
 from fiber_msgs_py import FRAME_ID
-from fiber_msgs_py.topics import JOINT_STATES
-from fiber_viewer.node import ARMS, PLANE, TARGETS, WATCHED
+from fiber_msgs_py.topics import JOINT_STATES, VIEW_ARMS, VIEW_PLANE, VIEW_TARGETS
+from fiber_viewer.node import WATCHED
 
 SHARE = Path(__file__).parents[1]
+VIEW_TOPICS = (VIEW_ARMS, VIEW_PLANE, VIEW_TARGETS, WATCHED)
 TREE = ast.parse((SHARE / "launch" / "focal_plane.launch.py").read_text())
 
 
@@ -140,7 +141,7 @@ def test_rviz_shows_what_the_viewer_publishes():
         assert READ_BY_RVIZ >= set(display) | {f"Topic/{name}" for name in display["Topic"]}
     assert shown == {
         f"/{topic.name}": (classes[topic.type], "Transient Local")
-        for topic in (ARMS, PLANE, TARGETS, WATCHED)
+        for topic in VIEW_TOPICS
     }
     assert 'glob("rviz/*.rviz")' in (SHARE / "setup.py").read_text()
 
@@ -151,7 +152,7 @@ def test_foxglove_shows_the_same_and_the_encoders():
     panels = layout["configById"]
     (scene,) = (panel for panel in panels.values() if "topics" in panel)
     assert scene["followTf"] == FRAME_ID
-    assert set(scene["topics"]) == {f"/{topic.name}" for topic in (ARMS, PLANE, TARGETS, WATCHED)}
+    assert set(scene["topics"]) == {f"/{topic.name}" for topic in VIEW_TOPICS}
     lines = [line["value"] for panel in panels.values() for line in panel.get("paths", ())]
     assert sorted(lines) == [
         f"/{JOINT_STATES.name}.{column}[${joint}]"

@@ -1,4 +1,4 @@
-"""Pictures of a focal plane's motion: the player, figures, the live view."""
+"""Shows recordings of a focal plane: the player in a browser, figures, and a live view."""
 
 from fiber_viewer.figures import before_and_after
 from fiber_viewer.page import write_player

@@ -1,18 +1,23 @@
-"""A live view of the focal plane for RViz, Foxglove and PlotJuggler; costs nothing unwatched.
+"""The node `viewer`: a live view of the focal plane for RViz, Foxglove and PlotJuggler.
 
-A process of its own that asks the graph for nothing. As long as nobody listens to what it
-publishes it does not even listen to the joint states.
+The viewer is a process of its own, and the other nodes do not depend on it. It subscribes to the
+joint states only while its own topics have subscribers, so an unused viewer costs nothing.
 """
 
 import time
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from fiber_core.array_types import Angles, Codes, Mask
 from fiber_core.errors import FiberError
+from fiber_core.focal_plane import FocalPlane
 from fiber_msgs_py import FRAME_ID, PlanStamp, joint_states, layout, outcome, qos, targets, topics
 from fiber_msgs_py.point_clouds import (
     ViewState,
@@ -29,39 +34,43 @@ __all__ = ["WATCHED", "ViewerNode", "main"]
 
 WATCHED = topics.Topic(f"{topics.NAMESPACE}/view/watched", MarkerArray, qos.LATEST)
 
-_LONGEST_S = 0.15  # arms are drawn where their speed takes them for this long after a reading
+_LONGEST_EXTRAPOLATION_S = 0.15  # after a reading of the encoders
 _LINE_M = 1.5e-4
 _COLOR = ColorRGBA(r=0.9, g=0.62, b=0.0, a=1.0)
 
 
 class ViewerNode(Node):
-    """Publishes points along all arms, and outlines of a few robots that are watched.
+    """Publishes points along all arms, and outlines of a few watched robots.
 
-    Between two readings of the encoders an arm is where its speed takes it.
+    Between two readings of the encoders, arms are extrapolated with their velocities.
 
     Args:
         options: keyword arguments of rclpy.node.Node.
     """
 
-    def __init__(self, **options):
+    def __init__(self, **options: Any):
         super().__init__("viewer", **options)
-        rate = self.declare_parameter("rate_hz", 20.0).value
-        self.declare_parameter("watch", [0])  # ids; read at each picture, so it may be set
-        self._plane = self._outcome = self._states = self._shown = self._listening = None
-        self._heard_s = 0.0
+        rate_hz = self.declare_parameter("rate_hz", 20.0).get_parameter_value().double_value
+        self.declare_parameter("watch", [0])  # ids; read for each picture, so that it can be set
+        self._plane: FocalPlane | None = None
+        self._outcome: Codes | None = None
+        self._states: tuple[Any, ...] | None = None
+        self._shown: tuple[object, ...] | None = None
+        self._joint_states_subscription = None
+        self._received_s = 0.0
         self._report = Reporter(self, "viewer")
+        self._pictures = 0
         self._report.counters["pictures"] = 0
-        self._arms, self._watched = topics.VIEW_ARMS.publisher(self), WATCHED.publisher(self)
-        self._plane_points, self._targets = (
-            topics.VIEW_PLANE.publisher(self),
-            topics.VIEW_TARGETS.publisher(self),
-        )
+        self._arms = topics.VIEW_ARMS.publisher(self)
+        self._watched = WATCHED.publisher(self)
+        self._plane_points = topics.VIEW_PLANE.publisher(self)
+        self._targets = topics.VIEW_TARGETS.publisher(self)
         topics.LAYOUT.subscription(self, self._on_layout)
         topics.TARGETS.subscription(self, self._on_targets)
         topics.OUTCOME.subscription(self, self._on_outcome)
-        self.create_timer(1.0 / rate, self._tick)
+        self.create_timer(1.0 / rate_hz, self._on_timer)
 
-    def _on_layout(self, message):
+    def _on_layout(self, message: PointCloud2) -> None:
         try:
             self._plane = layout.decode(message)[0]
         except FiberError as error:
@@ -70,80 +79,95 @@ class ViewerNode(Node):
         self._outcome = self._states = None
         self._publish(self._plane_points, plane_cloud(self._plane))
 
-    def _on_targets(self, message):
+    def _on_targets(self, message: PointCloud2) -> None:
         try:
             if targets.decode_attempt(message).number > 1:
                 return  # some of the targets that are shown already
             xy_mm = targets.decode(message)[1]
         except FiberError:
-            return  # the planner says so
+            return  # the planner reports the error
         self._outcome = None
         self._publish(self._targets, points_cloud(xy_mm, ViewState.REACHED))
 
-    def _on_outcome(self, message):
+    def _on_outcome(self, message: PointCloud2) -> None:
         try:
-            ids, ended, _, _ = outcome.decode(message)
+            ids, outcomes, _, _ = outcome.decode(message)
         except FiberError as error:
             self._report.refuse(f"outcome refused: {error}")
             return
         if self._plane is not None and np.array_equal(ids, self._plane.ids):
-            self._outcome, self._shown = ended, None
+            self._outcome, self._shown = outcomes, None
 
-    def _on_joint_states(self, message):
+    def _on_joint_states(self, message: JointState) -> None:
         try:
             self._states = joint_states.decode(message)
         except FiberError as error:
             self._report.refuse(f"joint states refused: {error}")
             return
-        self._heard_s, self._shown = time.monotonic(), None
+        self._received_s, self._shown = time.monotonic(), None
 
-    def _tick(self):
-        listeners = self._arms.get_subscription_count(), self._watched.get_subscription_count()
-        wanted = any(listeners)
-        if wanted and self._listening is None:
-            self._listening = topics.JOINT_STATES.subscription(self, self._on_joint_states)
-        elif not wanted and self._listening is not None:
-            self.destroy_subscription(self._listening)
-            self._listening = self._states = None
-        if not wanted or self._plane is None or self._states is None:
+    def _on_timer(self) -> None:
+        subscribers = self._arms.get_subscription_count(), self._watched.get_subscription_count()
+        self._listen_to_joint_states(any(subscribers))
+        plane, states = self._plane, self._states
+        if not any(subscribers) or plane is None or states is None:
             return
-        ids, angles, speeds, _ = self._states
+        ids, angles, speeds, time_ns = states
         moving = speeds.any(axis=1)
-        if not np.array_equal(ids, self._plane.ids):
+        if not np.array_equal(ids, plane.ids):
             return
-        picture = self._states[3], list(self.get_parameter("watch").value), listeners
+        picture = time_ns, self._watched_ids(), subscribers
         if self._shown == picture and not moving.any():
-            return  # nothing has changed, and nobody came
+            return  # the picture that all subscribers have is still right
         self._shown = picture
-        since = min(time.monotonic() - self._heard_s, _LONGEST_S)
-        self._show(angles + since * speeds, moving)
+        passed_s = min(time.monotonic() - self._received_s, _LONGEST_EXTRAPOLATION_S)
+        self._publish_picture(plane, angles + passed_s * speeds, moving)
 
-    def _show(self, angles, moving):
-        self._report.counters["pictures"] += 1
+    def _listen_to_joint_states(self, wanted: bool) -> None:
+        subscription = self._joint_states_subscription
+        if wanted and subscription is None:
+            self._joint_states_subscription = topics.JOINT_STATES.subscription(
+                self, self._on_joint_states
+            )
+        elif not wanted and subscription is not None:
+            self.destroy_subscription(subscription)
+            self._joint_states_subscription = self._states = None
+
+    def _watched_ids(self) -> list[int]:
+        return list(self.get_parameter("watch").value or ())
+
+    def _publish_picture(self, plane: FocalPlane, angles: Angles, moving: Mask) -> None:
+        self._pictures += 1
+        self._report.counters["pictures"] = self._pictures
         if self._arms.get_subscription_count():
-            states = view_states(self._plane, moving, self._outcome)
-            self._publish(self._arms, arms_cloud(self._plane, angles, states))
+            states = view_states(plane, moving, self._outcome)
+            self._publish(self._arms, arms_cloud(plane, angles, states))
         if self._watched.get_subscription_count():
-            self._watched.publish(self._markers(angles))
+            self._watched.publish(self._markers(plane, angles))
 
-    def _markers(self, angles) -> MarkerArray:
-        ids = np.array(self.get_parameter("watch").value, dtype=np.int64)
+    def _markers(self, plane: FocalPlane, angles: Angles) -> MarkerArray:
+        ids = np.array(self._watched_ids(), dtype=np.int64)
         header = Header(frame_id=FRAME_ID, stamp=self.get_clock().now().to_msg())
-        found = [Marker(header=header, action=Marker.DELETEALL)]  # who is no longer watched
-        for row in self._plane.index_of(ids).tolist():
-            for link, line in enumerate(outlines(self._plane, row, angles) if row >= 0 else ()):
-                name = f"{self._plane.ids[row]}"
-                marker = Marker(header=header, ns=name, id=link, type=Marker.LINE_STRIP)
+        # first delete the outlines of robots that are not watched any more
+        markers = [Marker(header=header, action=Marker.DELETEALL)]
+        for row in plane.index_of(ids).tolist():
+            for arm, line in enumerate(outlines(plane, row, angles) if row >= 0 else ()):
+                name = f"{plane.ids[row]}"
+                marker = Marker(header=header, ns=name, id=arm, type=Marker.LINE_STRIP)
                 marker.scale.x, marker.color = _LINE_M, _COLOR
                 marker.pose.orientation.w = 1.0
                 marker.points = [Point(x=x, y=y) for x, y in (line * 1e-3).tolist()]
-                found.append(marker)
-        return MarkerArray(markers=found)
+                markers.append(marker)
+        return MarkerArray(markers=markers)
 
-    def _publish(self, publisher, rows):
+    def _publish(self, publisher: Publisher, rows: np.ndarray) -> None:
         publisher.publish(encode_table(rows, PlanStamp(self.get_clock().now().nanoseconds)))
 
 
-def main(args=None) -> int:
-    """Run the viewer until it is interrupted."""
+def main(args: list[str] | None = None) -> int:
+    """Run the viewer until it is interrupted; return the exit code.
+
+    Args:
+        args: arguments for ROS; by default those of the process.
+    """
     return run(ViewerNode, args)

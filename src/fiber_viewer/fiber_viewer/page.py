@@ -1,4 +1,4 @@
-"""One self-contained page that plays a recording: no network, no library, opened from disk."""
+"""Write a page that plays a recording in a browser, from disk, without network or libraries."""
 
 import argparse
 import base64
@@ -13,7 +13,7 @@ from fiber_recording.recording_file import load_recording
 __all__ = ["SCRIPTS", "main", "write_player"]
 
 _SOURCES = Path(__file__).parent / "player"
-# in the order in which they may refer to each other
+# a module may import from the modules before it
 SCRIPTS = (
     "npz", "kinematics", "phases", "clearance", "recording", "theme", "camera", "drawing", "plane",
     "neighbourhood", "axes", "profiles", "buses", "timeline", "headline", "lists", "address",
@@ -28,12 +28,13 @@ def write_player(page: Path, recording: Path) -> None:
 
     Args:
         page: the .html file to write.
-        recording: the .npz file, which goes into the page as it is.
+        recording: the .npz file, which is embedded in the page byte for byte.
 
     Raises:
-        RecordingError: the file is no recording this software can read.
+        RecordingError: the file is not a recording that this software can read.
+        OSError: a file cannot be read or written.
     """
-    about = load_recording(recording).about  # refuses what the page could not show
+    about = load_recording(recording).about  # refuses a file that the page cannot show
     title = f"{about['report']['plane'] or 'Focal plane'}, plan {about['plan_ns']}"
     text = (_SOURCES / "page.html").read_text()
     for mark, value in {
@@ -47,17 +48,21 @@ def write_player(page: Path, recording: Path) -> None:
 
 
 def script() -> str:
-    """Return the modules of the page as one: end to end, without imports and exports."""
+    """Return the scripts of the page as one: end to end, without imports and exports."""
     modules = ((_SOURCES / f"{name}.js").read_text() for name in SCRIPTS)
     return "\n".join(_EXPORT.sub("", _IMPORT.sub("", module)) for module in modules)
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command; return the exit code.
+
+    Args:
+        argv: arguments; by default those of the process.
+    """
     parser = argparse.ArgumentParser(prog="player", description=__doc__)
-    parser.add_argument("recording", type=Path, help="recording.npz")
+    parser.add_argument("recording", type=Path, help="recording to play (.npz)")
     parser.add_argument(
-        "-o", "--out", type=Path, help="page to write, by default beside the recording"
+        "-o", "--out", type=Path, help="page to write (.html); by default next to the recording"
     )
     args = parser.parse_args(argv)
     out = args.out or args.recording.with_suffix(".html")

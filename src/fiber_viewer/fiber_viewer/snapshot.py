@@ -1,4 +1,4 @@
-"""Command: draw the plane before and after a plan from its exchange files."""
+"""Draw the plane before and after a plan, from problem.npz and plan.npz."""
 
 import argparse
 from pathlib import Path
@@ -10,12 +10,19 @@ __all__ = ["main"]
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command; return the exit code.
+
+    Args:
+        argv: arguments; by default those of the process.
+
+    Raises:
+        FiberError: a file is malformed.
+    """
     parser = argparse.ArgumentParser(prog="snapshot", description=__doc__)
-    parser.add_argument("problem", type=Path, help="problem.npz")
-    parser.add_argument("plan", type=Path, help="plan.npz")
+    parser.add_argument("problem", type=Path, help="problem to read (.npz)")
+    parser.add_argument("plan", type=Path, help="plan to read (.npz)")
     parser.add_argument(
-        "-o", "--out", type=Path, default=Path("plane.png"), help="picture, PNG or PDF"
+        "-o", "--out", type=Path, default=Path("plane.png"), help="picture to write (.png or .pdf)"
     )
     args = parser.parse_args(argv)
     problem = load_problem(args.problem)

@@ -30,8 +30,8 @@ def _case():
     return Problem(plane, start, targets), motion, outcome
 
 
-def _second_arms(axes):
-    return next(c for c in axes.collections if c.get_gid() == "second arms")
+def _phi_arms(axes):
+    return next(c for c in axes.collections if c.get_gid() == "phi arms")
 
 
 def _line(axes, label):
@@ -47,17 +47,17 @@ def test_arms_are_drawn_where_the_kinematics_puts_them():
     before, after = figures.before_and_after(problem, motion, outcome).axes
     for axes, angles in ((before, motion.start), (after, motion.end)):
         elbow, tip = kinematics.forward(problem.plane, angles)
-        drawn = np.array(_second_arms(axes).get_segments())
+        drawn = np.array(_phi_arms(axes).get_segments())
         np.testing.assert_allclose(drawn, np.stack([elbow, tip], axis=1))
 
 
 def test_colours_tell_reached_from_held_and_idle():
     problem, motion, outcome = _case()
     _, after = figures.before_and_after(problem, motion, outcome).axes
-    colors = _second_arms(after).get_colors()
+    colors = _phi_arms(after).get_colors()
     assert len({tuple(c) for c in colors[:3]}) == 3
     labels = {text.get_text() for text in after.get_legend().get_texts()}
-    assert labels == {"reached (1)", "held (1)", "nothing asked (5)"}
+    assert labels == {"reached (1)", "held (1)", "no target (5)"}
 
 
 def test_command_draws_from_the_exchange_files(tmp_path):
@@ -75,7 +75,7 @@ def test_the_plane_is_drawn_at_its_time(recording, t):
     (axes,) = figures.plane(recording, t).axes
     motion = recording.executed
     elbow, tip = kinematics.forward(recording.problem.plane, motion(min(t, motion.makespan_s)))
-    drawn = np.array(_second_arms(axes).get_segments())
+    drawn = np.array(_phi_arms(axes).get_segments())
     np.testing.assert_allclose(drawn, np.stack([elbow, tip], axis=1))
     assert f"{min(t, motion.makespan_s):.2f} s" in axes.get_title()
 
@@ -84,7 +84,7 @@ def test_the_outcome_map_puts_every_robot_under_its_name(recording):
     (axes,) = figures.outcomes(recording).axes
     found = {c.get_label().split(" (")[0]: c.get_offsets() for c in axes.collections}
     assert {name: len(points) for name, points in found.items()} == {
-        "reached": 33, "held": 1, "failed": 1, "nothing asked": 1, "disabled": 1
+        "reached": 33, "held": 1, "failed": 1, "no target": 1, "disabled": 1
     }  # fmt: skip
     np.testing.assert_allclose(found["failed"][0], recording.problem.plane.centers[11])
 
@@ -161,7 +161,7 @@ def test_positions_are_curve_band_segments_and_readings(request, name):
         counts = recording.measured.counts[chosen, joint]
         read = _line(axes, "encoder")
         np.testing.assert_allclose(read.get_ydata(), np.rad2deg(recording.units.to_angles(counts)))
-        (band,) = (c for c in axes.collections if c.get_label() == "margin")
+        (band,) = (c for c in axes.collections if c.get_label() == "corridor")
         edge = band.get_paths()[0].vertices
         ends = 1e-6 * phase.stop_us[row] if phase.stopped[row] else corridors.lasts_s[row]
         assert edge[:, 0].max() == pytest.approx(ends)

@@ -1,4 +1,4 @@
-"""Figures of a reconfiguration, for papers and for the night log; each returns a Figure."""
+"""Figures of a recording, for papers and for the night log; each function returns a Figure."""
 
 from fiber_viewer.figures.conflict import conflict, conflict_rows
 from fiber_viewer.figures.plane import before_and_after, outcomes, plane

@@ -1,11 +1,15 @@
-"""Robots that come near each other, at six moments: figure 5 of the discretization paper."""
+"""Robots that come near each other, at six moments, as figure 5 of Makarem et al. (2014b)."""
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
+from fiber_core.array_types import Angles, Pairs, Rows, Times
 from fiber_core.clearance import gaps
+from fiber_core.focal_plane import FocalPlane
 from fiber_recording.recording import Recording
 from fiber_viewer.figures.plane import draw_discs
 from fiber_viewer.figures.style import PLANNED
@@ -17,13 +21,16 @@ _MOMENTS = 6
 _COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 
 
-def conflict_rows(recording: Recording) -> np.ndarray:
-    """Return the rows of the pair that came nearest to each other, and of who came nearest to it.
+def conflict_rows(recording: Recording) -> Rows:
+    """Return the rows of the pair with the smallest gap, and of the next robot that came near it.
 
-    At most three, fewer on a plane where fewer robots meet.
+    There are at most three rows; fewer if fewer robots have neighbours.
+
+    Args:
+        recording: the recording.
     """
     n = recording.problem.plane.n
-    pairs = recording.approaches.pairs  # nearest first
+    pairs = recording.approaches.pairs  # closest first
     pairs = pairs[(pairs < n).all(axis=1)]
     if not len(pairs):
         return np.zeros(0, dtype=np.int64)
@@ -32,8 +39,13 @@ def conflict_rows(recording: Recording) -> np.ndarray:
     return rows[np.argsort(first)][:3]
 
 
-def moments_around(time_s: float, end_s: float) -> np.ndarray:
-    """Return six times from 0 to an end [s], a given one among them."""
+def moments_around(time_s: float, end_s: float) -> Times:
+    """Return six instants with a given one among them [s], shape (6,).
+
+    Args:
+        time_s: the instant that is among them [s].
+        end_s: the latest instant [s]; the earliest is 0.
+    """
     step = 0.12 * end_s
     first = np.clip(time_s - 3 * step, 0.0, max(0.0, end_s - (_MOMENTS - 1) * step))
     times = first + step * np.arange(_MOMENTS)
@@ -41,16 +53,16 @@ def moments_around(time_s: float, end_s: float) -> np.ndarray:
     return times
 
 
-def conflict(recording: Recording, rows=None) -> Figure:
+def conflict(recording: Recording, rows: ArrayLike | None = None) -> Figure:
     """Draw robots with their outlines at six moments around their closest approach.
 
     Args:
-        recording: the reconfiguration.
-        rows: the robots, shape (k,); by default as from conflict_rows.
+        recording: the recording.
+        rows: rows of the robots, shape (k,); by default those of conflict_rows.
 
     Returns:
-        A figure of six panels with time and the least gap between any two of the robots;
-        the tips' ways up to then are lines, targets are crosses.
+        A figure with six panels. Titles have the time and the smallest gap between two of the
+        robots, lines are the ways of the tips up to that time, crosses are targets.
     """
     rows = conflict_rows(recording) if rows is None else np.asarray(rows)
     plane, motion = recording.problem.plane, recording.executed
@@ -60,49 +72,62 @@ def conflict(recording: Recording, rows=None) -> Figure:
     time_s = float(recording.approaches.time_s[among][0]) if len(pairs) else 0.5 * end_s
     figure = Figure(figsize=(11, 8), layout="constrained")
     figure.suptitle("robots " + ", ".join(str(robot) for robot in plane.ids[rows]))
-    near = _neighbours(recording, rows)
-    for axes, t in zip(figure.subplots(2, 3, sharex=True, sharey=True).flat,
-                       moments_around(time_s, max(end_s, time_s))):  # fmt: skip
-        angles = motion(t)
-        for row in near:
-            _draw_robot(axes, plane, row, angles, PLANNED, 0.3)
-        for row, color in zip(rows, _colors(len(rows))):
-            _draw_robot(axes, plane, row, angles, color, 0.75)
-            ways = np.array(
-                [kinematics.forward(plane, motion(s))[1][row] for s in np.linspace(0, t, 60)]
-            )
-            axes.plot(*ways.T, "-", color=color, lw=0.8)
-            axes.plot(*recording.problem.targets[row], "+", color="black", ms=9)
-            axes.annotate(str(plane.ids[row]), plane.centers[row], ha="center", va="top", size=8)
-        draw_discs(axes, plane.obstacles)
-        title = f"{t:.3f} s"
-        if len(pairs):
-            title += f"   {gaps(plane, pairs, angles).min():.3f} mm"
-        axes.set_title(title, fontsize=10)
-        axes.set_aspect("equal")
-    centers = plane.centers[rows]
-    middle = 0.5 * (centers.min(axis=0) + centers.max(axis=0))
-    half = 0.5 * np.ptp(centers, axis=0).max() + plane.reach_mm[rows].max()
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
+    others = _neighbours_of(recording, rows)
+    panels = figure.subplots(2, 3, sharex=True, sharey=True)
+    for axes, t in zip(panels.flat, moments_around(time_s, max(end_s, time_s))):
+        _draw_moment(axes, recording, rows, others, pairs, t)
+    _show_square_around(panels.flat[-1], plane, rows)  # the panels share their axes
     figure.supxlabel("x [mm]")
     figure.supylabel("y [mm]")
     return figure
 
 
-def _colors(count):
-    return [_COLORS[i % len(_COLORS)] for i in range(count)]
-
-
-def _neighbours(recording, rows):
+def _neighbours_of(recording: Recording, rows: Rows) -> Rows:
     pairs = recording.approaches.pairs
     near = np.unique(pairs[np.isin(pairs, rows).any(axis=1)])
     return np.setdiff1d(near[near < recording.problem.plane.n], rows)
 
 
-def _draw_robot(axes, plane, row, angles, color, alpha):
+def _draw_moment(
+    axes: Axes, recording: Recording, rows: Rows, others: Rows, pairs: Pairs, t: float
+) -> None:
+    """Draw robots in colours and other robots in grey at a time t [s]."""
+    plane, motion = recording.problem.plane, recording.executed
+    angles = motion(t)
+    for row in others:
+        _draw_robot(axes, plane, row, angles, PLANNED, 0.3)
+    for k, row in enumerate(rows):
+        color = _COLORS[k % len(_COLORS)]
+        _draw_robot(axes, plane, row, angles, color, 0.75)
+        way = np.array(
+            [kinematics.forward(plane, motion(s))[1][row] for s in np.linspace(0, t, 60)]
+        )
+        axes.plot(*way.T, "-", color=color, lw=0.8)
+        axes.plot(*recording.problem.targets[row], "+", color="black", ms=9)
+        x, y = plane.centers[row]
+        axes.annotate(str(plane.ids[row]), (x, y), ha="center", va="top", size=8)
+    draw_discs(axes, plane.obstacles)
+    title = f"{t:.3f} s"
+    if len(pairs):
+        title += f"   {gaps(plane, pairs, angles).min():.3f} mm"
+    axes.set_title(title, fontsize=10)
+    axes.set_aspect("equal")
+
+
+def _show_square_around(axes: Axes, plane: FocalPlane, rows: Rows) -> None:
+    """Set the limits of axes to a square with all that some robots can reach."""
+    centers = plane.centers[rows]
+    middle = 0.5 * (centers.min(axis=0) + centers.max(axis=0))
+    half = 0.5 * np.ptp(centers, axis=0).max() + plane.reach_mm[rows].max()
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+
+
+def _draw_robot(
+    axes: Axes, plane: FocalPlane, row: int, angles: Angles, color: str, alpha: float
+) -> None:
     elbow, tip = (points[row] for points in kinematics.forward(plane, angles))
-    # the phi link last: it is the upper one
+    # the phi arm last, because it is above the theta arm
     for order, line in enumerate(reversed(outlines(plane, row, angles))):
         below = order == 0 and plane.theta_vertices.shape[1]
         axes.add_patch(

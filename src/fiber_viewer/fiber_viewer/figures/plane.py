@@ -1,10 +1,13 @@
-"""The whole focal plane: at one instant, before and after, and who reached its target."""
+"""Figures of the whole focal plane: at one instant, before and after a plan, and the outcomes."""
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
 
 from fiber_core import kinematics
+from fiber_core.array_types import Angles, Floats
 from fiber_core.motion import SegmentMotion
 from fiber_core.problem import Problem
 from fiber_recording.recording import Recording
@@ -13,13 +16,17 @@ from fiber_viewer.figures.style import COLORS, states_of
 __all__ = ["before_and_after", "draw_discs", "outcomes", "plane"]
 
 
-def _draw(axes, problem: Problem, angles, states) -> None:
+def _draw_arms(axes: Axes, problem: Problem, angles: Angles, states: NDArray[np.str_]) -> None:
+    """Draw all arms as lines; the phi arms in the colours of the states."""
     plane = problem.plane
     elbow, tip = kinematics.forward(plane, angles)
     colors = [COLORS[s] for s in states]
-    first = LineCollection(np.stack([plane.centers, elbow], axis=1), colors="#cccccc", lw=0.5)
-    second = LineCollection(np.stack([elbow, tip], axis=1), colors=colors, lw=0.9)
-    for name, lines in (("first arms", first), ("second arms", second)):
+    theta_arms = list(np.stack([plane.centers, elbow], axis=1))
+    phi_arms = list(np.stack([elbow, tip], axis=1))
+    for name, lines in (
+        ("theta arms", LineCollection(theta_arms, colors="#cccccc", lw=0.5)),
+        ("phi arms", LineCollection(phi_arms, colors=colors, lw=0.9)),
+    ):
         lines.set_gid(name)
         axes.add_collection(lines)
     draw_discs(axes, plane.obstacles)
@@ -28,8 +35,13 @@ def _draw(axes, problem: Problem, angles, states) -> None:
     axes.set_xlabel("x [mm]")
 
 
-def draw_discs(axes, discs) -> None:
-    """Draw fixed discs x, y, radius [mm], shape (k, 3)."""
+def draw_discs(axes: Axes, discs: Floats) -> None:
+    """Draw fixed discs.
+
+    Args:
+        axes: where to draw.
+        discs: x, y and radius of each disc [mm], shape (k, 3).
+    """
     if not len(discs):
         return
     width = 2 * discs[:, 2]
@@ -46,7 +58,7 @@ def draw_discs(axes, discs) -> None:
     )
 
 
-def _legend(axes, states) -> None:
+def _draw_legend(axes: Axes, states: NDArray[np.str_]) -> None:
     for name, color in COLORS.items():
         count = int((states == name).sum())
         if count:
@@ -54,48 +66,57 @@ def _legend(axes, states) -> None:
     axes.legend(loc="upper right", framealpha=0.9)
 
 
-def before_and_after(problem: Problem, motion: SegmentMotion, outcome) -> Figure:
-    """Draw the plane before and after a motion, coloured by what became of each robot.
+def before_and_after(problem: Problem, motion: SegmentMotion, outcome: ArrayLike) -> Figure:
+    """Draw the plane before and after a motion, coloured by the outcome of each robot.
 
     Args:
-        problem: what was asked.
-        motion: the motion as sent.
+        problem: plane and targets.
+        motion: the motion.
         outcome: Outcome of each robot, shape (n,).
 
     Returns:
-        A figure of two panels; targets that were not reached are crossed.
+        A figure with two panels; crosses mark the targets that were not reached.
     """
     figure = Figure(figsize=(18, 9.6), layout="constrained")
     before, after = figure.subplots(1, 2, sharex=True, sharey=True)
     states = states_of(problem, outcome)
-    _draw(before, problem, motion.start, states)
-    _draw(after, problem, motion.end, states)
+    _draw_arms(before, problem, motion.start, states)
+    _draw_arms(after, problem, motion.end, states)
     missed = problem.asked & (states != "reached")
     after.plot(*problem.targets[missed].T, "x", color=COLORS["failed"], ms=3, mew=0.6)
     before.set_ylabel("y [mm]")
     before.set_title("before")
     after.set_title(f"after {motion.makespan_s:.2f} s")
-    _legend(after, states)
+    _draw_legend(after, states)
     figure.suptitle(f"{problem.plane.name}: {problem.plane.n} robots")
     return figure
 
 
 def plane(recording: Recording, t: float = np.inf) -> Figure:
-    """Draw the whole plane at a time from the GO on [s], coloured by what became of each robot."""
+    """Draw the whole plane at one instant, coloured by the outcome of each robot.
+
+    Args:
+        recording: the recording.
+        t: time from the begin of the motion [s]; by default its end.
+    """
     figure = Figure(figsize=(9, 9.4), layout="constrained")
     axes = figure.subplots()
     motion = recording.executed
     t = min(t, motion.makespan_s)
     states = states_of(recording.problem, recording.outcome)
-    _draw(axes, recording.problem, motion(t), states)
+    _draw_arms(axes, recording.problem, motion(t), states)
     axes.set_ylabel("y [mm]")
     axes.set_title(f"{recording.problem.plane.name}: {recording.problem.plane.n} robots, {t:.2f} s")
-    _legend(axes, states)
+    _draw_legend(axes, states)
     return figure
 
 
 def outcomes(recording: Recording) -> Figure:
-    """Draw a map of who reached its target, was held, or failed; the last two stand out."""
+    """Draw a map of the outcomes of all robots; held and failed robots have larger marks.
+
+    Args:
+        recording: the recording.
+    """
     figure = Figure(figsize=(9, 9.4), layout="constrained")
     axes = figure.subplots()
     centers = recording.problem.plane.centers

@@ -1,17 +1,26 @@
-"""Velocities and positions of both motors: planned curve, margin, segments, encoder readings."""
+"""Velocity and position profiles of both joints: planned, ordered and measured."""
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
 
+from fiber_core.array_types import Floats, Rows
+from fiber_core.motion import SegmentMotion
 from fiber_recording.recording import Recording
 from fiber_viewer.figures.style import JOINTS, PLANNED, STOPPED
 
 __all__ = ["positions", "velocities"]
 
-_LEAST_VIEW_DEG = 15.0  # of a margin that is wider than the way
+_LEAST_VIEW_DEG = 15.0  # of a corridor above and below the curves
 
 
-def _panels(recording, rows, name):
+_Panels = NDArray[np.object_]  # axes, shape (k, 2): a row for each robot, theta and phi
+
+
+def _make_panels(
+    recording: Recording, rows: ArrayLike, y_label: str
+) -> tuple[Figure, Rows, _Panels]:
     rows = np.atleast_1d(rows)
     figure = Figure(figsize=(11, 1.2 + 2.6 * len(rows)), layout="constrained")
     panels = figure.subplots(len(rows), 2, sharex=True, squeeze=False)
@@ -21,28 +30,29 @@ def _panels(recording, rows, name):
             axes.grid(color="#e5e5e5")
             for begin_s, end_s in recording.pauses_s:
                 axes.axvspan(begin_s, end_s, color=STOPPED, alpha=0.15, lw=0, label="all stopped")
-        pair[0].set_ylabel(name)
+        pair[0].set_ylabel(y_label)
     ends_s = recording.executed.durations[rows].max(initial=0.0)
     for axes in panels[-1]:
         axes.set_xlabel("time [s]")
-        if ends_s > 0:  # not the whole plane's time: others may move for long
+        if ends_s > 0:  # other robots may move for much longer
             axes.set_xlim(-0.02 * ends_s, 1.15 * ends_s)
     return figure, rows, panels
 
 
-def _segments(motion, row, joint):
+def _segments(motion: SegmentMotion, row: int, joint: int) -> tuple[Floats, Floats]:
+    """Durations [s] and velocities [rad/s] of the segments of a joint."""
     chosen = slice(*motion.offsets[2 * row + joint : 2 * row + joint + 2])
     return motion.duration_s[chosen], motion.velocity_rad_s[chosen]
 
 
-def velocities(recording: Recording, rows) -> Figure:
-    """Draw the speeds of both motors: planned curve, segments as sent as steps, limits.
+def velocities(recording: Recording, rows: ArrayLike) -> Figure:
+    """Draw velocities of both joints: the planned ones, the executed segments, and the limits.
 
     Args:
-        recording: the reconfiguration.
-        rows: robots, shape (k,); one row of panels each.
+        recording: the recording.
+        rows: rows of robots, shape (k,); one row of panels for each.
     """
-    figure, rows, panels = _panels(recording, rows, "velocity [deg/s]")
+    figure, rows, panels = _make_panels(recording, rows, "velocity [deg/s]")
     motion, planned = recording.executed, recording.planned
     for row, pair in zip(rows, panels):
         for joint, axes in enumerate(pair):
@@ -60,23 +70,23 @@ def velocities(recording: Recording, rows) -> Figure:
             for sign in (-1, 1):
                 axes.axhline(sign * limit, ls="--", lw=0.9, color="black")
             axes.set_ylim(-1.15 * limit, 1.15 * limit)
-    _legend(panels[0, 0])
+    _draw_legend(panels[0, 0])
     return figure
 
 
-def positions(recording: Recording, rows) -> Figure:
-    """Draw the positions of both motors: planned curve, margin, segments, encoder readings.
+def positions(recording: Recording, rows: ArrayLike) -> Figure:
+    """Draw angles of both joints: the planned ones, the executed segments, readings, corridors.
 
-    The margin is how far the joint could turn beside what was sent, until the robot was stopped.
+    The corridor of a joint is drawn until its robot was stopped.
 
     Args:
-        recording: the reconfiguration.
-        rows: robots, shape (k,); one row of panels each.
+        recording: the recording.
+        rows: rows of robots, shape (k,); one row of panels for each.
     """
-    figure, rows, panels = _panels(recording, rows, "position [deg]")
+    figure, rows, panels = _make_panels(recording, rows, "position [deg]")
     motion, planned, measured = recording.executed, recording.planned, recording.measured
     for row, pair in zip(rows, panels):
-        heard = measured.row == row
+        own = measured.row == row
         for joint, axes in enumerate(pair):
             if planned is not None:
                 curve = planned.angles[row, joint]
@@ -91,18 +101,22 @@ def positions(recording: Recording, rows) -> Figure:
                 markevery=range(len(times)),
             )  # fmt: skip
             axes.plot(
-                measured.time_us[heard] * 1e-6,
-                np.rad2deg(recording.units.to_angles(measured.counts[heard, joint])),
+                measured.time_us[own] * 1e-6,
+                np.rad2deg(recording.units.to_angles(measured.counts[own, joint])),
                 "o", ms=5, mfc="none", mec="black", mew=0.8, label="encoder",
             )  # fmt: skip
-            _margin(recording, row, joint, axes)
-    _legend(panels[0, 0])
+            _draw_corridor(axes, recording, row, joint)
+    _draw_legend(panels[0, 0])
     return figure
 
 
-def _margin(recording, row, joint, axes):
-    # walls of the margin, in view as far as they leave the curves legible
-    curves = np.concatenate([line.get_ydata() for line in axes.lines])
+def _draw_corridor(axes: Axes, recording: Recording, row: int, joint: int) -> None:
+    """Draw the corridor of a joint, and set the limits of the axes.
+
+    Curves stay legible: of a wide corridor no more is shown, above and below, than the height of
+    the curves.
+    """
+    curves = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
     low, high = curves.min(), curves.max()
     below = above = 0.0
     corridors = recording.corridors
@@ -112,7 +126,7 @@ def _margin(recording, row, joint, axes):
         walls = np.rad2deg(
             [np.interp(shown, time_s, w[row, joint]) for w in (corridors.low, corridors.high)]
         )
-        axes.fill_between(shown, *walls, color=PLANNED, alpha=0.22, lw=0, label="margin")
+        axes.fill_between(shown, *walls, color=PLANNED, alpha=0.22, lw=0, label="corridor")
         for wall in walls:
             axes.plot(shown, wall, color=PLANNED, lw=0.7)
         most = max(high - low, _LEAST_VIEW_DEG)
@@ -122,6 +136,7 @@ def _margin(recording, row, joint, axes):
     axes.set_ylim(low - below - pad, high + above + pad)
 
 
-def _legend(axes):
+def _draw_legend(axes: Axes) -> None:
+    """Draw the legend with each label once."""
     named = dict(zip(*reversed(axes.get_legend_handles_labels())))
     axes.legend(named.values(), named, loc="best", fontsize=8)

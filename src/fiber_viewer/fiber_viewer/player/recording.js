@@ -8,7 +8,7 @@ const FEW = 3; // robots that fail together on a bus and are named one by one
 
 // What a robot looks like at a time.
 export const MOVING = 0, REACHED = 1, HELD = 2, FAILED = 3, IDLE = 4, DISABLED = 5, STOPPED = 6;
-export const STATE_NAMES = ["moving", "reached", "held", "failed", "nothing asked", "disabled", "stopped"];
+export const STATE_NAMES = ["moving", "reached", "held", "failed", "no target", "disabled", "stopped"];
 
 /** Opens the bytes of a recording. Throws an Error that says what is wrong with them. */
 export async function openRecording(bytes) {
