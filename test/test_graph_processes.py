@@ -1,4 +1,4 @@
-"""The installed executables as processes of their own, and what they leave behind."""
+"""The installed executables as processes: they take a plane to targets and leave nothing behind."""
 
 import json
 import os
@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fiber_bringup.errors import ProcessError
 from fiber_bringup.processes import Processes, installed
 from fiber_client.client import PlaneClient
-from fiber_client.errors import ProcessError
 from fiber_core.clearance import Safety, certify
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome
@@ -43,15 +43,15 @@ def executable():
 def shared_memory(pid) -> set[str]:
     """Files of Fast DDS in /dev/shm that a process has mapped, and no graph of another domain.
 
-    Ports from 7000 on are counted through all domains of a machine. Whoever is killed with one
-    of them open keeps it there for good, and for all who are given it later.
+    Ports from 7000 on are counted through all domains of a machine. A process that is killed with
+    such a port open leaves its file there, also for later processes that are given the port.
     """
     own = r"/dev/shm/\S*fastrtps_(?!port70\d\d\b)\S*"
     return set(re.findall(own, Path(f"/proc/{pid}/maps").read_text()))
 
 
 def test_three_processes_take_a_plane_to_new_targets(executable, problem_file, tmp_path):
-    command = [executable("fiber_bringup", "reconfigure"), "--timeout", str(COMPILE_S), "--json"]
+    command = [executable("fiber_client", "reconfigure"), "--timeout", str(COMPILE_S), "--json"]
     left_by_others = set(map(str, Path("/dev/shm").iterdir()))
     with Processes(tmp_path) as nodes:
         pids = [
@@ -80,13 +80,13 @@ def test_three_processes_take_a_plane_to_new_targets(executable, problem_file, t
         assert run.returncode == 1 and "robot 999: no such robot, target [1.0, 2.0]" in run.stderr
         nodes.check()
         mapped = set().union(*map(shared_memory, pids)) - left_by_others
-        assert mapped, "the nodes share no memory, so nothing is shown here"
+        assert mapped, "the nodes share no memory, so this test shows nothing"
         assert nodes.end() == {"bridge": 0, "planner": 0, "discretizer": 0}
     assert "robot 999" in (tmp_path / "planner.log").read_text()
     assert not [path for path in mapped if Path(path).exists()]
 
 
-def test_a_client_is_told_when_a_node_dies(executable, problem_file, tmp_path):
+def test_a_wait_of_the_client_ends_when_a_node_dies(executable, problem_file, tmp_path):
     executable("fiber_bus_bridge", "bridge")
     nodes = Processes(tmp_path)
     try:
@@ -109,7 +109,7 @@ def test_the_whole_graph_runs_as_one_executable_too(executable, problem_file, tm
 
 
 class Demo:
-    """The demo run once: its folder, and what it and its nodes wrote, with word of every loop."""
+    """The demo run once: its folder, and the output of it and its nodes, a line for each loop."""
 
     def __init__(self, folder, command, domain):
         options = ["--robots", "37", "--time-scale", "0", "--seed", "5", "--out", str(folder)]
@@ -128,7 +128,7 @@ def demo(executable, tmp_path_factory, new_domain):
     return Demo(tmp_path_factory.mktemp("demo"), executable("fiber_bringup", "demo"), new_domain())
 
 
-def test_the_demo_leaves_files_that_agree(demo):
+def test_the_demo_writes_files_that_agree(demo):
     report = json.loads((demo.folder / "report.json").read_text())
     problem = load_problem(demo.folder / "problem.npz")
     motion, outcome = load_plan(demo.folder / "plan.npz", problem.start)
@@ -151,6 +151,6 @@ def test_the_build_has_compiled_every_loop_of_the_demo(demo):
     if not built.exists():
         pytest.skip("NOT TESTED, this workspace was not built by make")
     used = re.findall(r"data (?:saved to|loaded from) '(.*)'", demo.said_by_all)
-    assert len(used) > 50, "the nodes say nothing of their loops"
+    assert len(used) > 50, "the nodes log nothing about their loops"
     late = {path for path in used if Path(path).stat().st_mtime > built.stat().st_mtime}
-    assert not late, "tools/compile_loops.py does not come by these"
+    assert not late, "tools/compile_loops.py does not run these"

@@ -1,4 +1,4 @@
-"""Say what a sourced ROS 2 Jazzy still lacks to build and run the workspace."""
+"""Check that a sourced ROS 2 Jazzy has all packages that the workspace needs."""
 
 import sys
 from importlib.util import find_spec

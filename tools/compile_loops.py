@@ -1,7 +1,7 @@
 """Run a small plane through the installed nodes, so that every loop is compiled and cached.
 
-The nodes themselves, because a loop is compiled for the very arrays it is given: one that may
-be written to, or came from another process, is of another type.
+It runs the nodes themselves, because a loop is compiled for the types of its arrays, and an array
+that is read-only, or came in a message, has a type of its own.
 """
 
 import sys
@@ -29,7 +29,7 @@ def _reconfigure(planner: str) -> None:
         Graph(
             planner={"planner": planner},
             bridge=bridge,
-            recorder={"folder": folder},  # it asks for corridors, and replays
+            recorder={"folder": folder},  # subscribes to corridors, and replays the frames
             domain=domain,
             args=["--ros-args", "--log-level", "warn"],
         ),
@@ -43,13 +43,13 @@ def _reconfigure(planner: str) -> None:
 
 
 def _plan(name: str) -> None:
-    # arms in each other's way beside robots that never move; with this seed every loop is used
+    # arms in each other's way, and robots that never move; with this seed every loop is used
     plane = preset("moons", 61).with_enabled(np.arange(61) % 7 > 0)
     make_planner(name).plan(random_problem(plane, np.random.default_rng(4)))
 
 
 def main() -> int:
-    """Compile on two cores, then once through the whole chain; returns the exit code."""
+    """Compile the loops of all planners and of the whole chain on two cores."""
     with ProcessPoolExecutor(2) as pool:
         done = [pool.submit(_reconfigure, "dnf")]
         done += [pool.submit(_plan, name) for name in planners() if name != "dnf"]

@@ -2,7 +2,7 @@
 """Measure what a viewer and a recorder cost the control graph.
 
 Takes a plane through the same reconfigurations in four settings: the graph alone, with a
-recorder, with a viewer nobody watches, with a viewer that is watched. Prints, for each, the
+recorder, with a viewer without subscribers, with a viewer that has some. Prints, for each, the
 median processor time of the bridge for a reconfiguration and the longest pause between
 two joint states while robots moved. Needs a built workspace.
 """
@@ -39,9 +39,9 @@ def main() -> int:
     rows = [("setting", "bridge cpu s", "longest pause s", "pictures a s")]
     for name, beside, watched in (
         ("graph alone", (), False),
-        ("with a recorder", (("fiber_bringup", "recorder"),), False),
+        ("with a recorder", (("fiber_recording", "recorder"),), False),
         ("with a viewer", (("fiber_viewer", "viewer"),), False),
-        ("viewer watched", (("fiber_viewer", "viewer"),), True),
+        ("viewer with subscribers", (("fiber_viewer", "viewer"),), True),
     ):
         with tempfile.TemporaryDirectory() as folder, Processes(Path(folder)) as processes:
             rows.append((name, *_measure(processes, beside, watched, folder, args)))

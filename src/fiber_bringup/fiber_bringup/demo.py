@@ -1,15 +1,15 @@
 """Take a simulated focal plane through one reconfiguration with the installed nodes.
 
-Makes a problem, starts bridge, planner and discretizer as processes of their own on this
-machine, moves the robots, and writes into the output folder: problem.npz, plan.npz (the
-motion decoded from the bytes that went over the buses), report.json, recording.npz (all of
-it in one file), player.html (open it in a browser), plane.png, and the nodes' logs.
+Makes a problem, starts bridge, planner, discretizer and recorder as processes on this machine,
+moves the robots, and writes into the output folder: problem.npz, plan.npz (the motion decoded
+from the bytes that went over the buses), report.json, recording.npz (all of the plan in one
+file), player.html (open it in a browser), plane.png, and the logs of the nodes.
 
-With --faults things go wrong on the way, e.g. `--faults stall:2,reset`: robots stop by
-themselves, all are stopped with them, and who can goes on.
+With --faults robots and buses fail during the motion, e.g. `--faults stall:2,reset`: robots stop
+by themselves, all others are stopped with them, and the robots that can go on are started again.
 
-Exit code 0 says that the motion was certified and, unless faults were asked for, that each robot
-asked reached its target or is held with a reason.
+Exit code 0: the motion was certified and, unless faults were requested, each robot with a target
+reached it or is held with a reason.
 """
 
 import argparse
@@ -18,8 +18,10 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,67 +51,83 @@ _FILES = ("report.json", "problem.npz", "plan.npz", "plane.png", "recording.npz"
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What one reconfiguration left behind."""
+    """The result of one reconfiguration.
 
-    ended: PlanOutcome
+    Args:
+        outcome: the outcome of every robot.
+        recording: the recording of the plan.
+        wall_s: wall time of each step, by name [s].
+    """
+
+    outcome: PlanOutcome
     recording: Recording
     wall_s: dict[str, float]
 
 
-def main(argv=None) -> int:
-    """Run the demonstration from the command line."""
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the demonstration from the command line; return the exit code."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the nodes with it
     options = _parser().parse_args(argv)
     begin = time.monotonic()
     options.out.mkdir(parents=True, exist_ok=True)
     with ProgressDisplay() as display:
         try:
-            SimulationConfig(faults=options.faults)  # refuses what it does not know
-            problem = _problem(options)
-            save_problem(options.out / "problem.npz", problem)
-            display.say(
-                f"{problem.plane.name}: {problem.plane.n} robots, "
-                f"{problem.plane.enabled.sum()} enabled, {problem.asked.sum()} asked to move"
-            )
-            run = _reconfigure(problem, options, display)
-            report = _report(run)
-            for note in run.recording.about["notes"]:
-                display.say(note)
-            if options.faults and not run.recording.events.unexpected.any():
-                display.say("the faults met nobody on the way: another --seed may")
+            problem, run = _simulate(options, display)
         except (FiberError, OSError) as error:
             display.say(f"demo: {error}")
             return 1
         except KeyboardInterrupt:
             display.say("demo: interrupted, all nodes were ended")
             return 1
+    report = _report(run)
     report["wall_s"]["all"] = time.monotonic() - begin
     _write(options.out, run, report)
-    print(_figures(report))
-    print()
-    print(summary(run.ended.of(problem.plane.ids[problem.asked])))
+    outcome = run.outcome.of(problem.plane.ids[problem.asked])
+    print(_figures(report), summary(outcome), sep="\n\n")
     print("\nin", options.out)
     for name in _FILES:
         print("  ", name)
-    well = bool(options.faults) or went_well(run.ended.of(problem.plane.ids[problem.asked]))
-    return 0 if well and report["certified"] else 1
+    good = bool(options.faults) or went_well(outcome)
+    return 0 if good and report["certified"] else 1
 
 
-def _parser():
+def _simulate(options: argparse.Namespace, display: ProgressDisplay) -> tuple[Problem, _Run]:
+    SimulationConfig(faults=options.faults)  # refuses an unknown fault before anything is started
+    problem = _problem(options)
+    save_problem(options.out / "problem.npz", problem)
+    display.say(
+        f"{problem.plane.name}: {problem.plane.n} robots, "
+        f"{problem.plane.enabled.sum()} enabled, {problem.asked.sum()} with a target"
+    )
+    run = _reconfigure(problem, options, display)
+    for note in run.recording.about["notes"]:
+        display.say(note)
+    if options.faults and not run.recording.events.unexpected.any():
+        display.say("no fault hit a moving robot; try another --seed")
+    return problem, run
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="demo", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--preset", choices=list(PRESETS), help="instrument, default desi")
-    parser.add_argument("--robots", type=int, help="how many; by default as the instrument has")
-    parser.add_argument("--layout", type=Path, help="table of robots instead (CSV, ECSV, FITS)")
-    parser.add_argument("--targets", type=Path, help="table id, x_mm, y_mm; by default random")
-    parser.add_argument("--seed", type=int, default=0, help="of random starts and targets")
+    parser.add_argument(
+        "--robots", type=int, help="number of robots; by default all of the instrument"
+    )
+    parser.add_argument(
+        "--layout", type=Path, help="table of robots instead of a preset (CSV, ECSV, FITS)"
+    )
+    parser.add_argument(
+        "--targets", type=Path, help="table with columns id, x_mm, y_mm; by default random targets"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of random starts and targets")
     parser.add_argument("--planner", choices=planners(), default=DEFAULT_PLANNER)
     parser.add_argument(
         "--faults",
         default="",
         metavar="KIND[:COUNT],...",
-        help="what goes wrong, at random times while robots move: "
+        help="faults at random times while robots move: "
         + ", ".join(kind.name.lower() for kind in FaultKind),
     )
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="output folder")
@@ -117,13 +135,13 @@ def _parser():
         "--time-scale",
         type=float,
         default=1.0,
-        help="simulated seconds a second, 1 for real time, 0 for as fast as possible",
+        help="simulated seconds per second: 1 for real time, 0 for as fast as possible",
     )
-    parser.add_argument("--timeout", type=float, default=600.0, help="of each wait [s]")
+    parser.add_argument("--timeout", type=float, default=600.0, help="time-out of each wait [s]")
     return parser
 
 
-def _problem(options) -> Problem:
+def _problem(options: argparse.Namespace) -> Problem:
     problem = problem_from(
         layout=options.layout, preset=options.preset, robots=options.robots, seed=options.seed
     )
@@ -134,7 +152,7 @@ def _problem(options) -> Problem:
     return Problem(plane, problem.start, assign(plane, problem.start, ids, xy_mm).asked_mm)
 
 
-def _reconfigure(problem, options, display) -> _Run:
+def _reconfigure(problem: Problem, options: argparse.Namespace, display: ProgressDisplay) -> _Run:
     use_loopback()
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     bridge = {
@@ -160,20 +178,20 @@ def _reconfigure(problem, options, display) -> _Run:
             times.append(time.monotonic())
             client.start(options.timeout)
             times.append(time.monotonic())
-            ended = client.wait_for_outcome(stamp, options.timeout)
+            outcome = client.wait_for_outcome(stamp, options.timeout)
             times.append(time.monotonic())
-            heard = client.times[stamp]
+            stages = client.times[stamp]
             client.wait_for_recording(stamp, options.timeout)
     (options.out / recording_name(stamp)).replace(options.out / "recording.npz")
     graph, ready, start, move = np.diff(times)
-    plan = heard["planner"] - heard["sent"]
-    wall_s = {
+    plan = stages["planner"] - stages["sent"]
+    wall_s: dict[str, float] = {
         "graph": graph, "plan": plan, "discretize": ready - plan, "start": start, "move": move
     }  # fmt: skip
-    return _Run(ended, load_recording(options.out / "recording.npz"), wall_s)
+    return _Run(outcome, load_recording(options.out / "recording.npz"), wall_s)
 
 
-def _recorder(problem, options) -> dict:
+def _recorder(problem: Problem, options: argparse.Namespace) -> dict[str, object]:
     return {
         "folder": str(options.out.resolve()),
         "preset": problem.plane.name,
@@ -182,7 +200,7 @@ def _recorder(problem, options) -> dict:
     }
 
 
-def _report(run) -> dict:
+def _report(run: _Run) -> dict[str, Any]:
     about = run.recording.about
     return about["report"] | {
         "margin_mm": about["certificate"]["margin_mm"],
@@ -192,30 +210,30 @@ def _report(run) -> dict:
     }
 
 
-def _write(out, run, report):
-    recording, ended = run.recording, run.ended
+def _write(out: Path, run: _Run, report: dict[str, Any]) -> None:
+    recording, outcome = run.recording, run.outcome
     motion = recording.executed
-    save_plan(out / "plan.npz", motion, ended.outcome, ended.reason)
-    before_and_after(recording.problem, motion, ended.outcome).savefig(out / "plane.png", dpi=110)
+    save_plan(out / "plan.npz", motion, outcome.outcome, outcome.reason)
+    before_and_after(recording.problem, motion, outcome.outcome).savefig(out / "plane.png", dpi=110)
     write_player(out / "player.html", out / "recording.npz")
     (out / "report.json").write_text(json.dumps(_plain(report), indent=2) + "\n")
 
 
-def _plain(value):
-    # JSON has no number for what is not finite
+def _plain(value: Any) -> Any:
+    # JSON has no number for infinity or nan
     if isinstance(value, dict):
         return {key: _plain(entry) for key, entry in value.items()}
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _figures(report) -> str:
-    rows = [("", "value", "bound")]
+def _figures(report: dict[str, Any]) -> str:
+    rows: list[tuple[object, ...]] = [("", "value", "bound")]
     rows += [("reached", report["reached"], report["asked"])]
     rows += [(name, report[name], "") for name in ("held", "failed")]
     rows += [
         ("makespan s", f"{report['makespan_s']:.3f}", f"{report['lower_bound_s']:.3f}"),
         ("least clearance mm", _clearance(report), f"{report['margin_mm']:.4f}"),
-        ("segments a moving motor", f"{report['segments_mean']:.2f}", "1.00"),
+        ("segments of a moving joint", f"{report['segments_mean']:.2f}", "1.00"),
         ("segments at most", report["segments_max"], 1),
         ("bytes an order", f"{report['bytes_mean']:.1f}", f"{report['bytes_bound']:.1f}"),
         ("load, verify, go on the buses s", f"{report['bus_time_s']:.3f}", ""),
@@ -229,9 +247,9 @@ def _figures(report) -> str:
     return table(rows)
 
 
-def _clearance(report) -> str:
+def _clearance(report: dict[str, Any]) -> str:
     least = report["min_clearance_mm"]
-    return "nobody near" if least is None else f"{least:.4f}"
+    return "no robots near each other" if least is None else f"{least:.4f}"
 
 
 if __name__ == "__main__":

@@ -6,4 +6,4 @@ __all__ = ["ProcessError"]
 
 
 class ProcessError(FiberError):
-    """A process of the graph could not be started or ended by itself."""
+    """A process of the graph could not be started, or has ended by itself."""

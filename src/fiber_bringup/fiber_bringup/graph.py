@@ -1,13 +1,16 @@
-"""The whole graph in one process, for scripts, notebooks and tests."""
+"""The whole node graph in one process, for scripts, notebooks and tests."""
 
 import signal
 import sys
 import threading
 import traceback
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
 
 import rclpy
 from rclpy.context import Context
 from rclpy.logging import get_logger
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fiber_bus_bridge.node import BridgeNode
@@ -20,15 +23,17 @@ from fiber_viewer.node import ViewerNode
 
 __all__ = ["Graph", "main"]
 
-_THREADS = 6  # one a node, and one for the bridge's stop
+_THREADS = 6  # one for each node, and one for the bridge's service stop
+
+_Parameters = Mapping[str, object]
 
 
 class Graph:
-    """Planner, discretizer and bridge, running from `with` to its end.
+    """Bridge, planner and discretizer, with recorder and viewer where requested, in one process.
 
-    Each graph has a context of its own, so that one process can hold several in different
-    domains. An exception that escapes a node ends the graph and is raised at the end of
-    `with`.
+    The nodes run from `with` to its end. Each graph has a context of its own, so that one process
+    can hold several graphs in different domains. An exception that escapes a callback of a node
+    ends the graph and is raised at the end of `with`. `nodes` are the nodes.
 
     Args:
         planner: parameters of the planner node, by name.
@@ -36,21 +41,21 @@ class Graph:
         bridge: parameters of the bridge node.
         recorder: parameters of the recorder node; None for no recorder.
         viewer: parameters of the viewer node; None for no viewer.
-        domain: ROS domain; by default that of the environment.
-        args: command line for ROS, as ``["--ros-args", "-p", "bridge:robots:=61"]``.
+        domain: ROS domain; by default the domain of the environment.
+        args: command line for ROS, such as ``["--ros-args", "-p", "bridge:robots:=61"]``.
     """
 
     def __init__(
         self,
-        planner=None,
-        discretizer=None,
-        bridge=None,
-        recorder=None,
-        viewer=None,
-        domain=None,
-        args=(),
+        planner: _Parameters | None = None,
+        discretizer: _Parameters | None = None,
+        bridge: _Parameters | None = None,
+        recorder: _Parameters | None = None,
+        viewer: _Parameters | None = None,
+        domain: int | None = None,
+        args: Sequence[str] = (),
     ):
-        self._parameters = [
+        self._parameters: list[tuple[Callable[..., Node], _Parameters]] = [
             (BridgeNode, bridge or {}),
             (PlannerNode, planner or {}),
             (DiscretizerNode, discretizer or {}),
@@ -60,7 +65,7 @@ class Graph:
                 self._parameters.append((node, parameters))
         self._domain, self._args = domain, list(args)
         self._error: BaseException | None = None
-        self.nodes: list = []
+        self.nodes: list[Node] = []
 
     def __enter__(self) -> "Graph":
         use_loopback()
@@ -71,7 +76,7 @@ class Graph:
                 overrides = [Parameter(name, value=value) for name, value in parameters.items()]
                 self.nodes.append(node(context=self._context, parameter_overrides=overrides))
         except BaseException:
-            self._leave()
+            self._destroy_nodes()
             raise
         self._executor = ThreadExecutor(_THREADS, context=self._context)
         for node in self.nodes:
@@ -81,43 +86,46 @@ class Graph:
         self._thread.start()
         return self
 
-    def __exit__(self, kind, *_):
-        # the loop ends before the executor, the callbacks before the nodes
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
+    ) -> None:
+        # the loop ends before the executor, all callbacks end before the nodes
         self._executor.stop()
         self._thread.join()
         self._executor.shutdown()
-        self._leave()
-        if self._error is not None and kind is None:
+        self._destroy_nodes()
+        if self._error is not None and error is None:
             raise self._error
 
     @property
     def running(self) -> bool:
-        """Whether all nodes are up."""
+        """Whether all nodes run."""
         return not self._ended.is_set()
 
     def wait(self) -> None:
-        """Wait until the graph ends by itself; an interrupt gets through."""
-        # not by joining: until Python 3.13 an interrupted join takes its thread for ended
+        """Wait until the graph ends by itself; an interrupt ends the wait."""
+        # on the event and not on the thread: until Python 3.13 an interrupted join marks its
+        # thread as ended
         self._ended.wait()
 
-    def _spin(self):
+    def _spin(self) -> None:
         try:
             self._executor.spin()
         except BaseException as error:
             self._error = error
-            said = "".join(traceback.format_exception(error))
-            get_logger("graph").fatal(f"a node has died: {said}")
+            trace = "".join(traceback.format_exception(error))
+            get_logger("graph").fatal(f"a node has died: {trace}")
         finally:
             self._ended.set()
 
-    def _leave(self):
+    def _destroy_nodes(self) -> None:
         for node in self.nodes:
             node.destroy_node()
         self._context.try_shutdown()
 
 
-def main(args=None) -> int:
-    """Run the graph until it is interrupted."""
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the graph until it is interrupted; return the exit code."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with Graph(args=sys.argv[1:] if args is None else args) as graph:

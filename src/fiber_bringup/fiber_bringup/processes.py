@@ -1,10 +1,10 @@
-"""Nodes as processes of their own: started from the installed executables, watched, ended."""
+"""Nodes as processes: started from the installed executables, watched, and ended."""
 
 import json
 import os
 import signal
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,10 +19,15 @@ _TAIL_LINES = 15
 
 
 @dataclass(frozen=True)
-class _Running:
+class _Started:
     name: str
-    process: subprocess.Popen
+    process: subprocess.Popen[bytes]
     log: Path
+
+    def error(self) -> str:
+        lines = self.log.read_text(errors="replace").splitlines()[-_TAIL_LINES:]
+        tail = "\n".join(f"    {line}" for line in lines)
+        return f"{self.name} ended with code {self.process.returncode}, {self.log}:\n{tail}"
 
 
 def installed(package: str, executable: str) -> Path:
@@ -38,36 +43,42 @@ def installed(package: str, executable: str) -> Path:
             f"package {package} is not installed here: make build, source install/setup.bash"
         ) from None
     if not os.access(path, os.X_OK):
-        raise ProcessError(f"{package} has no executable {executable}: {path} is missing")
+        raise ProcessError(f"package {package} has no executable {executable}: {path} is missing")
     return path
 
 
 class Processes:
     """Executables that run from `with` to its end, each with a log file.
 
-    At the end each is interrupted as from a terminal, so that it can give back its shared
-    memory; one that does not end in time is terminated, and at last killed. One that
+    At the end each process is interrupted as from a terminal, so that it can give back its shared
+    memory; a process that does not end in time is terminated, and at last killed. A process that
     failed is an error.
 
     Args:
         logs: folder of the log files, which must exist.
-        grace_s: how long each way to end a process is given [s].
+        grace_s: time that each way to end a process is given [s].
     """
 
     def __init__(self, logs: Path, grace_s: float = _GRACE_S):
         self._logs, self._grace_s = Path(logs), grace_s
-        self._running: list[_Running] = []
+        self._started: list[_Started] = []
 
     def __enter__(self) -> "Processes":
         return self
 
-    def __exit__(self, kind, *_):
-        ends = self.end()
-        if kind is None and any(ends.values()):
-            raise ProcessError("; ".join(self._died(running) for running in self._failed()))
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        codes = self.end()
+        if kind is None and any(codes.values()):
+            failed = (each for each in self._started if each.process.returncode)
+            raise ProcessError("; ".join(each.error() for each in failed))
 
     def start(self, package: str, executable: str, parameters: Mapping[str, object]) -> int:
-        """Start an installed node with parameters by name; return its process id.
+        """Start an installed node; return its process id.
+
+        Args:
+            package: name of its package.
+            executable: name of the executable.
+            parameters: parameters of the node, by name.
 
         Raises:
             ProcessError: it is not installed.
@@ -83,25 +94,25 @@ class Processes:
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,  # an interrupt from the terminal is for us to pass on
+                start_new_session=True,  # this process passes on an interrupt from the terminal
             )
-        self._running.append(_Running(executable, process, log))
+        self._started.append(_Started(executable, process, log))
         return process.pid
 
     def check(self) -> None:
-        """Make sure that all still run.
+        """Make sure that all processes still run.
 
         Raises:
-            ProcessError: one has ended; shows the end of its log.
+            ProcessError: a process has ended; shows the end of its log.
         """
-        for running in self._running:
-            if running.process.poll() is not None:
-                raise ProcessError(self._died(running))
+        for started in self._started:
+            if started.process.poll() is not None:
+                raise ProcessError(started.error())
 
-    def end(self) -> dict[str, int]:
-        """End all; return their exit codes by executable."""
+    def end(self) -> dict[str, int | None]:
+        """End all processes; return their exit codes by executable, None for one that runs on."""
         for how in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            left = [r.process for r in self._running if r.process.poll() is None]
+            left = list(self._running())
             for process in left:
                 process.send_signal(how)
             for process in left:
@@ -109,14 +120,7 @@ class Processes:
                     process.wait(self._grace_s)
                 except subprocess.TimeoutExpired:
                     continue
-        return {running.name: running.process.returncode for running in self._running}
+        return {started.name: started.process.returncode for started in self._started}
 
-    def _failed(self):
-        return [running for running in self._running if running.process.returncode]
-
-    def _died(self, running) -> str:
-        lines = running.log.read_text(errors="replace").splitlines()[-_TAIL_LINES:]
-        said = "\n".join(f"    {line}" for line in lines)
-        return (
-            f"{running.name} ended with code {running.process.returncode}, {running.log}:\n{said}"
-        )
+    def _running(self) -> Iterator[subprocess.Popen[bytes]]:
+        return (each.process for each in self._started if each.process.poll() is None)

@@ -18,23 +18,45 @@ def generate_launch_description():
     return LaunchDescription(
         [
             DeclareLaunchArgument(
-                "preset", default_value="", description="instrument; desi, or what a layout tells"
-            ),
-            DeclareLaunchArgument("robots", default_value="0", description="0: all it has"),
-            DeclareLaunchArgument("seed", default_value="0", description="of random starts"),
-            DeclareLaunchArgument("layout", default_value="", description="table of robots"),
-            DeclareLaunchArgument("problem", default_value="", description="problem.npz"),
-            DeclareLaunchArgument(
-                "disabled_file", default_value="", description="list of robots taken out of use"
+                "preset",
+                default_value="",
+                description="instrument; none: desi, or the name in the layout",
             ),
             DeclareLaunchArgument(
-                "planner", default_value="direct", description="or dnf_priority, dnf, ..."
+                "robots",
+                default_value="0",
+                description="number of robots; 0: all of the instrument",
             ),
-            DeclareLaunchArgument("time_scale", default_value="1.0", description="simulated s / s"),
+            DeclareLaunchArgument("seed", default_value="0", description="seed of random starts"),
             DeclareLaunchArgument(
-                "folder", default_value="recordings", description="of recordings, one a plan"
+                "layout",
+                default_value="",
+                description="file with a table of robots; none: a preset",
             ),
-            # set in the environment, these win: a profile of another machine, another range
+            DeclareLaunchArgument(
+                "problem",
+                default_value="",
+                description="problem.npz with plane and starts; none: random starts",
+            ),
+            DeclareLaunchArgument(
+                "disabled_file",
+                default_value="",
+                description="file that keeps the list of disabled robots; none: in memory only",
+            ),
+            DeclareLaunchArgument(
+                "planner",
+                default_value="direct",
+                description="name of the planner, such as direct, dnf_priority, dnf",
+            ),
+            DeclareLaunchArgument(
+                "time_scale",
+                default_value="1.0",
+                description="simulated seconds per second; 0: as fast as possible",
+            ),
+            DeclareLaunchArgument(
+                "folder", default_value="recordings", description="folder of the recordings"
+            ),
+            # values of the environment win, as a profile of another machine or another range
             SetEnvironmentVariable(
                 "ROS_AUTOMATIC_DISCOVERY_RANGE",
                 EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),

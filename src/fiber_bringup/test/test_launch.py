@@ -17,11 +17,11 @@ from fiber_msgs_py.topics import JOINT_STATES, VIEW_ARMS, VIEW_PLANE, VIEW_TARGE
 from fiber_viewer.node import WATCHED
 
 SHARE = Path(__file__).parents[1]
-VIEW_TOPICS = (VIEW_ARMS, VIEW_PLANE, VIEW_TARGETS, WATCHED)
+VIEWS = VIEW_ARMS, VIEW_PLANE, VIEW_TARGETS, WATCHED
 TREE = ast.parse((SHARE / "launch" / "focal_plane.launch.py").read_text())
 
 
-_NOTES = {("recorder", "seed"), ("recorder", "planner")}
+_NOTED = {("recorder", "seed"), ("recorder", "planner")}
 
 
 def calls(name):
@@ -84,8 +84,8 @@ def test_arguments_have_the_type_of_the_parameter_they_set(declared):
         for name, kind in typed.items():
             value = declared[node][name]
             assert type(value).__name__ == kind, name
-            # a recorder only notes what others were told, so it supposes nothing
-            if name != "robots" and (node, name) not in _NOTES:
+            # a recorder writes down what the other nodes were given, and has no default of its own
+            if name != "robots" and (node, name) not in _NOTED:
                 assert type(value)(defaults[name]) == value, name
 
 
@@ -101,10 +101,20 @@ def test_the_parameter_file_holds_the_defaults_of_parameters_that_exist(declared
 
 def test_files_the_launch_file_names_are_shipped():
     named = set(re.findall(r'"([\w.]+\.(?:yaml|xml|rviz))"', ast.unparse(TREE).replace("'", '"')))
-    assert named == {"focal_plane.yaml", "fastdds.xml"}
-    for name in named:
-        assert (SHARE / "config" / name).is_file()
-    assert 'glob("config/*")' in (SHARE / "setup.py").read_text()
+    packages = {"focal_plane.yaml": "fiber_bringup", "fastdds.xml": "fiber_node"}
+    assert named == set(packages)
+    for name, package in packages.items():
+        assert (SHARE.parent / package / "config" / name).is_file()
+        setup = (SHARE.parent / package / "setup.py").read_text()
+        assert 'glob("config/*")' in setup or f'"config/{name}"' in setup
+        assert f"FindPackageShare('{package}')" in ast.unparse(TREE)
+
+
+def test_every_node_of_the_launch_file_is_an_executable_of_its_package():
+    for call in calls("Node"):
+        given = {name: ast.literal_eval(keywords(call)[name]) for name in ("package", "executable")}
+        setup = (SHARE.parent / given["package"] / "setup.py").read_text()
+        assert f'"{given["executable"]} = {given["package"]}.' in setup
 
 
 def test_discovery_stays_on_this_machine_by_default():
@@ -119,7 +129,7 @@ def test_discovery_stays_on_this_machine_by_default():
     assert values["ROS_AUTOMATIC_DISCOVERY_RANGE"].value == "LOCALHOST"
 
 
-# of a display in RViz 14.1 (Jazzy); it drops in silence what it does not know
+# fields of a display in RViz 14.1 (Jazzy), which drops unknown fields in silence
 READ_BY_RVIZ = set(
     "Alpha,Class,Color,Color Transformer,Enabled,Name,Position Transformer,Size (Pixels),Size (m),"
     "Style,Topic,Topic/Depth,Topic/Durability Policy,Topic/History Policy,"
@@ -139,10 +149,7 @@ def test_rviz_shows_what_the_viewer_publishes():
             durability = display["Topic"]["Durability Policy"]
             shown[display["Topic"]["Value"]] = display["Class"], durability
         assert READ_BY_RVIZ >= set(display) | {f"Topic/{name}" for name in display["Topic"]}
-    assert shown == {
-        f"/{topic.name}": (classes[topic.type], "Transient Local")
-        for topic in VIEW_TOPICS
-    }
+    assert shown == {f"/{topic.name}": (classes[topic.type], "Transient Local") for topic in VIEWS}
     assert 'glob("rviz/*.rviz")' in (SHARE / "setup.py").read_text()
 
 
@@ -152,7 +159,7 @@ def test_foxglove_shows_the_same_and_the_encoders():
     panels = layout["configById"]
     (scene,) = (panel for panel in panels.values() if "topics" in panel)
     assert scene["followTf"] == FRAME_ID
-    assert set(scene["topics"]) == {f"/{topic.name}" for topic in VIEW_TOPICS}
+    assert set(scene["topics"]) == {f"/{topic.name}" for topic in VIEWS}
     lines = [line["value"] for panel in panels.values() for line in panel.get("paths", ())]
     assert sorted(lines) == [
         f"/{JOINT_STATES.name}.{column}[${joint}]"
