@@ -1,8 +1,8 @@
 """Stock ROS messages to and from the types of the core, with topic names and QoS.
 
-One module per message, each with ``encode`` and ``decode``; ``topics`` names them.
-Messages are SI in the frame `focal_plane`, core types are mm, rad, s: the only place
-where one becomes the other is here.
+One module for each message, with ``encode`` and ``decode``; ``topics`` has their topics.
+Messages are SI in the frame `focal_plane`, core types are mm, rad, s: units are converted in
+this package only.
 """
 
 from fiber_msgs_py import (
@@ -13,6 +13,7 @@ from fiber_msgs_py import (
     joint_states,
     layout,
     outcome,
+    point_clouds,
     progress,
     segments,
     targets,
@@ -41,13 +42,14 @@ __all__ = [
     "Stage",
     "Status",
     "Topic",
+    "corridors",
     "diagnostics",
     "frames",
     "held",
     "joint_states",
     "layout",
-    "corridors",
     "outcome",
+    "point_clouds",
     "progress",
     "segments",
     "targets",

@@ -1,4 +1,4 @@
-"""Diagnostics: counters and alerts of a node or a bus, for any ROS tool to show."""
+"""Diagnostics: counters and alerts of a node or a bus, for any ROS tool."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ __all__ = ["Level", "Status", "decode", "encode"]
 
 
 class Level(IntEnum):
-    """How bad it is; the numbers of DiagnosticStatus."""
+    """Severity, with the numbers of DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -22,14 +22,14 @@ class Level(IntEnum):
 
 @dataclass(frozen=True)
 class Status:
-    """The state of one thing.
+    """The state of one node, bus or stage.
 
     Args:
-        name: what it is, such as "bridge: bus 3".
-        level: how bad it is.
+        name: name of the part, such as "bridge: bus 3".
+        level: severity.
         text: one line for people.
-        values: figures by name.
-        hardware_id: the hardware it is about, empty for software.
+        values: values by name.
+        hardware_id: name of the hardware, empty for software.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Status:
     hardware_id: str = ""
 
     def to_message(self) -> DiagnosticStatus:
-        """Return the status as a message; figures travel as text."""
+        """Return the status as a message; values are sent as text."""
         return DiagnosticStatus(
             level=bytes([self.level]),
             name=self.name,
@@ -50,7 +50,7 @@ class Status:
 
     @classmethod
     def of(cls, message: DiagnosticStatus) -> "Status":
-        """Read a status from a message; figures come as text."""
+        """Return the status in a message; values are text."""
         return cls(
             name=message.name,
             level=Level(message.level[0]),
@@ -61,7 +61,12 @@ class Status:
 
 
 def encode(statuses: Iterable[Status], time_ns: int) -> DiagnosticArray:
-    """Return statuses as one message; `time_ns` is when they held [ns]."""
+    """Return statuses as one message.
+
+    Args:
+        statuses: the statuses.
+        time_ns: time of the statuses [ns].
+    """
     return DiagnosticArray(
         header=header(PlanStamp(time_ns)), status=[status.to_message() for status in statuses]
     )

@@ -1,8 +1,8 @@
 """Frames: the bytes that went over each bus, with bus, address and simulated time.
 
-A table and not a UInt8MultiArray: it has a header for the plan's stamp, names its columns
-to whoever listens, and one batch is one message. Bytes are padded with zeros to the
-longest frame of the batch.
+A table and not a UInt8MultiArray: a table has a header for the plan's stamp and names its
+columns, and one batch is one message. Bytes are padded with zeros to the longest frame of the
+batch.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from sensor_msgs.msg import PointCloud2
 from fiber_core.frame_log import FrameLog
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.stamps import PlanStamp
-from fiber_msgs_py.table import decode_table, encode_table
+from fiber_msgs_py.table import column_names, decode_table, encode_table
 
 __all__ = ["decode", "encode"]
 
@@ -31,7 +31,7 @@ def encode(log: FrameLog, stamp: PlanStamp) -> PointCloud2:
 
     Args:
         log: the frames.
-        stamp: plan they belong to.
+        stamp: names the plan.
 
     Raises:
         MessageError: a number does not fit its column, or offsets do not fit the data.
@@ -73,7 +73,7 @@ def decode(message: PointCloud2) -> FrameLog:
         MessageError: malformed table, or a frame longer than its bytes.
     """
     rows = decode_table(message, "frames", _COLUMNS, lists={"bytes": "<u1"})
-    if "bytes" not in rows.dtype.names:
+    if "bytes" not in column_names(rows):
         raise MessageError("frames", "is missing", field="field", value="bytes")
     lengths = rows["length"].astype(np.int64)
     width = rows["bytes"].shape[1]

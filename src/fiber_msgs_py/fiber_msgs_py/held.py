@@ -1,4 +1,4 @@
-"""Held: robots of a plan that a stage has decided will not reach their targets, and why.
+"""Held: the robots of a plan that a stage holds, with reasons.
 
 Each stage publishes its table, even an empty one, before its main output and with the
 same stamp.
@@ -7,8 +7,10 @@ same stamp.
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2
 
+from fiber_core.array_types import Codes, Ids
 from fiber_core.outcomes import Reason
 from fiber_msgs_py.codes import checked_codes
 from fiber_msgs_py.ids import checked_ids
@@ -21,23 +23,23 @@ _COLUMNS = {"id": "<u4", "reason": "<u1", "stage": "<u1"}
 
 
 class Stage(IntEnum):
-    """Who decided."""
+    """The stage that holds a robot."""
 
     PLANNER = 0
     DISCRETIZER = 1
 
 
-def encode(ids, reason, stage: Stage, stamp: PlanStamp) -> PointCloud2:
-    """Return the robots a stage holds as a message.
+def encode(ids: ArrayLike, reason: ArrayLike, stage: Stage, stamp: PlanStamp) -> PointCloud2:
+    """Return the robots that a stage holds as a message.
 
     Args:
         ids: robot ids, shape (n,).
         reason: Reason of each, shape (n,).
-        stage: who decided.
-        stamp: plan it belongs to.
+        stage: the stage.
+        stamp: names the plan.
 
     Raises:
-        MessageError: an id is out of range or there twice, or a reason is unknown.
+        MessageError: an id is out of range or appears twice, or a reason is unknown.
     """
     ids = checked_ids(ids, "held")
     rows = np.empty(len(ids), dtype=list(_COLUMNS.items()))
@@ -47,7 +49,7 @@ def encode(ids, reason, stage: Stage, stamp: PlanStamp) -> PointCloud2:
     return encode_table(rows, stamp)
 
 
-def decode(message: PointCloud2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def decode(message: PointCloud2) -> tuple[Ids, Codes, Codes]:
     """Return robot ids, the Reason and the Stage of each, all shape (n,).
 
     Raises:

@@ -1,7 +1,9 @@
-"""Robot ids at the border: whole numbers that fit a message, each named once."""
+"""Check robot ids in messages: whole numbers that fit a message, each once."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Bools, Ids
 from fiber_msgs_py.errors import MessageError
 
 __all__ = ["checked_ids", "refuse"]
@@ -9,15 +11,15 @@ __all__ = ["checked_ids", "refuse"]
 _LARGEST = 2**32 - 1
 
 
-def checked_ids(ids, name: str) -> np.ndarray:
+def checked_ids(ids: ArrayLike, name: str) -> Ids:
     """Return robot ids as int64, shape (n,), in the order given.
 
     Args:
         ids: robot ids, shape (n,).
-        name: message they are in.
+        name: name of the message in an error.
 
     Raises:
-        MessageError: an id is not a whole number 0..2**32 - 1, or is there twice.
+        MessageError: an id is not a whole number 0..2**32 - 1, or appears twice.
     """
     ids = np.asarray(ids)
     if ids.ndim != 1 or (ids.size and ids.dtype.kind not in "iu"):
@@ -27,27 +29,27 @@ def checked_ids(ids, name: str) -> np.ndarray:
     ordered = np.sort(ids)
     twice = ordered[1:][np.diff(ordered) == 0]
     if twice.size:
-        raise MessageError(name, "is there twice", field="id", robot=twice[0], value=twice[0])
+        raise MessageError(name, "appears twice", field="id", robot=twice[0], value=twice[0])
     return ids
 
 
-def refuse(bad, name: str, field: str, ids, values, problem: str) -> None:
-    """Raise for the first row that is bad.
+def refuse(
+    bad: Bools, name: str, field: str, ids: ArrayLike, values: ArrayLike, problem: str
+) -> None:
+    """Raise an error for the first bad row, if there is one.
 
     Args:
-        bad: which rows are, shape (n,) or (n, ...).
-        name: message they are in.
-        field: field the values are from.
+        bad: which rows are bad, shape (n,) or (n, ...).
+        name: name of the message in the error.
+        field: field of the values in the message.
         ids: robot of each row, shape (n,).
         values: value of each row, shape as bad.
-        problem: what is wrong with it.
+        problem: the problem, in words that follow the value.
 
     Raises:
         MessageError: a row is bad; names robot and value.
     """
-    bad = np.asarray(bad)
-    if bad.any():
+    if np.any(bad):
         at = np.unravel_index(int(np.argmax(bad)), bad.shape)
-        raise MessageError(
-            name, problem, field=field, robot=int(ids[at[0]]), value=np.asarray(values)[at].item()
-        )
+        robot, value = int(np.asarray(ids)[at[0]]), np.asarray(values)[at].item()
+        raise MessageError(name, problem, field=field, robot=robot, value=value)

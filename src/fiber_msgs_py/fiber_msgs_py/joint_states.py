@@ -1,10 +1,12 @@
-"""Joint states: where the robots' own encoders say they are."""
+"""Joint states: joint angles and velocities by the robots' encoders."""
 
 import array
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
 
+from fiber_core.array_types import Angles, Ids, Velocities
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.ids import refuse
 from fiber_msgs_py.joints import joint_columns, joint_names
@@ -13,17 +15,17 @@ from fiber_msgs_py.stamps import PlanStamp, check_frame, header
 __all__ = ["decode", "encode"]
 
 
-def encode(ids, angles, velocities, time_ns: int) -> JointState:
+def encode(ids: ArrayLike, angles: ArrayLike, velocities: ArrayLike, time_ns: int) -> JointState:
     """Return encoder readings as a message.
 
     Args:
         ids: robot ids, shape (n,).
         angles: joint angles [rad], shape (n, 2).
-        velocities: joint speeds [rad/s], shape (n, 2).
-        time_ns: when they were read [ns].
+        velocities: joint velocities [rad/s], shape (n, 2).
+        time_ns: time of the readings [ns].
 
     Raises:
-        MessageError: an id is out of range or there twice, or shapes differ.
+        MessageError: an id is out of range or appears twice, or shapes differ.
     """
     names = joint_names(ids, "joint_states")
     message = JointState(header=header(PlanStamp(time_ns)), name=names)
@@ -40,15 +42,15 @@ def encode(ids, angles, velocities, time_ns: int) -> JointState:
     return message
 
 
-def decode(message: JointState) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Return robot ids, joint angles, joint speeds, and the time they were read.
+def decode(message: JointState) -> tuple[Ids, Angles, Velocities, int]:
+    """Return robot ids, joint angles, joint velocities and the time of the readings.
 
     Returns:
-        Ids, increasing, shape (n,); angles [rad] and speeds [rad/s], shape (n, 2), speeds
-        zero where the message has none; time [ns].
+        Ids, increasing, shape (n,); angles [rad] and velocities [rad/s], shape (n, 2),
+        velocities zero where the message has none; time [ns].
 
     Raises:
-        MessageError: a joint name is malformed, there twice, or without its other joint;
+        MessageError: a joint name is malformed, appears twice, or has no matching other joint;
             a value is missing or not finite.
     """
     check_frame(message, "joint_states")

@@ -1,14 +1,15 @@
-"""Layout: the focal plane as its hardware knows it, and the units its orders are counted in."""
+"""Layout: the robots and obstacles of the focal plane, and the units of its orders."""
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
+from fiber_core.array_types import Floats
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.ids import checked_ids, refuse
 from fiber_msgs_py.stamps import PlanStamp
-from fiber_msgs_py.table import decode_table, encode_table
+from fiber_msgs_py.table import column_names, decode_table, encode_table
 
 __all__ = ["decode", "encode"]
 
@@ -18,7 +19,7 @@ _ROBOT, _DISC = 0, 1  # kinds of row: robots first, then fixed discs
 _METRES = ("x", "y", "arm_theta", "arm_phi", "arm_radius", "theta_radius", "spacing")
 # angles [rad] and speeds [rad/s]
 _RADIANS = ("theta_min", "theta_max", "phi_min", "phi_max", "theta_speed", "phi_speed")
-# the same in every row
+# with the same value in every row
 _UNITS = {"tick_us": "<u4", "quantum_prad": "<u4", "velocity_bits": "<u1", "duration_bits": "<u1"}
 _COLUMNS = (
     {"id": "<u4", "kind": "<u1", "enabled": "<u1", "bus": "<u2", "address": "<u2"}
@@ -30,12 +31,12 @@ _OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8"}
 
 
 def encode(plane: FocalPlane, units: WireUnits, stamp: PlanStamp) -> PointCloud2:
-    """Return a focal plane and its wire units as a message; the plane's name stays behind.
+    """Return a focal plane and its wire units as a message, without the name of the plane.
 
     Args:
         plane: the focal plane.
         units: size of tick and quantum, widths of the fields.
-        stamp: when this was so.
+        stamp: time of the layout.
 
     Raises:
         MessageError: no robot, or an id, bus, address or unit does not fit its column.
@@ -82,8 +83,8 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
 
     Raises:
         MessageError: malformed table, rows of an unknown kind or out of order, a robot twice,
-            or a value that should be the same in every row and is not.
-        LayoutError: a value is no value for a robot; names it.
+            or a value that differs between rows and must not.
+        LayoutError: a value is not possible for a robot; names robot and value.
     """
     rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES)
     kind, ids = rows["kind"], rows["id"]
@@ -91,10 +92,17 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
     n = int(np.count_nonzero(kind == _ROBOT))
     if n == 0:
         raise MessageError("layout", "robots, expected at least 1", field="has", value=0)
-    refuse(kind[:n] != _ROBOT, "layout", "kind", ids, kind, "stands before the last robot")
+    refuse(kind[:n] != _ROBOT, "layout", "kind", ids, kind, "comes before the last robot")
     for name in (*_UNITS, "spacing"):
         changed = rows[name] != rows[name][0]
-        refuse(changed, "layout", name, ids, rows[name], f"is not the {rows[name][0]} of others")
+        refuse(
+            changed,
+            "layout",
+            name,
+            ids,
+            rows[name],
+            f"is not the {rows[name][0]} of the other rows",
+        )
     robots, fixed = rows[:n], rows[n:]
     checked_ids(robots["id"], "layout")
     refuse(robots["enabled"] > 1, "layout", "enabled", ids, robots["enabled"], "is neither 0 nor 1")
@@ -117,12 +125,12 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
     return plane, _units(rows[0])
 
 
-def _stacked(rows, *names):
+def _stacked(rows: np.ndarray, *names: str) -> Floats:
     return np.stack([rows[name] for name in names], axis=1)
 
 
-def _vertices(rows, name):
-    if name not in rows.dtype.names:
+def _vertices(rows: np.ndarray, name: str) -> Floats:
+    if name not in column_names(rows):
         return np.zeros((len(rows), 0, 2))
     values = rows[name]
     if values.shape[1] % 2:
@@ -132,7 +140,7 @@ def _vertices(rows, name):
     return values.reshape(len(rows), -1, 2) * 1e3
 
 
-def _units(row) -> WireUnits:
+def _units(row: np.void) -> WireUnits:
     values = {name: int(row[name]) for name in _UNITS}
     for name, value in values.items():
         low, high = (2, 32) if name.endswith("_bits") else (1, 2**32 - 1)

@@ -1,8 +1,10 @@
-"""Outcome: what became of every robot of a plan."""
+"""Outcome: how every robot of a plan ended, with reasons and errors."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2
 
+from fiber_core.array_types import Codes, Floats, Ids
 from fiber_core.outcomes import Outcome, Reason
 from fiber_msgs_py.codes import checked_codes
 from fiber_msgs_py.errors import MessageError
@@ -15,7 +17,9 @@ __all__ = ["decode", "encode"]
 _COLUMNS = {"id": "<u4", "outcome": "<u1", "reason": "<u1", "error": "<f8"}
 
 
-def encode(ids, outcome, reason, error_mm, stamp: PlanStamp) -> PointCloud2:
+def encode(
+    ids: ArrayLike, outcome: ArrayLike, reason: ArrayLike, error_mm: ArrayLike, stamp: PlanStamp
+) -> PointCloud2:
     """Return the result of a plan as a message.
 
     Args:
@@ -23,10 +27,10 @@ def encode(ids, outcome, reason, error_mm, stamp: PlanStamp) -> PointCloud2:
         outcome: Outcome of each robot, shape (n,).
         reason: Reason of each robot, shape (n,).
         error_mm: distance from fibre to target [mm], nan without a target, shape (n,).
-        stamp: plan it belongs to.
+        stamp: names the plan.
 
     Raises:
-        MessageError: an id is out of range or there twice, a code is unknown, an error is
+        MessageError: an id is out of range or appears twice, a code is unknown, an error is
             negative or infinite, or shapes differ.
     """
     ids = checked_ids(ids, "outcome")
@@ -44,7 +48,7 @@ def encode(ids, outcome, reason, error_mm, stamp: PlanStamp) -> PointCloud2:
     return encode_table(rows, stamp)
 
 
-def decode(message: PointCloud2) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def decode(message: PointCloud2) -> tuple[Ids, Codes, Codes, Floats]:
     """Return robot ids, Outcome, Reason, and error [mm] (nan without a target), all (n,).
 
     Raises:
@@ -59,5 +63,5 @@ def decode(message: PointCloud2) -> tuple[np.ndarray, np.ndarray, np.ndarray, np
     return ids, outcome, reason, rows["error"] * 1e3
 
 
-def _check_error(ids, error):
-    refuse((error < 0) | np.isinf(error), "outcome", "error", ids, error, "is no distance")
+def _check_error(ids: Ids, error: Floats) -> None:
+    refuse((error < 0) | np.isinf(error), "outcome", "error", ids, error, "is not a distance")

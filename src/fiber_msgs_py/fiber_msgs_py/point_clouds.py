@@ -1,10 +1,16 @@
-"""What a live view shows, as tables of points in metres: all arms, the plane, the targets."""
+"""Point clouds for 3D viewers: points along all arms, the centres of the plane, the targets.
+
+Tables of points in metres for the topics view/arms, view/plane and view/targets. They are sent
+with `fiber_msgs_py.table.encode_table`.
+"""
 
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
+from fiber_core.array_types import Angles, Codes, Mask, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome
 
@@ -17,13 +23,13 @@ __all__ = [
     "view_states",
 ]
 
-POINTS = 6  # of a link
+POINTS = 6  # along each arm
 _FIELDS = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("state", "<f4"), ("rgb", "<u4")]
 _METRES = 1e-3
 
 
 class ViewState(IntEnum):
-    """What a robot does; the number is the state of its points."""
+    """State of a robot in a view; the value of the column `state` of its points."""
 
     RESTING = 0
     MOVING = 1
@@ -33,7 +39,7 @@ class ViewState(IntEnum):
     DISABLED = 5
 
 
-# by ViewState, the colours of the player
+# by ViewState, in the colours of the player
 _RGB = np.array([0xA3ABB3, 0x0072B2, 0x009E73, 0xE69F00, 0xD55E00, 0x6B737B], dtype="<u4")
 _OF_OUTCOME = {
     Outcome.REACHED: ViewState.REACHED,
@@ -42,13 +48,16 @@ _OF_OUTCOME = {
 }
 
 
-def view_states(plane: FocalPlane, moving, outcome=None) -> np.ndarray:
+def view_states(plane: FocalPlane, moving: Mask, outcome: ArrayLike | None = None) -> Codes:
     """Return the ViewState of each robot, shape (n,).
+
+    A disabled robot is DISABLED, another that moves is MOVING; the others have the state of
+    their outcome, RESTING without one.
 
     Args:
         plane: the focal plane.
-        moving: robots that move, shape (n,).
-        outcome: Outcome of each in the latest plan, shape (n,); None without one.
+        moving: whether each robot moves, shape (n,).
+        outcome: Outcome of each robot in the latest plan, shape (n,); None without a plan.
     """
     states = np.full(plane.n, ViewState.RESTING)
     if outcome is not None:
@@ -59,8 +68,8 @@ def view_states(plane: FocalPlane, moving, outcome=None) -> np.ndarray:
     return states
 
 
-def arms_cloud(plane: FocalPlane, angles, states) -> np.ndarray:
-    """Return points along both arms of every robot, first arms before second, in metres.
+def arms_cloud(plane: FocalPlane, angles: Angles, states: Codes) -> np.ndarray:
+    """Return points along both arms of every robot, theta arms before phi arms, in metres.
 
     Args:
         plane: the focal plane.
@@ -78,18 +87,34 @@ def arms_cloud(plane: FocalPlane, angles, states) -> np.ndarray:
 
 
 def plane_cloud(plane: FocalPlane) -> np.ndarray:
-    """Return the centres of all robots, then those of fixed discs, in metres."""
+    """Return the centres of all robots, then those of obstacles, in metres.
+
+    Args:
+        plane: the focal plane.
+
+    Returns:
+        Structured array x, y, z, state, rgb, shape (n + obstacles,).
+    """
     xy = np.concatenate([plane.centers, plane.obstacles[:, :2]])
     states = np.where(plane.enabled, ViewState.RESTING, ViewState.DISABLED)
     return _cloud(xy, np.append(states, np.full(len(plane.obstacles), ViewState.DISABLED)))
 
 
-def points_cloud(xy_mm, state: ViewState) -> np.ndarray:
-    """Return points [mm], shape (k, 2), in metres."""
-    return _cloud(np.asarray(xy_mm, dtype=float), np.full(len(xy_mm), state))
+def points_cloud(xy_mm: ArrayLike, state: ViewState) -> np.ndarray:
+    """Return any points of one state, such as targets, in metres.
+
+    Args:
+        xy_mm: the points [mm], shape (k, 2).
+        state: state of all points.
+
+    Returns:
+        Structured array x, y, z, state, rgb, shape (k,).
+    """
+    points = np.asarray(xy_mm, dtype=float)
+    return _cloud(points, np.full(len(points), state))
 
 
-def _cloud(xy_mm, states):
+def _cloud(xy_mm: Points, states: Codes) -> np.ndarray:
     rows = np.zeros(len(xy_mm), dtype=_FIELDS)
     rows["x"], rows["y"] = xy_mm.T * _METRES
     rows["state"], rows["rgb"] = states, _RGB[states]

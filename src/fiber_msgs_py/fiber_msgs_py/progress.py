@@ -6,7 +6,9 @@ the time of the oldest layout and joint states it may be planned with [ns].
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -16,6 +18,8 @@ from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.stamps import PlanStamp
 
 __all__ = ["Progress", "decode", "encode"]
+
+_Kind = TypeVar("_Kind", int, float)
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ def decode(message: DiagnosticStatus) -> Progress:
     """Return the progress in a message.
 
     Raises:
-        MessageError: a value is missing, is no number in its range, or the stamps do not fit an
+        MessageError: a value is missing, is not a number in its range, or the stamps do not fit an
             attempt of a plan.
     """
     values = {pair.key: pair.value for pair in message.values}
@@ -71,10 +75,12 @@ def decode(message: DiagnosticStatus) -> Progress:
     return Progress(message.name, fraction, message.message, attempt)
 
 
-def _number(values, key, kind):
+def _number(values: Mapping[str, str], key: str, kind: type[_Kind]) -> _Kind:
     if key not in values:
         raise MessageError("progress", "is missing", field="value", value=key)
     try:
         return kind(values[key])
     except ValueError:
-        raise MessageError("progress", "is no number", field=key, value=repr(values[key])) from None
+        raise MessageError(
+            "progress", "is not a number", field=key, value=repr(values[key])
+        ) from None

@@ -1,4 +1,4 @@
-"""Qualities of service, named by purpose. All are reliable: a plan has no spare parts."""
+"""Qualities of service by purpose. All are reliable: a plan needs every message."""
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -14,11 +14,11 @@ def _profile(depth: int, durability: DurabilityPolicy) -> QoSProfile:
     )
 
 
-# the newest message counts, and whoever comes late gets it too
+# only the newest message counts; a late subscriber gets it too
 LATEST = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
-# every message counts, two may come at once, and whoever comes late gets the last few too
+# every message counts, two may come at once; a late subscriber gets the last ten too
 RESULTS = _profile(10, DurabilityPolicy.TRANSIENT_LOCAL)
-# every message counts, and comes alone
+# every message counts; few come at a time
 EVENTS = _profile(10, DurabilityPolicy.VOLATILE)
-# every message counts, and several may come before the first is read
+# every message counts; many may come before the first is read
 STREAM = _profile(100, DurabilityPolicy.VOLATILE)

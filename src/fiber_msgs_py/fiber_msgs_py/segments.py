@@ -1,10 +1,12 @@
-"""Segments: a plan in whole wire units, as the bus bridge will load it."""
+"""Segments: the orders of a plan in whole wire units, as the bus bridge loads them."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2
 
+from fiber_core.array_types import Counts, Ids, Ints, Offsets
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.ids import checked_ids, refuse
@@ -18,7 +20,7 @@ _COLUMNS = {"id": "<u4", "joint": "<u1", "duration": "<u4", "velocity": "<i4"}
 
 @dataclass(frozen=True, eq=False)
 class SegmentTable:
-    """What a segments message says; where the robots start, only their encoders know.
+    """The segments of a message; the start angles are those of the encoders.
 
     Args:
         ids: robots of the plan, increasing, shape (n,).
@@ -27,13 +29,17 @@ class SegmentTable:
         velocity: joint speed in each segment [velocity units], shape (m,).
     """
 
-    ids: np.ndarray
-    offsets: np.ndarray
-    ticks: np.ndarray
-    velocity: np.ndarray
+    ids: Ids
+    offsets: Offsets
+    ticks: Ints
+    velocity: Ints
 
-    def motion(self, units: WireUnits, start) -> WireMotion:
-        """Return the motion of these segments from joint positions [quanta], shape (n, 2).
+    def motion(self, units: WireUnits, start: Counts) -> WireMotion:
+        """Return the motion of these segments.
+
+        Args:
+            units: size of tick and quantum, widths of the fields.
+            start: encoder counts at the start [quanta], shape (n, 2).
 
         Raises:
             MotionError: a number does not fit its field in these units.
@@ -41,16 +47,16 @@ class SegmentTable:
         return WireMotion(units, start, self.offsets, self.ticks, self.velocity)
 
 
-def encode(ids, motion: WireMotion, stamp: PlanStamp) -> PointCloud2:
-    """Return a motion as rows in order: robot by robot, theta before phi, in time.
+def encode(ids: ArrayLike, motion: WireMotion, stamp: PlanStamp) -> PointCloud2:
+    """Return a motion as a message: rows by robot, theta before phi, in the order of time.
 
     A joint that rests is one row of duration 0, so that every robot of the plan has rows
-    for both joints and a lost row cannot pass for a rest.
+    for both joints, and a lost row cannot be mistaken for a rest.
 
     Args:
         ids: robot ids, increasing, shape (n,).
         motion: their motion, n robots.
-        stamp: plan it belongs to.
+        stamp: names the plan.
 
     Raises:
         MessageError: ids do not increase, are out of range, or differ in number from the
@@ -58,7 +64,7 @@ def encode(ids, motion: WireMotion, stamp: PlanStamp) -> PointCloud2:
     """
     ids = checked_ids(ids, "segments")
     if len(ids) != len(motion.start):
-        raise MessageError("segments", f"robots move, {len(ids)} have ids", value=len(motion.start))
+        raise MessageError("segments", f"robots, but {len(ids)} ids", value=len(motion.start))
     back = np.concatenate([[False], np.diff(ids) <= 0])
     refuse(back, "segments", "id", ids, ids, "does not increase")
     counts = np.diff(motion.offsets)
@@ -79,7 +85,7 @@ def decode(message: PointCloud2) -> SegmentTable:
 
     Raises:
         MessageError: malformed table, rows out of order, a robot with one joint only, or a
-            rest that is not alone; names the robot and the value.
+            rest that is not the only row of its joint; names the robot and the value.
     """
     rows = decode_table(message, "segments", _COLUMNS)
     ids = rows["id"].astype(np.int64)
@@ -87,13 +93,14 @@ def decode(message: PointCloud2) -> SegmentTable:
     refuse(joint > 1, "segments", "joint", ids, joint, "is neither 0 (theta) nor 1 (phi)")
     keys = 2 * ids + joint
     back = np.concatenate([[False], np.diff(keys) < 0])[: len(keys)]
-    refuse(back, "segments", "joint", ids, joint, "comes too late: rows are out of order")
+    refuse(back, "segments", "joint", ids, joint, "is out of order")
     profiles, profile, lengths = np.unique(keys, return_inverse=True, return_counts=True)
     robots, joints = np.unique(profiles // 2, return_counts=True)
-    refuse(joints < 2, "segments", "joints", robots, joints, "of 2 are there")
+    refuse(joints < 2, "segments", "joints", robots, joints, "of 2 are present")
     rest = duration == 0
-    refuse(rest & (velocity != 0), "segments", "velocity", ids, velocity, "lasts no time")
-    refuse(rest & (lengths[profile] > 1), "segments", "duration", ids, duration, "is not alone")
+    refuse(rest & (velocity != 0), "segments", "velocity", ids, velocity, "has the duration 0")
+    mixed = rest & (lengths[profile] > 1)
+    refuse(mixed, "segments", "duration", ids, duration, "is not the only row of its joint")
     counts = np.bincount(profile[~rest], minlength=len(profiles))
     offsets = np.concatenate([[0], np.cumsum(counts)])
     return SegmentTable(

@@ -1,13 +1,22 @@
 """The stamp that names a plan, and the frame of every message."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
 from fiber_msgs_py.errors import MessageError
 
-__all__ = ["FRAME_ID", "PlanStamp", "check_frame", "header", "ns_from_time", "time_from_ns"]
+__all__ = [
+    "FRAME_ID",
+    "PlanStamp",
+    "Stamped",
+    "check_frame",
+    "header",
+    "ns_from_time",
+    "time_from_ns",
+]
 
 FRAME_ID = "focal_plane"
 
@@ -15,14 +24,25 @@ _SECOND = 1_000_000_000
 _END_NS = 2**31 * _SECOND
 
 
+class Stamped(Protocol):
+    """Any message with a header."""
+
+    @property
+    def header(self) -> Header:
+        """The header: stamp and frame."""
+        ...
+
+
 def ns_from_time(time: Time) -> int:
     """Return a time as nanoseconds.
 
     Raises:
-        MessageError: it is negative, or holds a second or more of nanoseconds.
+        MessageError: the time is negative, or its nanoseconds are a second or more.
     """
     if time.sec < 0 or not 0 <= time.nanosec < _SECOND:
-        raise MessageError("time", "is no time", field="stamp", value=(time.sec, time.nanosec))
+        raise MessageError(
+            "time", "is not a valid time", field="stamp", value=(time.sec, time.nanosec)
+        )
     return time.sec * _SECOND + time.nanosec
 
 
@@ -30,7 +50,7 @@ def time_from_ns(ns: int) -> Time:
     """Return nanoseconds as a time.
 
     Raises:
-        MessageError: negative, or past the last second a message can carry.
+        MessageError: the number is negative, or past the last second that a message can hold.
     """
     ns = int(ns)
     if not PlanStamp.fits(ns):
@@ -59,11 +79,11 @@ class PlanStamp:
         time_from_ns(self.ns)
 
     @classmethod
-    def of(cls, message) -> "PlanStamp":
-        """Read the stamp of any message with a header.
+    def of(cls, message: Stamped) -> "PlanStamp":
+        """Return the stamp of any message with a header.
 
         Raises:
-            MessageError: the stamp is negative, or holds a second or more of nanoseconds.
+            MessageError: the stamp is negative, or its nanoseconds are a second or more.
         """
         return cls(ns_from_time(message.header.stamp))
 
@@ -85,7 +105,7 @@ def header(stamp: PlanStamp) -> Header:
     return Header(stamp=stamp.to_time(), frame_id=FRAME_ID)
 
 
-def check_frame(message, name: str) -> None:
+def check_frame(message: Stamped, name: str) -> None:
     """Refuse a message in another frame than `focal_plane`.
 
     Args:

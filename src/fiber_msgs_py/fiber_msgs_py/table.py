@@ -1,4 +1,4 @@
-"""Tables of numbers as PointCloud2: one row per point, named columns, no copy on the way in."""
+"""Tables of numbers as PointCloud2: one row for each point, named columns, read without a copy."""
 
 import array
 
@@ -8,7 +8,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.stamps import PlanStamp, check_frame, header
 
-__all__ = ["decode_table", "encode_table"]
+__all__ = ["column_names", "decode_table", "encode_table"]
 
 _CODES = {
     np.dtype(kind): code
@@ -30,17 +30,18 @@ def encode_table(rows: np.ndarray, stamp: PlanStamp) -> PointCloud2:
     """Return a table as a message.
 
     Args:
-        rows: structured array of little-endian columns, shape (n,); a column may be an
-            array of its own, but not an empty one.
-        stamp: plan it belongs to.
+        rows: structured array of little-endian columns, shape (n,); a column may hold an
+            array in each row, but not an empty one.
+        stamp: names the plan.
     """
     fields = []
-    for name in rows.dtype.names:
-        dtype, offset = rows.dtype.fields[name][:2]
+    offsets = {str(name): field[1] for name, field in (rows.dtype.fields or {}).items()}
+    for name in column_names(rows):
+        dtype = rows.dtype[name]
         fields.append(
             PointField(
                 name=name,
-                offset=offset,
+                offset=offsets[name],
                 datatype=_CODES[dtype.base],
                 count=int(np.prod(dtype.shape, dtype=int)),
             )
@@ -61,16 +62,16 @@ def encode_table(rows: np.ndarray, stamp: PlanStamp) -> PointCloud2:
 def decode_table(
     message: PointCloud2, name: str, columns: dict[str, str], lists: dict[str, str] | None = None
 ) -> np.ndarray:
-    """Return the columns asked for as a read-only view of a message.
+    """Return some columns of a message as a read-only view.
 
-    Columns may come in any order and at any offset, and others beside them are ignored.
+    Columns may have any order and any offset; other columns are ignored.
 
     Args:
         message: the message; its bytes are shared, not copied.
-        name: what to call it in an error.
-        columns: numpy type of each single-valued column that must be there.
-        lists: numpy type of columns that hold any number of values a row, left out of
-            the result where they are absent.
+        name: name of the message in an error.
+        columns: numpy type of each required column, by name; one value in each row.
+        lists: numpy type of each optional column, by name; any number of values in each row.
+            An absent one is left out of the result.
 
     Returns:
         Structured array, shape (n,).
@@ -85,7 +86,7 @@ def decode_table(
     found = {}
     for field in message.fields:
         if field.name in found:
-            raise MessageError(name, "is there twice", field="field", value=field.name)
+            raise MessageError(name, "appears twice", field="field", value=field.name)
         found[field.name] = field
     dtype = _row_type(found, name, columns, lists or {}, message.point_step)
     rows = message.width * message.height
@@ -102,7 +103,18 @@ def decode_table(
     return view
 
 
-def _row_type(found, name, columns, lists, point_step) -> np.dtype:
+def column_names(rows: np.ndarray) -> tuple[str, ...]:
+    """Return the names of the columns of a structured array."""
+    return rows.dtype.names or ()
+
+
+def _row_type(
+    found: dict[str, PointField],
+    name: str,
+    columns: dict[str, str],
+    lists: dict[str, str],
+    point_step: int,
+) -> np.dtype:
     names, formats, offsets = [], [], []
     for column, kind in (columns | lists).items():
         field = found.get(column)
@@ -117,7 +129,7 @@ def _row_type(found, name, columns, lists, point_step) -> np.dtype:
         if field.count < 1 or (column in columns and field.count != 1):
             raise MessageError(
                 name,
-                "values a row, expected " + ("1" if column in columns else "at least 1"),
+                "values in each row, expected " + ("1" if column in columns else "at least 1"),
                 field=f"field {column} has",
                 value=field.count,
             )

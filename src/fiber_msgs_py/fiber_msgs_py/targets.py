@@ -7,8 +7,10 @@ made the attempt necessary.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2
 
+from fiber_core.array_types import Ids, Points
 from fiber_msgs_py.attempts import Attempt
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.ids import checked_ids, refuse
@@ -23,7 +25,7 @@ _SINCE = {"since_sec": "<u4", "since_nanosec": "<u4"}
 _SECOND = 1_000_000_000
 
 
-def encode(ids, xy_mm, stamp: PlanStamp) -> PointCloud2:
+def encode(ids: ArrayLike, xy_mm: ArrayLike, stamp: PlanStamp) -> PointCloud2:
     """Return the targets of a new plan as a message.
 
     Args:
@@ -32,13 +34,13 @@ def encode(ids, xy_mm, stamp: PlanStamp) -> PointCloud2:
         stamp: names the plan.
 
     Raises:
-        MessageError: an id is out of range or there twice, a target is not finite, or
+        MessageError: an id is out of range or appears twice, a target is not finite, or
             shapes differ.
     """
     return encode_table(_rows(ids, xy_mm, _COLUMNS), stamp)
 
 
-def encode_attempt(ids, xy_mm, attempt: Attempt) -> PointCloud2:
+def encode_attempt(ids: ArrayLike, xy_mm: ArrayLike, attempt: Attempt) -> PointCloud2:
     """Return the targets of a later attempt of a plan as a message.
 
     Args:
@@ -60,7 +62,7 @@ def encode_attempt(ids, xy_mm, attempt: Attempt) -> PointCloud2:
     return encode_table(rows, attempt.stamp)
 
 
-def _rows(ids, xy_mm, columns) -> np.ndarray:
+def _rows(ids: ArrayLike, xy_mm: ArrayLike, columns: dict[str, str]) -> np.ndarray:
     ids = checked_ids(ids, "targets")
     xy_mm = np.asarray(xy_mm, dtype=float)
     if xy_mm.shape != (len(ids), 2):
@@ -74,8 +76,8 @@ def _rows(ids, xy_mm, columns) -> np.ndarray:
     return rows
 
 
-def decode(message: PointCloud2) -> tuple[np.ndarray, np.ndarray]:
-    """Return robot ids, shape (n,), and targets [mm], shape (n, 2), in the order sent.
+def decode(message: PointCloud2) -> tuple[Ids, Points]:
+    """Return robot ids, shape (n,), and targets [mm], shape (n, 2), in the order of the rows.
 
     Raises:
         MessageError: malformed table, a robot twice, or a target that is not finite.
@@ -104,5 +106,5 @@ def decode_attempt(message: PointCloud2) -> Attempt:
     return Attempt(stamp, plan, int(row["attempt"]), since_ns)
 
 
-def _nanoseconds(row, name) -> int:
+def _nanoseconds(row: np.void, name: str) -> int:
     return int(row[f"{name}_sec"]) * _SECOND + int(row[f"{name}_nanosec"])

@@ -1,6 +1,8 @@
-"""Every topic and service of the graph: its name, its message type, its quality of service."""
+"""Every topic and service of the graph: name, message type, quality of service."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import QoSProfile
@@ -13,6 +15,7 @@ from fiber_msgs_py import qos
 __all__ = [
     "CLEAR",
     "CONFIGURE",
+    "CORRIDORS",
     "DIAGNOSTICS",
     "FRAMES",
     "HELD_BY_DISCRETIZER",
@@ -20,7 +23,6 @@ __all__ = [
     "HOME",
     "JOINT_STATES",
     "LAYOUT",
-    "CORRIDORS",
     "NAMESPACE",
     "OUTCOME",
     "PROGRESS",
@@ -29,65 +31,109 @@ __all__ = [
     "STOP",
     "TARGETS",
     "TRAJECTORY",
-    "Service",
-    "Topic",
     "VIEW_ARMS",
     "VIEW_PLANE",
     "VIEW_TARGETS",
+    "Service",
+    "Topic",
 ]
 
 NAMESPACE = "focal_plane"
 
+_Made = TypeVar("_Made")
+_Made_co = TypeVar("_Made_co", covariant=True)
+
+
+# The parts of rclpy's Node that make publishers and so on; this package does not import rclpy.node.
+class PublisherFactory(Protocol, Generic[_Made_co]):
+    """A node that makes publishers."""
+
+    @property
+    def create_publisher(self) -> Callable[..., _Made_co]:
+        """As Node.create_publisher."""
+        ...
+
+
+class SubscriptionFactory(Protocol, Generic[_Made_co]):
+    """A node that makes subscriptions."""
+
+    @property
+    def create_subscription(self) -> Callable[..., _Made_co]:
+        """As Node.create_subscription."""
+        ...
+
+
+class ServiceFactory(Protocol, Generic[_Made_co]):
+    """A node that makes services."""
+
+    @property
+    def create_service(self) -> Callable[..., _Made_co]:
+        """As Node.create_service."""
+        ...
+
+
+class ClientFactory(Protocol, Generic[_Made_co]):
+    """A node that makes clients of services."""
+
+    @property
+    def create_client(self) -> Callable[..., _Made_co]:
+        """As Node.create_client."""
+        ...
+
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic: how it is called, what it carries, and how it is published or heard.
+    """A topic with its message type and its quality of service.
 
     Args:
-        name: its name; relative, so that a namespace makes a second graph.
+        name: its name, relative, so that a second graph can run in a namespace.
         type: message class.
-        qos: quality of service, the same for both sides.
+        qos: quality of service of publishers and subscriptions.
     """
 
     name: str
     type: type
     qos: QoSProfile
 
-    def publisher(self, node, **options):
+    def publisher(self, node: PublisherFactory[_Made], **options: object) -> _Made:
         """Return a new publisher of a node; options as for Node.create_publisher."""
         return node.create_publisher(self.type, self.name, self.qos, **options)
 
-    def subscription(self, node, callback, **options):
+    def subscription(
+        self, node: SubscriptionFactory[_Made], callback: Callable[[Any], None], **options: object
+    ) -> _Made:
         """Return a new subscription of a node; options as for Node.create_subscription."""
         return node.create_subscription(self.type, self.name, callback, self.qos, **options)
 
 
 @dataclass(frozen=True)
 class Service:
-    """A service: how it is called and what it answers.
+    """A service with its type.
 
     Args:
-        name: its name; relative, so that a namespace makes a second graph.
+        name: its name, relative, so that a second graph can run in a namespace.
         type: service class.
     """
 
     name: str
     type: type
 
-    def server(self, node, callback, **options):
+    def server(
+        self, node: ServiceFactory[_Made], callback: Callable[[Any, Any], Any], **options: object
+    ) -> _Made:
         """Return a new service of a node; options as for Node.create_service."""
         return node.create_service(self.type, self.name, callback, **options)
 
-    def client(self, node, **options):
+    def client(self, node: ClientFactory[_Made], **options: object) -> _Made:
         """Return a new client of a node; options as for Node.create_client."""
         return node.create_client(self.type, self.name, **options)
 
 
-def _topic(name, type, profile) -> Topic:
+def _topic(name: str, type: type, profile: QoSProfile) -> Topic:
     return Topic(f"{NAMESPACE}/{name}", type, profile)
 
 
-def _service(name, type) -> Service:
+def _service(name: str, type: type) -> Service:
     return Service(f"{NAMESPACE}/{name}", type)
 
 
@@ -102,12 +148,12 @@ OUTCOME = _topic("outcome", PointCloud2, qos.RESULTS)
 PROGRESS = _topic("progress", DiagnosticStatus, qos.STREAM)
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, qos.EVENTS)
 
-# One topic per stage: an empty table cannot say whose it is, and two latched writers on
-# one topic of depth 1 would hide each other from a reader.
+# One topic for each stage: an empty table does not name its stage, and of two latched
+# publishers on one topic of depth 1 a late subscriber would get one message only.
 HELD_BY_PLANNER = _topic("held/planner", PointCloud2, qos.LATEST)
 HELD_BY_DISCRETIZER = _topic("held/discretizer", PointCloud2, qos.LATEST)
 
-# What a live view draws: points along arms, centres, targets.
+# Points for 3D viewers: along the arms, at the centres, at the targets (see point_clouds).
 VIEW_ARMS = _topic("view/arms", PointCloud2, qos.LATEST)
 VIEW_PLANE = _topic("view/plane", PointCloud2, qos.LATEST)
 VIEW_TARGETS = _topic("view/targets", PointCloud2, qos.LATEST)

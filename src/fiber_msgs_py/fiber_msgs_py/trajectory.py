@@ -1,11 +1,14 @@
 """Trajectory: the sampled motion of a plan, one JointTrajectory for the whole plane."""
 
 import array
+from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Duration
+from numpy.typing import ArrayLike
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from fiber_core.array_types import Floats, Ids, Ints
 from fiber_core.motion import SampledMotion
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.joints import joint_columns, joint_names
@@ -16,23 +19,23 @@ __all__ = ["decode", "encode"]
 _SECOND = 1_000_000_000
 
 
-def encode(ids, motion: SampledMotion, stamp: PlanStamp) -> JointTrajectory:
+def encode(ids: ArrayLike, motion: SampledMotion, stamp: PlanStamp) -> JointTrajectory:
     """Return a sampled motion as a message, times to the nanosecond.
 
-    The velocity of a point is that of the piece that begins there; the last is zero.
+    The velocity of a point is the velocity after that point; the last is zero.
 
     Args:
         ids: robot ids, shape (n,).
-        motion: their motion, n robots, from time zero or later.
-        stamp: plan it belongs to.
+        motion: motion of these n robots, from time zero or later.
+        stamp: names the plan.
 
     Raises:
-        MessageError: an id is out of range or there twice, ids and motion differ in number,
-            or a time is negative or no nanosecond after the one before.
+        MessageError: an id is out of range or appears twice, ids and motion differ in number,
+            or a time is negative or less than a nanosecond after the one before.
     """
     names = joint_names(ids, "trajectory")
     if motion.n * 2 != len(names):
-        raise MessageError("trajectory", f"robots move, {len(names) // 2} have ids", value=motion.n)
+        raise MessageError("trajectory", f"robots, but {len(names) // 2} ids", value=motion.n)
     times_ns = np.rint(motion.time_s * _SECOND).astype(np.int64)
     _check_times(times_ns)
     positions = np.ascontiguousarray(motion.angles.reshape(len(names), len(times_ns)).T)
@@ -43,7 +46,7 @@ def encode(ids, motion: SampledMotion, stamp: PlanStamp) -> JointTrajectory:
         joint_names=names,
         points=[
             JointTrajectoryPoint(
-                # any other type costs a Python object per number
+                # any other type costs a Python object for each number
                 positions=array.array("d", position.tobytes()),
                 velocities=array.array("d", velocity.tobytes()),
                 time_from_start=Duration(sec=ns // _SECOND, nanosec=ns % _SECOND),
@@ -53,34 +56,35 @@ def encode(ids, motion: SampledMotion, stamp: PlanStamp) -> JointTrajectory:
     )
 
 
-def decode(message: JointTrajectory) -> tuple[np.ndarray, SampledMotion, np.ndarray | None]:
-    """Return what a trajectory message says; joints may come in any order.
+def decode(message: JointTrajectory) -> tuple[Ids, SampledMotion, Floats | None]:
+    """Return the motion in a message; joints may have any order.
 
     Returns:
-        Robot ids, increasing, shape (n,); their motion; joint velocities at its times
+        Robot ids, increasing, shape (n,); the motion of these robots; joint velocities at its times
         [rad/s], shape (n, 2, t), or None where the message has none.
 
     Raises:
-        MessageError: a joint name is malformed, there twice, or without its other joint; a
+        MessageError: a joint name is malformed, appears twice, or has no matching other joint; a
             point has another number of values than joints; a value is not finite; times are
             negative or do not increase. Names the robot and the value.
     """
     check_frame(message, "trajectory")
     ids, columns = joint_columns(message.joint_names, "trajectory")
-    if not message.points:
+    points = list(message.points)
+    if not points:
         raise MessageError("trajectory", "points, expected at least 1", field="has", value=0)
     times_ns = np.array(
-        [p.time_from_start.sec * _SECOND + p.time_from_start.nanosec for p in message.points]
+        [p.time_from_start.sec * _SECOND + p.time_from_start.nanosec for p in points]
     )
     _check_times(times_ns)
-    angles = _gather(message.points, "positions", ids, columns)
+    angles = _gather(points, "positions", ids, columns)
     velocities = None
-    if any(len(point.velocities) for point in message.points):
-        velocities = _gather(message.points, "velocities", ids, columns)
+    if any(len(point.velocities) for point in points):
+        velocities = _gather(points, "velocities", ids, columns)
     return ids, SampledMotion(times_ns / _SECOND, angles), velocities
 
 
-def _check_times(times_ns):
+def _check_times(times_ns: Ints) -> None:
     if times_ns[0] < 0:
         raise MessageError("trajectory", "s is negative", field="time", value=times_ns[0] / _SECOND)
     late = np.diff(times_ns) <= 0
@@ -89,7 +93,8 @@ def _check_times(times_ns):
         raise MessageError("trajectory", f"s does not follow {before} s", field="time", value=after)
 
 
-def _gather(points, field, ids, columns):
+def _gather(points: Sequence[JointTrajectoryPoint], field: str, ids: Ids, columns: Ints) -> Floats:
+    # values of one field by robot, joint and point, shape (n, 2, t)
     table = np.empty((len(points), columns.size))
     for k, point in enumerate(points):
         values = getattr(point, field)

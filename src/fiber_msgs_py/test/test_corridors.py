@@ -1,4 +1,4 @@
-"""Margins: walls come back in single precision, and what is no margin is refused."""
+"""Corridors: walls come back in single precision, and impossible corridors are refused."""
 
 import numpy as np
 import pytest
@@ -45,10 +45,10 @@ def table(stamp, **changed):
         else:
             columns[name] = np.asarray(value)
     kinds = [(name, value.dtype.str, value.shape[1:]) for name, value in columns.items()]
-    again = np.empty(2, kinds)
+    rows = np.empty(2, kinds)
     for name, value in columns.items():
-        again[name] = value
-    return encode_table(again, stamp)
+        rows[name] = value
+    return encode_table(rows, stamp)
 
 
 @pytest.mark.parametrize(
@@ -57,16 +57,16 @@ def table(stamp, **changed):
         ({"phi_low": None}, "phi_low is missing"),
         ({"phi_low": np.zeros((2, 4), "<f4")}, r"walls of \[3, 4\]"),
         ({"theta_low": np.full((2, 3), 99, "<f4")}, "row 0: the low wall is above"),
-        ({"lasts": np.array([-1, 2], "<f4")}, "lasts -1.0 s"),
+        ({"lasts": np.array([-1, 2], "<f4")}, "lasts_s must be 0 or more, got -1.0"),
         ({"phi_high": np.full((2, 3), np.nan, "<f4")}, "nan"),
-        ({"id": np.array([4, 4], "<u4")}, "robot 4: id 4 is there twice"),
+        ({"id": np.array([4, 4], "<u4")}, "robot 4: id 4 appears twice"),
     ],
 )
-def test_what_is_no_margin_is_refused(stamp, changed, words):
+def test_impossible_corridors_are_refused(stamp, changed, words):
     with pytest.raises(MessageError, match=words):
         corridors.decode(table(stamp, **changed))
 
 
-def test_one_robot_one_row(stamp):
-    with pytest.raises(MessageError, match="2 robots, 3 have ids"):
+def test_ids_and_corridors_must_agree_in_number(stamp):
+    with pytest.raises(MessageError, match="2 robots, but 3 ids"):
         corridors.encode([1, 2, 3], drawn(2, 3, 0), stamp)

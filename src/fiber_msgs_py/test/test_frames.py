@@ -1,4 +1,4 @@
-"""Frames: every byte of a batch comes back at its place."""
+"""Frames: every byte of a batch comes back in its place."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Layout: a plane comes back as it went, in metres on the way."""
+"""Layout: a plane comes back unchanged; it travels in metres."""
 
 from dataclasses import fields, replace
 
@@ -13,7 +13,7 @@ UNITS = WireUnits(tick_us=60_000, quantum_prad=4_000_000_000, velocity_bits=16, 
 
 
 def raw_rows(message):
-    """The table of a message, writable: what a faulty sender would have sent."""
+    """Return the table of a message, writable, to make the messages of a faulty sender."""
     types = {2: "<u1", 4: "<u2", 6: "<u4", 8: "<f8"}
     return np.frombuffer(
         message.data,
@@ -76,7 +76,7 @@ def test_lengths_travel_in_metres_and_angles_in_radians(plane, stamp):
         ("spacing", 1, 0.5, ["robot 42", "spacing", "0.5", "0.004"]),
     ],
 )
-def test_values_no_robot_can_have_are_refused(plane, stamp, column, row, value, words):
+def test_impossible_values_are_refused(plane, stamp, column, row, value, words):
     message = layout.encode(plane, UNITS, stamp)
     raw_rows(message)[column][row] = value
     with pytest.raises(FiberError) as caught:
@@ -89,7 +89,7 @@ def test_values_no_robot_can_have_are_refused(plane, stamp, column, row, value, 
     ("column", "value"),
     [("tick_us", 0), ("quantum_prad", 0), ("velocity_bits", 1), ("duration_bits", 33)],
 )
-def test_units_nothing_could_be_counted_in_are_refused(plane, stamp, column, value):
+def test_impossible_units_are_refused(plane, stamp, column, value):
     message = layout.encode(plane, UNITS, stamp)
     raw_rows(message)[column] = value
     with pytest.raises(MessageError, match=f"{column} {value} "):

@@ -1,4 +1,4 @@
-"""What comes back: joint states, outcome, held, progress, diagnostics."""
+"""Messages about the course of a plan: joint states, outcome, held, progress, diagnostics."""
 
 import array
 
@@ -76,7 +76,7 @@ def test_an_error_without_a_target_is_nan_and_none_is_negative(stamp):
     message = outcome.encode([1], [Outcome.HELD], [Reason.NO_TARGET], [np.nan], stamp)
     assert np.isnan(outcome.decode(message)[3]).all()
     for bad in (-1.0, np.inf):
-        with pytest.raises(MessageError, match=f"robot 1: error {bad} is no distance"):
+        with pytest.raises(MessageError, match=f"robot 1: error {bad} is not a distance"):
             outcome.encode([1], [0], [0], [bad], stamp)
 
 
@@ -89,7 +89,9 @@ def test_errors_travel_in_metres(stamp):
 def test_unknown_outcome_codes_are_refused(stamp, column, offset):
     message = outcome.encode([17], [0], [0], [0.0], stamp)
     message.data[offset] = 250
-    with pytest.raises(MessageError, match=f"robot 17: {column} 250 is no {column.title()}"):
+    with pytest.raises(
+        MessageError, match=f"robot 17: {column} 250 is not a member of {column.title()}"
+    ):
         outcome.decode(message)
 
 
@@ -102,7 +104,7 @@ def test_held_round_trip_and_unknown_codes(stamp):
     for offset, column in ((4, "reason"), (5, "stage")):
         message = held.encode([9, 4], [Reason.UNSAFE] * 2, Stage.PLANNER, stamp)
         message.data[offset] = 77
-        with pytest.raises(MessageError, match=f"robot 9: {column} 77 is no"):
+        with pytest.raises(MessageError, match=f"robot 9: {column} 77 is not"):
             held.decode(message)
     with pytest.raises(MessageError, match="robot 4: reason 77"):
         held.encode([4], [77], Stage.PLANNER, stamp)
@@ -128,13 +130,13 @@ def test_progress_names_the_plan_and_the_attempt_by_key():
         progress.decode(message)
 
 
-def test_progress_that_says_nothing_is_refused(stamp):
+def test_progress_without_its_values_is_refused(stamp):
     for bad in (-0.1, 1.1, float("nan")):
         with pytest.raises(MessageError, match=f"fraction {bad} is outside"):
             Progress("planner", bad, "", Attempt.first(stamp))
     message = progress.encode(Progress("planner", 0.5, "", Attempt.first(stamp)))
     message.values[0].value = "half"
-    with pytest.raises(MessageError, match="fraction 'half' is no number"):
+    with pytest.raises(MessageError, match="fraction 'half' is not a number"):
         progress.decode(message)
     message.values = message.values[1:]
     with pytest.raises(MessageError, match="value fraction is missing"):

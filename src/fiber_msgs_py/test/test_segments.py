@@ -1,4 +1,4 @@
-"""Segments: a plan in wire units comes back as it went, and a lost row is noticed."""
+"""Segments: orders in wire units come back unchanged, and a lost row is noticed."""
 
 import numpy as np
 import pytest
@@ -42,9 +42,9 @@ def test_round_trip(plan):
     ids, motion = plan
     table = segments.decode(segments.encode(ids, motion, PlanStamp(1)))
     assert table.ids.tolist() == ids
-    again = table.motion(UNITS, motion.start)
+    decoded = table.motion(UNITS, motion.start)
     for name in ("start", "offsets", "ticks", "velocity"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(motion, name))
+        np.testing.assert_array_equal(getattr(decoded, name), getattr(motion, name))
 
 
 def test_rows_are_in_order_and_a_rest_is_a_row(stamp):
@@ -63,13 +63,13 @@ def test_rows_are_in_order_and_a_rest_is_a_row(stamp):
     [
         (2, (5, 2, 0, 0), "robot 5: joint 2 is neither"),
         (2, (5, 0, 7, 7), "robot 5: joints 1 of 2"),
-        (2, (5, 1, 0, 9), "robot 5: velocity 9 lasts no time"),
-        (1, (5, 0, 0, 0), "robot 5: duration 0 is not alone"),
-        (3, (4, 0, 30, 300), "robot 4: joint 0 comes too late"),
+        (2, (5, 1, 0, 9), "robot 5: velocity 9 has the duration 0"),
+        (1, (5, 0, 0, 0), "robot 5: duration 0 is not the only row of its joint"),
+        (3, (4, 0, 30, 300), "robot 4: joint 0 is out of order"),
         (4, (18, 1, 40, -400), "robot 17: joints 1 of 2"),
     ],
 )
-def test_rows_that_are_no_plan_are_refused(stamp, row, values, words):
+def test_rows_that_contradict_each_other_are_refused(stamp, row, values, words):
     message, rows = example(stamp)
     rows[row] = values
     with pytest.raises(MessageError, match=words):
@@ -95,5 +95,5 @@ def test_ids_must_increase_and_agree_with_the_motion(stamp):
     rest = WireMotion(UNITS, np.zeros((2, 2)), np.zeros(5), [], [])
     with pytest.raises(MessageError, match="robot 5: id 5 does not increase"):
         segments.encode([17, 5], rest, stamp)
-    with pytest.raises(MessageError, match="2 robots move, 1 have ids"):
+    with pytest.raises(MessageError, match="2 robots, but 1 ids"):
         segments.encode([5], rest, stamp)

@@ -1,4 +1,4 @@
-"""Tables: what every codec over PointCloud2 must refuse, and what it must not mind."""
+"""Tables: faults that every codec over PointCloud2 must refuse, and differences it accepts."""
 
 import array
 

@@ -1,4 +1,4 @@
-"""Targets: a wish list comes back as it went, or is refused by robot and value."""
+"""Targets: they come back unchanged, or are refused by robot and value."""
 
 import numpy as np
 import pytest
@@ -80,12 +80,12 @@ def test_a_target_that_is_not_finite_is_refused_on_both_sides(stamp, value, axis
         targets.decode(message)
 
 
-def test_a_robot_asked_twice_is_refused_on_both_sides(stamp):
-    with pytest.raises(MessageError, match="robot 17: id 17 is there twice"):
+def test_a_robot_with_two_targets_is_refused_on_both_sides(stamp):
+    with pytest.raises(MessageError, match="robot 17: id 17 appears twice"):
         targets.encode([17, 4, 17], np.zeros((3, 2)), stamp)
     message = targets.encode([17, 4, 18], np.zeros((3, 2)), stamp)
     np.frombuffer(message.data, [("id", "<u4"), ("xy", "<f8", 2)])["id"][2] = 17
-    with pytest.raises(MessageError, match="robot 17: id 17 is there twice"):
+    with pytest.raises(MessageError, match="robot 17: id 17 appears twice"):
         targets.decode(message)
 
 
@@ -95,7 +95,7 @@ def test_an_id_that_no_message_can_carry_is_refused(stamp, bad):
         targets.encode([bad], np.zeros((1, 2)), stamp)
 
 
-def test_ids_are_whole_numbers_one_per_target(stamp):
+def test_ids_are_whole_numbers_one_for_each_target(stamp):
     with pytest.raises(MessageError, match="1.5"):
         targets.encode([1.5], np.zeros((1, 2)), stamp)
     with pytest.raises(MessageError, match=r"\(3, 2\) does not fit 2 ids"):

@@ -1,4 +1,4 @@
-"""Topics, their qualities, and the stamps that name plans."""
+"""Topics, their qualities of service, and the stamps that name plans."""
 
 import pytest
 from builtin_interfaces.msg import Time
@@ -21,7 +21,7 @@ def test_no_two_topics_share_a_name_and_all_have_a_quality():
     assert all(t.qos.reliability == ReliabilityPolicy.RELIABLE for t in all_topics)
 
 
-def test_late_joiners_get_the_plan():
+def test_a_late_subscriber_gets_the_plan():
     for topic in (
         topics.LAYOUT,
         topics.TRAJECTORY,
@@ -66,14 +66,14 @@ def test_another_frame_is_refused(frame):
 
 
 @pytest.mark.parametrize("ns", [-1, 2**31 * 10**9])
-def test_what_no_stamp_can_carry_is_refused(ns):
+def test_a_number_outside_the_range_of_stamps_is_refused(ns):
     with pytest.raises(MessageError, match=f"ns {ns} does not fit"):
         PlanStamp(ns)
 
 
 @pytest.mark.parametrize(("sec", "nanosec"), [(-1, 0), (0, 10**9)])
-def test_what_is_no_time_is_refused(sec, nanosec):
-    with pytest.raises(MessageError, match="is no time"):
+def test_an_impossible_time_is_refused(sec, nanosec):
+    with pytest.raises(MessageError, match="is not a valid time"):
         ns_from_time(Time(sec=sec, nanosec=nanosec))
 
 

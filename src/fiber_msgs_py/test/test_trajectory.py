@@ -1,4 +1,4 @@
-"""Trajectory: a sampled motion comes back as it went, or is refused by robot and value."""
+"""Trajectory: a sampled motion comes back unchanged, or is refused by robot and value."""
 
 import array
 
@@ -37,7 +37,7 @@ def test_round_trip(example):
     assert velocities.shape == motion.angles.shape
 
 
-def test_velocity_is_that_of_the_piece_that_begins(stamp):
+def test_the_velocity_of_a_point_is_the_velocity_after_it(stamp):
     motion, message = example(stamp)
     *_, velocities = trajectory.decode(message)
     for k, t in enumerate(motion.time_s):
@@ -76,13 +76,13 @@ def test_malformed_joint_names_are_refused(stamp, name):
     assert caught.value.value == repr(name)
 
 
-def test_a_joint_without_its_other_or_there_twice_is_refused(stamp):
+def test_a_joint_without_the_other_or_given_twice_is_refused(stamp):
     _, message = example(stamp)
     message.joint_names[3] = "p0099/phi"
-    with pytest.raises(MessageError, match="robot 42: joint p0042/theta comes alone"):
+    with pytest.raises(MessageError, match="robot 42: joint p0042/theta has no matching phi joint"):
         trajectory.decode(message)
     message.joint_names[3] = "p0042/theta"
-    with pytest.raises(MessageError, match="robot 42: joint p0042/theta is there twice"):
+    with pytest.raises(MessageError, match="robot 42: joint p0042/theta appears twice"):
         trajectory.decode(message)
     message.joint_names[2:4] = ["p9999999999/theta", "p9999999999/phi"]
     with pytest.raises(MessageError, match="robot 9999999999: id 9999999999 is outside"):
@@ -128,7 +128,7 @@ def test_times_finer_than_a_nanosecond_are_not_sent(stamp):
 
 
 def test_ids_and_robots_must_agree(stamp):
-    with pytest.raises(MessageError, match="1 robots move, 2 have ids"):
+    with pytest.raises(MessageError, match="1 robots, but 2 ids"):
         trajectory.encode([1, 2], SampledMotion([0.0], np.zeros((1, 2, 1))), stamp)
 
 
@@ -139,7 +139,7 @@ def test_foreign_frame_is_refused(stamp):
         trajectory.decode(message)
 
 
-def test_a_plan_in_which_nobody_moves_is_a_plan(stamp):
+def test_a_plan_without_robots_is_a_plan(stamp):
     message = trajectory.encode([], SampledMotion([0.0], np.zeros((0, 2, 1))), stamp)
     ids, motion, _ = trajectory.decode(message)
     assert ids.shape == (0,) and motion.n == 0
