@@ -16,7 +16,7 @@ import numpy as np
 
 from fiber_bus_bridge import TOPOLOGIES, Session, SessionState, addresses_of, bus_timing
 from fiber_bus_bridge.bus import Recovery
-from fiber_bus_bridge.simulation import Faults, Line, Positioners, SimulatedBuses
+from fiber_bus_bridge.simulation import Faults, LineFault, Positioners, SimulatedBuses
 from fiber_bus_bridge.wire import VERIFY_BYTES, decode_load, encode_load
 from fiber_core.clearance import Safety
 from fiber_core.outcomes import Outcome, Reason
@@ -25,7 +25,7 @@ from fiber_positioners import Orders, make_orders, random_problem
 
 __all__ = ["main"]
 
-_STUCK = ((Line.SDA_LOW, 3, 0.5, np.inf, Recovery.NOTHING),)
+_STUCK = ((LineFault.SDA_LOW, 3, 0.5, np.inf, Recovery.NOTHING),)
 CASES = {
     "fault-free": Faults(),
     "one bit in 1e5": Faults(noise=tuple((bus, 0.0, np.inf, 1e-5) for bus in range(200))),
@@ -36,7 +36,7 @@ CASES = {
 
 def plan_of(robots: int, seed: int, topology: str) -> Orders:
     """Return orders of the default planner for a random field."""
-    bus, address = TOPOLOGIES[topology].hang(robots)
+    bus, address = TOPOLOGIES[topology].assign(robots)
     plane = replace(preset("desi", robots), bus=bus, address=address)
     return make_orders(random_problem(plane, seed))
 
@@ -52,46 +52,46 @@ def carry_out(plan: Orders, faults: Faults, clock: str, seed: int) -> dict:
     cpu = time.process_time()
     t = session.start(begin_s)
     cpu = time.process_time() - cpu
-    upload = session.upload
-    wrong = _wrong(robots, upload, plan)
+    loaded_plan = session.loaded_plan
+    wrong = _wrong(robots, loaded_plan, plan)
     watch_cpu = time.process_time()
     while session.state is SessionState.MOVING:
         t = session.advance(t + 0.1)
     watch_cpu = time.process_time() - watch_cpu
     result, ids = session.take_result(), np.unique(to.bus)
-    free = session.link.given_up
+    free = session.transactions.given_up
     busy = np.bincount(
-        np.searchsorted(ids, to.bus[upload.started]),
-        buses.timing.message_s(upload.loaded.lengths, 0, to.ten_bit[upload.started])
-        + buses.timing.message_s(0, VERIFY_BYTES, to.ten_bit[upload.started]),
+        np.searchsorted(ids, to.bus[loaded_plan.started]),
+        buses.timing.message_s(loaded_plan.frames.lengths, 0, to.ten_bit[loaded_plan.started])
+        + buses.timing.message_s(0, VERIFY_BYTES, to.ten_bit[loaded_plan.started]),
     )
     bound = busy.max() + buses.timing.message_s(6, 0, False)
     return {
-        "started": int(upload.started.sum()),
+        "started": int(loaded_plan.started.sum()),
         "reached": int((result.outcome == Outcome.REACHED).sum()),
         "not answered": int((result.reason == Reason.NOT_ACKNOWLEDGED).sum()),
         "unsafe then": int((result.reason == Reason.UNSAFE_AS_LOADED).sum()),
         "wrong orders": wrong,
         "buses given up": int(free.sum()),
-        "bytes": float(upload.loaded.lengths.mean()),
+        "bytes": float(loaded_plan.frames.lengths.mean()),
         "bound ms": 1e3 * float(bound),
-        "to GO ms": 1e3 * (upload.go_s - begin_s),
-        "to motion ms": 1e3 * (upload.start_s - begin_s),
+        "to GO ms": 1e3 * (loaded_plan.go_s - begin_s),
+        "to motion ms": 1e3 * (loaded_plan.start_s - begin_s),
         "bridge cpu s": cpu,
         "watch cpu s": watch_cpu,
         "ended": session.state.name,
     }
 
 
-def _wrong(robots, upload, plan):
+def _wrong(robots, loaded_plan, plan):
     """Orders running that are not, byte for byte, what was meant for that robot."""
-    memory, rows = robots.memory, np.flatnonzero(upload.started)
+    memory, rows = robots.memory, np.flatnonzero(loaded_plan.started)
     moves = (memory["started_s"] > 0) & memory["counts"].any(axis=1)
-    wrong = int((moves & ~upload.started).sum())
+    wrong = int((moves & ~loaded_plan.started).sum())
     for k, row in enumerate(rows):
-        payload = upload.loaded.payload(k)
+        payload = loaded_plan.frames.payload(k)
         wrong += memory["order"][row, : len(payload)].tobytes() != payload
-    orders = decode_load(plan.units, upload.loaded)
+    orders = decode_load(plan.units, loaded_plan.frames)
     meant = plan.wire
     for k, row in enumerate(rows):
         part = slice(meant.offsets[2 * row], meant.offsets[2 * row + 2])

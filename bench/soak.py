@@ -91,7 +91,7 @@ class _Seen:
 
     def transfer(self, *batch):
         replies = self._buses.transfer(*batch)
-        self._record.look()
+        self._record.observe()
         return replies
 
 
@@ -159,14 +159,14 @@ def _run(campaign, robots, capture):
             if t > _LONGEST_S:
                 campaign.wrong.append("does not end")
                 return
-        uploads += session.uploads
-        if len(session.uploads) > 1:
-            campaign.told.append(f"{t:.4f} s: went on {len(session.uploads) - 1} times")
+        uploads += session.loaded_plans
+        if len(session.loaded_plans) > 1:
+            campaign.told.append(f"{t:.4f} s: went on {len(session.loaded_plans) - 1} times")
         result = session.take_result()
         _judge_outcomes(campaign, name, t, session, result)
-    t = max(t, session.link.now_s) + 1.0
+    t = max(t, session.transactions.now_s) + 1.0
     campaign.ended_s = t
-    runs = record.runs(t)
+    runs = record.movements(t)
     _judge_runs(campaign, runs, uploads)
     campaign.apart_ms = 1e3 * _apart_s(runs, uploads, units.tick_s)
     truth = certify(plane, record.motion(t), Safety(0.0, 0.0, 0.0, 0.0), neighbour_pairs(plane))

@@ -22,7 +22,7 @@ from fiber_bus_bridge import (
     bus_timing,
 )
 from fiber_bus_bridge.bus import Recovery, Topology
-from fiber_bus_bridge.simulation import Event, Faults, Line, Positioners, SimulatedBuses
+from fiber_bus_bridge.simulation import Event, Faults, LineFault, Positioners, SimulatedBuses
 from fiber_core.clearance import Safety
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireMotion, WireUnits
@@ -37,7 +37,7 @@ _EVENTS = {"stalls": Event.JAM_THETA, "loses power": Event.POWER, "goes deaf": E
 def apart_ms(topology: str, clock: str, failure: str, rng: np.random.Generator) -> float:
     """Let one of two buses of robots fail; returns how far apart they stop [ms]."""
     n = 2 * TABLE[topology].robots_per_bus
-    bus, address = TABLE[topology].hang(n)
+    bus, address = TABLE[topology].assign(n)
     plane = replace(preset("desi", n), bus=bus, address=address)
     units = WireUnits.for_plane(plane)
     counts = units.encoder_counts(plane, np.tile([0.0, 2.9], (n, 1)))
@@ -45,7 +45,7 @@ def apart_ms(topology: str, clock: str, failure: str, rng: np.random.Generator) 
     row, at = int(rng.integers(n)), 1.0 + rng.uniform(0.0, 0.1)
     lines, stretches = (), ()
     if failure == "bus stuck":
-        lines = ((Line.SCL_LOW, int(bus[row]), at, np.inf, Recovery.NOTHING),)
+        lines = ((LineFault.SCL_LOW, int(bus[row]), at, np.inf, Recovery.NOTHING),)
     elif failure == "holds the clock":
         stretches = ((row, at, np.inf, 10 ** rng.uniform(-3, -1.7)),)
     faults = Faults(lines=lines, stretches=stretches)
@@ -61,8 +61,8 @@ def apart_ms(topology: str, clock: str, failure: str, rng: np.random.Generator) 
         robots.schedule([(row, at, _EVENTS[failure], int(failure != "loses power"))])
     while session.state is SessionState.MOVING:
         t = session.advance(t + 0.1)
-    robots.bring_up(t + 0.1)
-    stops = robots.memory["halted_s"][session.upload.started]
+    robots.advance(t + 0.1)
+    stops = robots.memory["halted_s"][session.loaded_plan.started]
     return 1e3 * float(np.ptp(stops[stops >= 1.0]))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fiber_bus_bridge.motion_monitor import MotionMonitor
-from fiber_bus_bridge.simulation import Runs
+from fiber_bus_bridge.simulation import Movements
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -34,15 +34,15 @@ def test_a_campaign_is_its_kind_and_its_seed(soak):
 
 
 def test_the_judge_sees_robots_that_were_not_stopped(soak, monkeypatch):
-    # in this one, going on after a robot has lost power makes arms touch
-    judge = MotionMonitor._judge
+    # in this campaign arms touch if the others are not stopped after a robot has lost power
+    decide_stop = MotionMonitor._decide_stop
 
-    def goes_on(watch, running):
-        judge(watch, running)
-        watch.freeze_s = None
-        watch.arrived |= watch.wrong | (watch._doubt >= 6)
+    def without_stop(monitor, running):
+        decide_stop(monitor, running)
+        monitor.stop_all_at_s = None
+        monitor.arrived |= monitor.not_executing | (monitor._missed_replies >= 6)
 
-    monkeypatch.setattr(MotionMonitor, "_judge", goes_on)
+    monkeypatch.setattr(MotionMonitor, "_decide_stop", without_stop)
     wrong = soak.run_campaign("brown_out", 26).wrong
     assert any("arms touch" in words for words in wrong)
     monkeypatch.undo()
@@ -52,7 +52,7 @@ def test_the_judge_sees_robots_that_were_not_stopped(soak, monkeypatch):
 def test_the_judge_sees_orders_that_were_not_verified(soak):
     campaign = soak.Campaign("none", 0)
     ones = np.ones((1, 2, 15), dtype=np.int64)
-    odd = Runs(np.array([3]), np.array([1.0]), np.array([2.0]), np.array([[1, 1]]), ones, ones)
+    odd = Movements(np.array([3]), np.array([1.0]), np.array([2.0]), np.array([[1, 1]]), ones, ones)
     soak._judge_runs(campaign, odd, [])
     assert campaign.wrong == ["robot 3 moved at 1.0000 s unverified"]
 

@@ -14,8 +14,9 @@ from fiber_bus_bridge.errors import BridgeError, SessionError, TopologyError, Wi
 from fiber_bus_bridge.loader import LoadedPlan
 from fiber_bus_bridge.plan_result import PlanResult
 from fiber_bus_bridge.replanning import Replanning
-from fiber_bus_bridge.session import Session, SessionState
+from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.session_config import SessionConfig
+from fiber_bus_bridge.session_state import SessionState
 
 __all__ = [
     "TOPOLOGIES",

@@ -1,4 +1,4 @@
-"""The list of robots that operators have taken out, as it stands on disk."""
+"""The file with the list of robots that operators have disabled."""
 
 import os
 from collections.abc import Mapping
@@ -10,14 +10,14 @@ from fiber_bus_bridge.errors import BridgeError
 
 __all__ = ["read_disabled", "write_disabled"]
 
-_HEAD = "# Robots taken out of use: id, and why. The bus bridge reads it as it starts.\n"
+_HEAD = "# Disabled robots: id and reason. The bus bridge reads this file when it starts.\n"
 
 
 def read_disabled(path: Path) -> dict[int, str]:
-    """Return why each robot on the list was taken out, by id; nothing if there is no file yet.
+    """Return the reason of each disabled robot by id; an empty list if there is no file.
 
     Raises:
-        BridgeError: the file cannot be read, or is no list of ids and reasons; names it.
+        BridgeError: the file cannot be read, or is not a table of ids and reasons.
     """
     try:
         table = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -27,20 +27,25 @@ def read_disabled(path: Path) -> dict[int, str]:
         raise BridgeError(f"list of disabled robots {path}: {error}") from error
     table = {} if table is None else table
     if not isinstance(table, dict):
-        raise BridgeError(f"list of disabled robots {path}: {table!r} is no table of ids")
-    for robot, why in table.items():
-        if type(robot) is not int or not isinstance(why, str):
+        raise BridgeError(f"list of disabled robots {path}: {table!r} is not a table of ids")
+    for robot, reason in table.items():
+        if type(robot) is not int or not isinstance(reason, str):
             raise BridgeError(
-                f"list of disabled robots {path}: {robot!r}: {why!r}, expected an id and a reason"
+                f"list of disabled robots {path}: {robot!r}: {reason!r}, "
+                "expected an id and a reason"
             )
     return table
 
 
 def write_disabled(path: Path, table: Mapping[int, str]) -> None:
-    """Put the list in the place of the one before: whole, or not at all.
+    """Replace the file as a whole: after an error the previous list is still there.
+
+    Args:
+        path: the file; missing folders are created.
+        table: reason of each disabled robot by id.
 
     Raises:
-        BridgeError: it cannot be written there.
+        BridgeError: the file cannot be written.
     """
     text = _HEAD + yaml.safe_dump(dict(sorted(table.items())), allow_unicode=True)
     fresh = path.with_name(path.name + ".new")

@@ -1,5 +1,7 @@
 """Errors of the bus bridge."""
 
+from enum import IntEnum
+
 from fiber_core.errors import FiberError
 
 __all__ = ["BridgeError", "SessionError", "TopologyError", "WireError"]
@@ -13,18 +15,18 @@ class WireError(BridgeError):
     """A value does not fit its field, or a single frame is malformed.
 
     Args:
-        message: what is wrong, with the value.
-        fault: the Fault a robot would report for such a frame, None for values.
+        message: description of the error, with the value.
+        fault: the Fault that a robot would report for the frame; None for values.
     """
 
-    def __init__(self, message: str, fault=None):
+    def __init__(self, message: str, fault: IntEnum | None = None):
         super().__init__(message)
         self.fault = fault
 
 
 class TopologyError(BridgeError):
-    """There is no such bus mode, or no such address."""
+    """A bus mode or an address does not exist."""
 
 
 class SessionError(BridgeError):
-    """A call does not fit the state the session is in, or orders do not fit the plane."""
+    """A call does not fit the state of the session, or orders do not fit the plane."""

@@ -1,4 +1,4 @@
-"""Traffic on the buses as the frames topic tells it."""
+"""Bus traffic as the table that the topic `frames` carries."""
 
 from collections.abc import Iterable
 
@@ -11,15 +11,15 @@ __all__ = ["frame_log"]
 
 
 def frame_log(exchanges: Iterable[Exchange]) -> FrameLog:
-    """Return one row for what was written to each robot, and one for what was read from it.
+    """Return one row for the bytes written to each robot, and one for the bytes read from it.
 
-    All exchanges go into one log: looks at moving robots are many and small, and messages
-    cost by the piece.
+    All exchanges go into one log, because polls of moving robots are many and small, and each
+    message has a cost of its own.
     """
-    return FrameLog.joined(map(_of_one, exchanges))
+    return FrameLog.joined(map(_log_of, exchanges))
 
 
-def _of_one(exchange):
+def _log_of(exchange: Exchange) -> FrameLog:
     sent, replies = exchange.frames, exchange.replies
     lengths = np.stack([sent.lengths, np.diff(replies.offsets)], axis=1)
     both = np.concatenate([sent.data, replies.data])

@@ -1,17 +1,21 @@
-"""Orders that fold robots: phi to its upper limit, theta still."""
+"""Orders that bring robots home: phi to its upper limit, theta still."""
 
 import numpy as np
 
+from fiber_core.array_types import Counts, Ints, Mask
 from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["home_motion"]
 
 
-def home_motion(units: WireUnits, start, high, speed, chosen) -> WireMotion:
-    """Return the motion that folds robots with one segment each, as fast as they may.
+def home_motion(
+    units: WireUnits, start: Counts, high: Ints, speed: Ints, chosen: Mask
+) -> WireMotion:
+    """Return the motion that folds robots with one segment each, at their highest speed.
 
-    A joint stops within as many quanta of its limit as the move has ticks, never beyond;
-    what is farther than one segment reaches is left for another call.
+    The velocity is a whole number, so a joint stops short of its limit by fewer quanta than the
+    move has ticks, never beyond the limit. A joint that is farther away than one segment reaches
+    needs another call.
 
     Args:
         units: tick, quantum and widths.
@@ -20,9 +24,10 @@ def home_motion(units: WireUnits, start, high, speed, chosen) -> WireMotion:
         speed: highest speeds of phi [velocity units], shape (n,).
         chosen: robots to fold, shape (n,).
     """
-    way = np.where(chosen, high - start[:, 1], 0)
-    ticks = np.clip(-(-np.abs(way) // np.maximum(speed, 1)), 1, units.max_ticks)
-    velocity = np.sign(way) * np.minimum(np.abs(way) // ticks, speed)
+    distance = np.where(chosen, high - start[:, 1], 0)
+    ticks = np.clip(-(-np.abs(distance) // np.maximum(speed, 1)), 1, units.max_ticks)
+    velocity = np.sign(distance) * np.minimum(np.abs(distance) // ticks, speed)
     moves = velocity != 0
-    offsets = np.concatenate([[0], np.cumsum(np.stack([np.zeros_like(way), moves], 1).ravel())])
+    segments = np.stack([np.zeros_like(distance), moves], axis=1)
+    offsets = np.concatenate([[0], np.cumsum(segments.ravel())])
     return WireMotion(units, start, offsets, ticks[moves], velocity[moves])

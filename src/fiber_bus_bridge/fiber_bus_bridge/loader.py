@@ -1,4 +1,4 @@
-"""Bring orders onto robots so that nothing can move but what was loaded, verified and certified."""
+"""Loading of orders: only an order that was loaded, verified and certified can be started."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from fiber_bus_bridge.motion_monitor import MotionMonitor
 from fiber_bus_bridge.start_stop import StartStop
 from fiber_bus_bridge.transactions import Transactions
 from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_load, encode_load
+from fiber_core.array_types import Bools, Codes, Ints, Mask, Pairs, Rows
 from fiber_core.clearance import Certificate, Safety, hold_until_safe
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
@@ -17,54 +18,96 @@ from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["LoadedPlan", "Loader"]
 
-_ROUNDS = 6  # fresh sequence numbers tried on a bus before nothing is started
+_ROUNDS = 6  # fresh sequence numbers tried before nothing is started
 _TRIES = 2  # deliveries of an order under one sequence number
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedPlan:
-    """What an upload came to.
+    """Result of loading and starting a plan.
 
     Args:
-        started: robots that were told to go, shape (n,).
-        reason: why the others that had orders were not, Reason, shape (n,).
-        sequence: sequence number of each robot's order, shape (n,).
-        loaded: the LOAD frames of those that were started, in the order of their rows.
-        motion: the motion decoded from these bytes, and certified.
-        certificate: its certificate.
-        go_s: when the GO was complete [s].
-        start_s: when the robots begin to move, at the end of the countdown [s].
-        watch: the watch over those that were started, None if nobody was.
+        started: robots that were started, shape (n,).
+        reason: Reason of robots with orders that were not started, else OK, shape (n,).
+        sequence: sequence number of the order of each robot, shape (n,).
+        frames: the LOAD frames of the started robots, in the order of their rows.
+        motion: the motion decoded from these frames.
+        certificate: the certificate of this motion.
+        go_s: time at which the GO was complete [s].
+        start_s: time at which the robots begin to move, at the end of the countdown [s].
+        monitor: the monitor of the started robots, None if no robot was started.
     """
 
-    started: np.ndarray
-    reason: np.ndarray
-    sequence: np.ndarray
-    loaded: Frames
+    started: Mask
+    reason: Codes
+    sequence: Ints
+    frames: Frames
     motion: WireMotion
     certificate: Certificate
     go_s: float
     start_s: float
-    watch: MotionMonitor | None = None
+    monitor: MotionMonitor | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Delivery:
+    """Result of LOAD and VERIFY for some robots, shape (r,) each.
+
+    Args:
+        verified: whether the order on the robot is the one sent.
+        suspect: whether the robot may hold another order under the same sequence number.
+        reason: Reason of robots that are not verified, else OK.
+    """
+
+    verified: Bools
+    suspect: Bools
+    reason: Codes
+
+
+@dataclass(eq=False)
+class _Progress:
+    """State of a run of the loader, updated from round to round.
+
+    Args:
+        motion: orders of the robots that shall move.
+        wanted: robots that shall move and can still be started, shape (n,).
+        verified: robots with a verified order, shape (n,).
+        reason: Reason of robots that cannot be started, else OK, shape (n,).
+        stale: buses that need a fresh sequence number, shape (b,).
+        late: robots on buses that received a GO too late, shape (n,).
+    """
+
+    motion: WireMotion
+    wanted: Mask
+    verified: Mask
+    reason: Codes
+    stale: Bools
+    late: Mask
+
+    def exclude(self, robots: Mask, reason: Reason) -> None:
+        """Exclude robots from the start for a reason."""
+        self.reason[robots] = reason
+        self.wanted &= ~robots
+        self.verified &= ~robots
 
 
 class Loader:
-    """LOAD, VERIFY, certify, GO.
+    """Loads, verifies, certifies and starts orders: LOAD, VERIFY, certify, GO.
 
-    GO reaches a whole bus and starts whatever is loaded there under its sequence number.
-    So a robot that may hold such an order though it must not move (it did not verify, or
-    it is unsafe and could not be given an empty order instead) takes its bus to a fresh
-    sequence number: the others are loaded again, and the GO means nothing to it. A robot
-    that does not count down after the GO stops everybody before anyone has moved, and the
-    others are loaded again without it.
+    A GO reaches a whole bus and starts every order loaded there under its sequence number. So a
+    robot that must not move, but may hold such an order, forces its bus to a fresh sequence
+    number: the robot is not verified, or it is unsafe and could not be given an empty order. The
+    other robots of the bus are loaded again, and the GO has no effect on that robot. A robot that
+    does not confirm the GO stops all robots before one has moved, and the other robots are loaded
+    again without it.
 
     Args:
         plane: the focal plane.
         units: tick, quantum and widths.
-        safety: clearance asked of what is started.
-        link: the wire.
-        pairs: who can touch whom, rows as from neighbour_pairs, shape (p, 2).
-        starter: how those that are loaded are told to go.
+        safety: clearance required of every started motion.
+        transactions: the transactions with the robots.
+        pairs: pairs of robots that can touch, rows as from neighbour_pairs, shape (p, 2).
+        start_stop: starts the loaded robots.
     """
 
     def __init__(
@@ -72,182 +115,200 @@ class Loader:
         plane: FocalPlane,
         units: WireUnits,
         safety: Safety,
-        link: Transactions,
-        pairs: np.ndarray,
-        starter: StartStop,
+        transactions: Transactions,
+        pairs: Pairs,
+        start_stop: StartStop,
     ):
-        self.plane, self.units, self.safety, self.link, self.pairs = (
-            plane, units, safety, link, pairs
-        )  # fmt: skip
-        self._starter = starter
-        self._bus = np.searchsorted(link.buses, link.addresses.bus)
-        self._sequence = np.zeros(len(link.buses), dtype=np.int64)
-        self._look_s = 0.0  # what it takes to VERIFY all
+        self.plane, self.units, self.safety = plane, units, safety
+        self.transactions, self.pairs = transactions, pairs
+        self._start_stop = start_stop
+        self._bus = transactions.places(transactions.addresses.bus)
+        self._sequence = np.zeros(len(transactions.buses), dtype=np.int64)
+        self._verify_s = 0.0  # time to VERIFY all robots
 
     def run(
         self,
         motion: WireMotion,
-        wanted,
-        known,
-        boot,
-        lost,
+        wanted: Mask,
+        known: Mask,
+        boot: Ints,
+        lost: Mask,
         t: float,
         may_go: Callable[[], bool] = lambda: True,
     ) -> LoadedPlan:
-        """Load, verify and certify orders, and start what is certified.
+        """Load, verify and certify orders, and start the certified ones.
 
         Args:
-            motion: orders of every robot, from where its encoders are.
+            motion: orders of every robot, from the positions of the encoders.
             wanted: robots that shall move, shape (n,).
             known: robots that can be commanded, shape (n,).
             boot: boot counters at configuration, shape (n,).
-            lost: robots whose position is not known: whoever could touch them rests, (n,).
-            t: not before this time [s].
-            may_go: asked when everything is certified; False drops all orders instead.
+            lost: robots with an unknown position, shape (n,); their neighbours do not move.
+            t: earliest time [s].
+            may_go: asked when the orders are certified; False drops all orders.
         """
-        reason = np.zeros(self.plane.n, dtype=np.int64)
-        blocked = wanted & (self._beside(lost) | lost)
-        reason[blocked] = Reason.UNSAFE_AS_LOADED
-        wanted = wanted & ~blocked
-        motion = _only(motion, wanted)
-        verified, self._look_s = np.zeros_like(wanted), 0.0
-        stale = np.ones(len(self.link.buses), dtype=bool)  # buses that need a fresh sequence
-        late = np.zeros_like(wanted)  # whose bus the GO has once reached too late
+        blocked = wanted & (self._neighbours_of(lost) | lost)
+        progress = _Progress(
+            motion.without(~wanted | blocked),
+            wanted & ~blocked,
+            np.zeros_like(wanted),
+            np.where(blocked, Reason.UNSAFE_AS_LOADED, Reason.OK).astype(np.int64),
+            np.ones(len(self.transactions.buses), dtype=bool),
+            np.zeros_like(wanted),
+        )
+        self._verify_s = 0.0
+        frames = self._encode(progress.motion)
         for _ in range(_ROUNDS):
-            verified &= ~stale[self._bus]
-            self._sequence = np.where(stale, self._sequence % 15 + 1, self._sequence)
-            todo = np.flatnonzero(wanted & stale[self._bus])
-            # on the other buses these are, byte for byte, the frames already verified there
-            frames = self._encode(motion)
-            delivered = self._deliver(todo, frames[todo], boot, t)
-            verified[todo] = delivered.verified
-            reason[todo] = delivered.reason
-            wanted &= reason == Reason.OK
-            # where nobody will be told to go, it does not matter what is loaded
-            stale = self._buses_of(todo[delivered.suspect]) & self._buses_of(wanted)
-            if stale.any():
+            frames = self._load_stale(progress, boot, t)
+            if progress.stale.any():
                 continue
-            loaded = self._decode(motion, frames, verified)
-            certificate, held = self._certify(loaded)
-            held = held & verified
-            if held.any():
-                reason[held] = Reason.UNSAFE_AS_LOADED
-                wanted &= ~held
-                verified &= ~held
-                stale = self._buses_of(self._disarm(np.flatnonzero(held), boot, t))
-                stale &= self._buses_of(wanted)
-                if stale.any():
-                    continue
-                loaded = self._decode(motion, frames, verified)
+            certified = self._certify_verified(progress, frames, boot, t)
+            if certified is None:
+                continue
             if not may_go():
-                return self._nothing(motion, frames, wanted, verified, reason, Reason.STOPPED)
-            rows = np.flatnonzero(verified)
-            begun = self._starter.go(rows, known, self._sequence, boot, self._look_s, t)
-            if begun.watch is None and len(rows):
-                # nobody has moved, which all have confirmed that are told again; the others, and
-                # those that a GO reached too late for the second time, are left out
-                missing = begun.missing | (begun.late & late)
-                late |= begun.late
-                reason[missing] = Reason.NOT_ACKNOWLEDGED
-                wanted &= ~missing
-                stale[:] = True
-                continue
-            sequence = self._sequence[self._bus]
-            sent = frames[rows]
-            if begun.watch is not None:
-                begun.watch.moves_until_s = begun.start_s + loaded.decoded().makespan_s
-            return LoadedPlan(verified, reason, sequence, sent, loaded, certificate, *begun[:3])
-        return self._nothing(motion, frames, wanted, verified, reason, Reason.STOPPED)
+                break
+            started = self._go(progress, frames, certified, known, boot, t)
+            if started is not None:
+                return started
+        return self._drop(progress, frames)
 
-    def _nothing(self, motion, frames, wanted, verified, reason, why):
-        """Drop what was loaded: nobody is started."""
-        reason[wanted] = why
-        self.link.command(Opcode.CLEAR, np.flatnonzero(verified), self.link.now_s)
-        nobody = np.zeros_like(wanted)
-        loaded = self._decode(motion, frames, nobody)
+    def _load_stale(self, progress: _Progress, boot: Ints, t: float) -> Frames:
+        """LOAD and VERIFY on buses that need a fresh sequence number; return all frames."""
+        stale = progress.stale
+        progress.verified &= ~stale[self._bus]
+        self._sequence = np.where(stale, self._sequence % 15 + 1, self._sequence)
+        todo = np.flatnonzero(progress.wanted & stale[self._bus])
+        # for the other buses these are, byte for byte, the frames already verified there
+        frames = self._encode(progress.motion)
+        delivered = self._load_and_verify(todo, frames[todo], boot, t)
+        progress.verified[todo] = delivered.verified
+        progress.reason[todo] = delivered.reason
+        progress.wanted &= progress.reason == Reason.OK
+        # on a bus without GO it does not matter which orders are loaded
+        suspect = self._buses_of(todo[delivered.suspect])
+        progress.stale = suspect & self._buses_of(progress.wanted)
+        return frames
+
+    def _certify_verified(
+        self, progress: _Progress, frames: Frames, boot: Ints, t: float
+    ) -> tuple[WireMotion, Certificate] | None:
+        """Certify the verified orders, unsafe robots held; None if a bus has become stale."""
+        loaded = self._decode(progress.motion, frames, progress.verified)
+        certificate, held = self._certify(loaded)
+        held = held & progress.verified
+        if held.any():
+            progress.exclude(held, Reason.UNSAFE_AS_LOADED)
+            armed = self._disarm(np.flatnonzero(held), boot, t)
+            progress.stale = self._buses_of(armed) & self._buses_of(progress.wanted)
+            if progress.stale.any():
+                return None
+            loaded = self._decode(progress.motion, frames, progress.verified)
+        return loaded, certificate
+
+    def _go(
+        self,
+        progress: _Progress,
+        frames: Frames,
+        certified: tuple[WireMotion, Certificate],
+        known: Mask,
+        boot: Ints,
+        t: float,
+    ) -> LoadedPlan | None:
+        """Start the verified robots; None if the start was cancelled."""
+        loaded, certificate = certified
+        rows = np.flatnonzero(progress.verified)
+        start = self._start_stop.go(rows, known, self._sequence, boot, self._verify_s, t)
+        if start.monitor is None and len(rows):
+            # No robot has moved: all robots that are loaded again have confirmed that. Left out
+            # are the others, and robots on a bus that received a GO too late for the second time.
+            missing = start.missing | (start.late & progress.late)
+            progress.late |= start.late
+            progress.reason[missing] = Reason.NOT_ACKNOWLEDGED
+            progress.wanted &= ~missing
+            progress.stale[:] = True
+            return None
+        if start.monitor is not None:
+            start.monitor.moves_until_s = start.start_s + loaded.decoded().makespan_s
+        return LoadedPlan(
+            progress.verified, progress.reason, self._sequence[self._bus], frames[rows],
+            loaded, certificate, start.go_s, start.start_s, start.monitor,
+        )  # fmt: skip
+
+    def _drop(self, progress: _Progress, frames: Frames) -> LoadedPlan:
+        """Clear all loaded orders; no robot is started."""
+        progress.reason[progress.wanted] = Reason.STOPPED
+        rows = np.flatnonzero(progress.verified)
+        self.transactions.command(Opcode.CLEAR, rows, self.transactions.now_s)
+        none = np.zeros_like(progress.wanted)
+        loaded = self._decode(progress.motion, frames, none)
         certificate, _ = self._certify(loaded)
-        sequence = self._sequence[self._bus]
-        sent = frames[np.flatnonzero(nobody)]
-        now_s = self.link.now_s
-        return LoadedPlan(nobody, reason, sequence, sent, loaded, certificate, now_s, now_s)
+        now_s = self.transactions.now_s
+        return LoadedPlan(
+            none, progress.reason, self._sequence[self._bus], frames[np.flatnonzero(none)],
+            loaded, certificate, now_s, now_s,
+        )  # fmt: skip
 
-    def _beside(self, lost):
+    def _neighbours_of(self, lost: Mask) -> Mask:
         """Robots in a pair with a lost one, shape (n,)."""
         pairs = self.pairs[(self.pairs < self.plane.n).all(axis=1)]
-        beside = np.zeros(self.plane.n, dtype=bool)
-        beside[pairs[lost[pairs[:, 1]], 0]] = True
-        beside[pairs[lost[pairs[:, 0]], 1]] = True
-        return beside
+        neighbours = np.zeros(self.plane.n, dtype=bool)
+        neighbours[pairs[lost[pairs[:, 1]], 0]] = True
+        neighbours[pairs[lost[pairs[:, 0]], 1]] = True
+        return neighbours
 
-    def _buses_of(self, robots):
-        """Buses, a mask, of some robots, by rows or mask."""
-        return np.isin(np.arange(len(self.link.buses)), self._bus[robots])
+    def _buses_of(self, robots: Rows | Mask) -> Bools:
+        """Whether a bus carries some of these robots, shape (b,)."""
+        return np.isin(np.arange(len(self.transactions.buses)), self._bus[robots])
 
-    def _encode(self, motion):
+    def _encode(self, motion: WireMotion) -> Frames:
         return encode_load(
-            self.units, self.link.addresses, self._sequence[self._bus],
+            self.units, self.transactions.addresses, self._sequence[self._bus],
             motion.offsets, motion.ticks, motion.velocity,
         )  # fmt: skip
 
-    def _decode(self, motion, frames, chosen):
-        """The motion in the bytes sent to the chosen robots; everybody else rests."""
+    def _decode(self, motion: WireMotion, frames: Frames, chosen: Mask) -> WireMotion:
+        """The motion in the frames of the chosen robots; all other robots rest."""
         orders = decode_load(self.units, frames)
-        whole = WireMotion(self.units, motion.start, orders.offsets, orders.ticks, orders.velocity)
-        return _only(whole, chosen)
+        every = WireMotion(self.units, motion.start, orders.offsets, orders.ticks, orders.velocity)
+        return every.without(~chosen)
 
-    def _deliver(self, rows, frames, boot, t):
-        """LOAD and VERIFY, and both once more for those it failed with by chance."""
+    def _load_and_verify(self, rows: Rows, frames: Frames, boot: Ints, t: float) -> _Delivery:
+        """LOAD and VERIFY; both are repeated once for robots on which they failed by chance."""
         verified, suspect = np.zeros(len(rows), dtype=bool), np.ones(len(rows), dtype=bool)
         ack = np.full(len(rows), Ack.NO_ADDRESS, dtype=np.int64)
         todo = np.arange(len(rows))
         for _ in range(_TRIES):
-            again = self.link.send(rows[todo], frames[todo], t)
-            ack[todo] = np.where(again == Ack.NO_ADDRESS, ack[todo], again)
-            begin_s = max(t, self.link.now_s)
-            status = self.link.statuses(rows[todo], t, whole=False)
-            self._look_s = max(self._look_s, self.link.now_s - begin_s)
+            new_ack = self.transactions.send(rows[todo], frames[todo], t)
+            ack[todo] = np.where(new_ack == Ack.NO_ADDRESS, ack[todo], new_ack)
+            begin_s = max(t, self.transactions.now_s)
+            status = self.transactions.statuses(rows[todo], t, complete=False)
+            self._verify_s = max(self._verify_s, self.transactions.now_s - begin_s)
             sent = decode_load(self.units, frames[todo])
             loaded = (status.state == RobotState.LOADED) & (status.sequence == sent.sequence)
             same = (status.order_crc == sent.crc) & (status.boot == boot[rows[todo]])
             verified[todo] = status.ok & loaded & same
             suspect[todo] = ~verified[todo] & (~status.ok | loaded)
-            # another boot, a refusal it stands by, or an absence will not change
-            stands = status.ok & (status.boot != boot[rows[todo]]) | (again == Ack.REFUSED)
-            stands |= (again == Ack.NO_ADDRESS) & ~status.ok
-            todo = todo[~verified[todo] & ~stands]
+            # another boot, a repeated refusal and an absence are final
+            final = status.ok & (status.boot != boot[rows[todo]]) | (new_ack == Ack.REFUSED)
+            final |= (new_ack == Ack.NO_ADDRESS) & ~status.ok
+            todo = todo[~verified[todo] & ~final]
         unverified = np.where(ack == Ack.REFUSED, Reason.REFUSED, Reason.NOT_VERIFIED)
         unverified[ack == Ack.NO_ADDRESS] = Reason.NOT_ACKNOWLEDGED
         return _Delivery(verified, suspect, np.where(verified, Reason.OK, unverified))
 
-    def _certify(self, loaded):
-        """The certificate of what remains when unsafe robots are held, and who they are."""
+    def _certify(self, loaded: WireMotion) -> tuple[Certificate, Mask]:
+        """The certificate of the motion with unsafe robots held, and the held robots, (n,)."""
         motion, held, certificate = hold_until_safe(self.plane, loaded.decoded(), self.safety)
-        # two robots at rest may stand too close; whoever moves may not be one of them
+        # two resting robots may be too close to each other; a moving robot may not be one of them
         wrong = certificate.unsafe_robots | certificate.limits_broken | certificate.moved_disabled
         if (wrong & (motion.counts > 0).any(axis=1)).any():
             held = np.ones(self.plane.n, dtype=bool)
         return certificate, held
 
-    def _disarm(self, rows, boot, t):
-        """Overwrite orders with empty ones; return the robots that may still hold theirs."""
-        nothing = encode_load(
-            self.units, self.link.addresses[rows], self._sequence[self._bus[rows]],
+    def _disarm(self, rows: Rows, boot: Ints, t: float) -> Rows:
+        """Replace orders by empty ones; return the robots that may still hold their order."""
+        empty = encode_load(
+            self.units, self.transactions.addresses[rows], self._sequence[self._bus[rows]],
             np.zeros(2 * len(rows) + 1), [], [],
         )  # fmt: skip
-        return rows[self._deliver(rows, nothing, boot, t).suspect]
-
-
-@dataclass(frozen=True, eq=False)
-class _Delivery:
-    verified: np.ndarray
-    suspect: np.ndarray  # may hold an order under this sequence number that is not the one sent
-    reason: np.ndarray
-
-
-def _only(motion, chosen):
-    """The same orders for the chosen robots, none for the others."""
-    counts = np.diff(motion.offsets) * np.repeat(chosen, 2)
-    keep = np.repeat(np.repeat(chosen, 2), np.diff(motion.offsets))
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    ticks, velocity = motion.ticks[keep], motion.velocity[keep]
-    return WireMotion(motion.units, motion.start, offsets, ticks, velocity)
+        return rows[self._load_and_verify(rows, empty, boot, t).suspect]

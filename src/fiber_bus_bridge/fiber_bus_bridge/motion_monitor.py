@@ -1,16 +1,18 @@
-"""Robots that count down or move are watched: beats, alert lines, a look at each in turn."""
+"""Supervision of robots that count down or move: heartbeats, alert lines, polls."""
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
 
-from fiber_bus_bridge.bus import Ack
+from fiber_bus_bridge.bus import Ack, Replies
 from fiber_bus_bridge.poll_scheduler import PollScheduler
 from fiber_bus_bridge.transactions import Transactions
 from fiber_bus_bridge.wire import (
     STATUS_BYTES,
     VERIFY_BYTES,
+    Addresses,
     Frames,
     Opcode,
     RobotState,
@@ -19,18 +21,21 @@ from fiber_bus_bridge.wire import (
     encode_command,
     general_call,
 )
+from fiber_core.array_types import Bools, Ints, Mask, Rows
 
-__all__ = ["MotionMonitor"]
+__all__ = ["MotionMonitor", "StatusHandler"]
 
-_LOOKS = 3  # at a robot in one step
-_SILENT = 6  # doubts in a row that make a robot a silent one
-_ABSENT, _GARBLED = 2, 1  # doubts when it does not acknowledge, and when what it says is wrong
-_KEPT_S = 0.1  # of each robot no more than one look in this time becomes part of the traffic
-_AGAIN = 2  # robots of a bus looked at once more in one step
-_BEATS = 2  # calls in a row, twice in each step: one lost costs nothing
-_BEAT_KNOWN = 0.4  # of a step after which it is known whether its BEATs got through
-_OVERRUN = 0.1  # of a step that a bus may still be busy with the one before
-_SLOW = 3  # BEATs in a row that take too long tell that a STOP would come too late
+StatusHandler: TypeAlias = Callable[[Rows, Statuses, float], None]
+
+_POLLS = 3  # polls of a robot in one step, retries included
+_LOST_REPLIES = 6  # missed replies in a row after which a robot counts as lost
+_ABSENT, _GARBLED = 2, 1  # missed replies counted for no acknowledge, and for an invalid reply
+_TRAFFIC_S = 0.1  # of each robot at most one poll in this time becomes part of the traffic
+_RETRIED = 2  # robots of a bus polled again in one step
+_HEARTBEATS = 2  # calls in a row, twice in each step, so that a single loss has no effect
+_HEARTBEAT_KNOWN = 0.4  # part of a step after which the success of its heartbeats is known
+_OVERRUN = 0.1  # part of a step during which a bus may still be busy with the step before
+_SLOW = 3  # slow heartbeats in a row after which a STOP would come too late
 # plain numbers: members of an enumeration are slow to look up step by step
 _OK, _NO_ADDRESS, _LOST = int(Ack.OK), int(Ack.NO_ADDRESS), int(Ack.LOST)
 _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
@@ -38,205 +43,214 @@ _DONE = int(RobotState.DONE)
 
 
 class MotionMonitor:
-    """Watches every robot that heard a GO until it has arrived.
+    """Supervises every robot that was sent a GO until it has arrived.
 
-    Each step sends BEATs on all buses, asks robots whether they are there, reads the next few
-    of each bus, sends BEATs once more, and looks at the alert lines. A robot that is there
-    acknowledges its address, which takes a tenth of the time of a status. Something wrong
-    gives `freeze_s`, the instant at which everybody must stop: at once, when a robot has
-    stopped by itself, does not answer or holds the clock; when no HEARTBEAT gets through to a bus,
-    the instant at which its robots will stop themselves, so that all stop together. No bus
-    waits for a slow one. Steps in which nobody arrives and only robots are read that were
-    read a moment ago are left out of the traffic, which is for people and recordings; a
-    capture has them all.
+    Each step sends heartbeats on all buses, tests the presence of robots, reads the status of the
+    next few robots of each bus, sends heartbeats again, and reads the alert lines. An anomaly sets
+    `stop_all_at_s`, the time at which all robots must stop. It is the present, when a robot has
+    stopped by itself, does not answer or holds the clock. When no heartbeat gets through to a bus,
+    it is the time at which the robots of that bus will stop by themselves, so that all robots stop
+    together. No bus waits for a slow bus.
+
+    The traffic for recordings omits steps in which no robot arrives and only robots are polled
+    that were polled a moment ago; a capture has all steps.
 
     Args:
-        link: the wire.
-        rows: robots that were told to go, shape (r,).
+        transactions: the transactions with the robots.
+        rows: robots that were sent a GO, shape (r,).
         boot: boot counters of all robots, shape (n,).
         sequence: sequence number of the orders of each bus, shape (b,).
-        go_s: when the GO was complete [s].
-        silence_s: after how long without a HEARTBEAT robots stop themselves [s].
+        go_s: time at which the GO was complete [s].
+        silence_s: time without a heartbeat after which robots stop by themselves [s].
         period_s: time between two steps [s].
-        stretch_s: how much longer than the shortest a HEARTBEAT may take on a bus [s]. A STOP would
-            be as late there, so after three in a row its robots are left to stop themselves.
-        verify_s: how long it takes to read VERIFY_BYTES of one robot, 0 unknown [s].
-        listen: called with rows, their valid statuses, and the time of the look.
+        stretch_s: how much longer than the shortest a heartbeat may take on a bus [s]. A STOP would
+            be late by as much, so after three such heartbeats in a row the bus gets no more of
+            them, and its robots stop by themselves.
+        verify_s: time to read VERIFY_BYTES of one robot, 0 when unknown [s].
+        on_statuses: called with rows, their valid statuses, and the time of the poll.
     """
 
     def __init__(
         self,
-        link: Transactions,
-        rows,
-        boot,
-        sequence,
+        transactions: Transactions,
+        rows: Rows,
+        boot: Ints,
+        sequence: Ints,
         go_s: float,
         silence_s: float,
         period_s: float,
         stretch_s: float = np.inf,
         verify_s: float = 0.0,
-        listen: Callable[[np.ndarray, Statuses, float], None] = lambda *_: None,
+        on_statuses: StatusHandler = lambda rows, statuses, t: None,
     ):
-        n, buses = len(link.addresses), len(link.buses)
-        self.link, self.listen = link, listen
-        self.counting = True  # a robot that has not heard the GO may still be told
-        self.moves_until_s = np.inf  # who loses power later does no harm
+        n, buses = len(transactions.addresses), len(transactions.buses)
+        self.transactions, self.on_statuses = transactions, on_statuses
+        self.counting_down = True  # a robot that missed the GO can still be sent another
+        self.moves_until_s = np.inf  # a loss of power after this time is harmless
         self.silence_s, self.period_s, self.stretch_s = silence_s, period_s, stretch_s
         self.now_s = go_s
-        self.freeze_s: float | None = None
-        self.seen, self.arrived, self.wrong, self.deaf = np.zeros((4, n), dtype=bool)
-        self._running = np.zeros(n, dtype=bool)
-        self._running[rows] = True
-        self._bus = link.at(link.addresses.bus)
-        room_s = (1.0 - _OVERRUN) * period_s
-        self._turns = {
-            VERIFY_BYTES: PollScheduler(self._bus, buses, room_s, verify_s),
-            STATUS_BYTES: PollScheduler(self._bus, buses, room_s),
+        self.stop_all_at_s: float | None = None
+        self.go_confirmed: Mask = np.zeros(n, dtype=bool)
+        self.arrived: Mask = np.zeros(n, dtype=bool)
+        self.not_executing: Mask = np.zeros(n, dtype=bool)
+        self.missed_go: Mask = np.zeros(n, dtype=bool)
+        self._ordered = np.zeros(n, dtype=bool)
+        self._ordered[rows] = True
+        self._bus = transactions.places(transactions.addresses.bus)
+        budget_s = (1.0 - _OVERRUN) * period_s
+        self._schedulers = {
+            VERIFY_BYTES: PollScheduler(self._bus, buses, budget_s, verify_s),
+            STATUS_BYTES: PollScheduler(self._bus, buses, budget_s),
         }
         self._boot, self._sequence = boot, sequence[self._bus]
-        self._doubt = np.zeros(n, dtype=np.int64)
-        self._kept_s = np.full(n, -np.inf)
-        self.beat_s = np.full(buses, go_s)
+        self._missed_replies = np.zeros(n, dtype=np.int64)
+        self._in_traffic_s = np.full(n, -np.inf)
+        self.heartbeat_s = np.full(buses, go_s)
         self._shortest_s, self._slow = np.full(buses, np.inf), np.zeros(buses, dtype=np.int64)
-        self._beats_key = b""
-        # a line that is low already tells nothing
-        self._low = link.backend.alert_lines(go_s)
+        self._heartbeat_buses = b""
+        self._heartbeats = Frames.empty(transactions.addresses[np.zeros(0, dtype=np.int64)])
+        # a line that is low already carries no news
+        self._low_lines = transactions.backend.alert_lines(go_s)
 
     @property
-    def running(self) -> np.ndarray:
+    def running(self) -> Mask:
         """Robots that have not arrived, shape (n,)."""
-        return self._running & ~self.arrived
+        return self._ordered & ~self.arrived
 
     @property
-    def failing(self) -> np.ndarray:
-        """Robots that said something wrong or, time and again, nothing, shape (n,)."""
-        return self.wrong | (self._doubt >= _SILENT)
+    def failing(self) -> Mask:
+        """Robots that do not execute their order or miss replies in a row, shape (n,)."""
+        return self.not_executing | (self._missed_replies >= _LOST_REPLIES)
 
     def step(self, width: int = STATUS_BYTES) -> None:
-        """Beat, look at the next few robots, and judge.
+        """Send heartbeats, poll the next few robots, and decide whether all must stop.
 
         Args:
-            width: bytes to read of each, STATUS_BYTES or VERIFY_BYTES.
+            width: number of bytes to read of each robot, STATUS_BYTES or VERIFY_BYTES.
         """
         t, running = self.now_s, self.running
-        ready = np.bincount(self._bus[running], minlength=len(self.beat_s)) > 0
-        ready &= self._open()
-        ask = not self.counting and t < self.moves_until_s
-        turns = self._turns[width]
-        wanted = running & ~self.seen if self.counting else running
-        looked, asked = turns.next(wanted & ready[self._bus], ask)
-        buses = np.repeat(np.flatnonzero(ready), _BEATS)
-        b, a, r = len(buses), len(asked), len(looked)
-        to = self.link.addresses[np.concatenate([asked, looked])]
+        ready = np.bincount(self._bus[running], minlength=len(self.heartbeat_s)) > 0
+        ready &= self._buses_ready()
+        test = not self.counting_down and t < self.moves_until_s
+        scheduler = self._schedulers[width]
+        wanted = running & ~self.go_confirmed if self.counting_down else running
+        read, tested = scheduler.next(wanted & ready[self._bus], test)
+        buses = np.repeat(np.flatnonzero(ready), _HEARTBEATS)
+        b, a, r = len(buses), len(tested), len(read)
+        to = self.transactions.addresses[np.concatenate([tested, read])]
         frames = self._frames(buses, to)
-        read = np.zeros(len(frames), dtype=np.int64)
-        looks = slice(b + a, b + a + r)
-        read[looks] = width
-        replies = self.link.transfer(frames, read, t, keep=False)
+        read_bytes = np.zeros(len(frames), dtype=np.int64)
+        reads = slice(b + a, b + a + r)
+        read_bytes[reads] = width
+        replies = self.transactions.transfer(frames, read_bytes, t, in_traffic=False)
 
         took_s = replies.end_s - replies.start_s
-        for beats in (slice(0, b), slice(b + a + r, None)):
-            _beaten(
-                buses, replies.ack[beats], replies.end_s[beats], took_s[beats],
+        for calls in (slice(0, b), slice(b + a + r, None)):
+            _record_heartbeats(
+                buses, replies.ack[calls], replies.end_s[calls], took_s[calls],
                 self.silence_s or np.inf, self.stretch_s,
-                self.beat_s, self._shortest_s, self._slow,
+                self.heartbeat_s, self._shortest_s, self._slow,
             )  # fmt: skip
-        arrived = self._hear(looked, replies, looks, width)
-        self._doubt[asked[replies.ack[b : b + a] == _NO_ADDRESS]] += _ABSENT
-        turns.learn(looked, took_s[looks], asked, took_s[b : b + a])
-        if arrived or (t - self._kept_s[looked] >= _KEPT_S).any():
-            self.link.keep(frames, replies)
-            self._kept_s[looked] = t
-        self._look_again(np.concatenate([asked, looked]), t, width)
+        arrived = self._handle_replies(read, replies, reads, width)
+        self._missed_replies[tested[replies.ack[b : b + a] == _NO_ADDRESS]] += _ABSENT
+        scheduler.observe(read, took_s[reads], tested, took_s[b : b + a])
+        if arrived or (t - self._in_traffic_s[read] >= _TRAFFIC_S).any():
+            self.transactions.add_traffic(frames, replies)
+            self._in_traffic_s[read] = t
+        self._retry(np.concatenate([tested, read]), t, width)
         self.now_s = t + self.period_s
-        self._judge(running)
+        self._decide_stop(running)
 
-    def _open(self):
+    def _buses_ready(self) -> Bools:
         """Buses on which the step that begins now can send, shape (b,)."""
-        free = self.link.free_s <= self.now_s + _OVERRUN * self.period_s
-        return free & ~self.link.given_up & (self._slow < _SLOW)
+        free = self.transactions.free_s <= self.now_s + _OVERRUN * self.period_s
+        return free & ~self.transactions.given_up & (self._slow < _SLOW)
 
-    def _frames(self, buses, to):
-        """BEATs on some buses, frames without data to robots, and BEATs again."""
+    def _frames(self, buses: Ints, to: Addresses) -> Frames:
+        """Heartbeats on some buses, frames without data to robots, and heartbeats again."""
         key = buses.tobytes()
-        if key != self._beats_key:
-            self._beats = encode_command(Opcode.HEARTBEAT, general_call(self.link.buses[buses]))
-            self._beats_key = key
-        return self._beats.then(Frames.empty(to)).then(self._beats)
+        if key != self._heartbeat_buses:
+            calls = general_call(self.transactions.buses[buses])
+            self._heartbeats = encode_command(Opcode.HEARTBEAT, calls)
+            self._heartbeat_buses = key
+        return self._heartbeats.then(Frames.empty(to)).then(self._heartbeats)
 
-    def _look_again(self, rows, t, width):
-        """Look once more at some that gave no answer; a robot may not be silent for long."""
-        rows = np.unique(rows[self._doubt[rows] > 0])
+    def _retry(self, rows: Rows, t: float, width: int) -> None:
+        """Poll again some of the robots that did not reply, as a robot must not be silent long."""
+        rows = np.unique(rows[self._missed_replies[rows] > 0])
         if len(rows) == 0:
             return
         rows = rows[np.argsort(self._bus[rows], kind="stable")]
         bus = self._bus[rows]
-        rows = rows[np.arange(len(rows)) - np.searchsorted(bus, bus) < _AGAIN]
-        for _ in range(_LOOKS - 1):
-            rows = rows[(self._doubt[rows] > 0) & ~self.link.given_up[self._bus[rows]]]
+        rows = rows[np.arange(len(rows)) - np.searchsorted(bus, bus) < _RETRIED]
+        for _ in range(_POLLS - 1):
+            missed = self._missed_replies[rows] > 0
+            rows = rows[missed & ~self.transactions.given_up[self._bus[rows]]]
             if len(rows) == 0:
                 return
-            frames = Frames.empty(self.link.addresses[rows])
-            replies = self.link.transfer(frames, width, t, keep=False)
-            if self._hear(rows, replies, slice(None), width):
-                self.link.keep(frames, replies)
+            frames = Frames.empty(self.transactions.addresses[rows])
+            replies = self.transactions.transfer(frames, width, t, in_traffic=False)
+            if self._handle_replies(rows, replies, slice(None), width):
+                self.transactions.add_traffic(frames, replies)
 
-    def _hear(self, rows, replies, looks, width):
-        """Take in what robots said; returns whether one of them has arrived."""
+    def _handle_replies(self, rows: Rows, replies: Replies, reads: slice, width: int) -> bool:
+        """Handle the replies of polled robots; return whether one of the robots has arrived."""
         if len(rows) == 0:
             return False
-        status = decode_status(self.link.addresses[rows], replies.data.reshape(-1, width))
-        good = rows
+        status = decode_status(self.transactions.addresses[rows], replies.data.reshape(-1, width))
+        valid = rows
         if not status.ok.all():
-            # when the lines fail it is not the robot that is silent
-            ack, missed = replies.ack[looks], rows[~status.ok]
-            doubts = np.where(ack == _NO_ADDRESS, _ABSENT, np.where(ack < _LOST, _GARBLED, 0))
-            self._doubt[missed] += doubts[~status.ok]
-            good, status = rows[status.ok], status.only(status.ok)
-        self._doubt[good] = 0
-        same = (status.boot == self._boot[good]) & (status.sequence == self._sequence[good])
+            # a failure of the lines is not a missed reply of the robot
+            ack, missed = replies.ack[reads], rows[~status.ok]
+            count = np.where(ack == _NO_ADDRESS, _ABSENT, np.where(ack < _LOST, _GARBLED, 0))
+            self._missed_replies[missed] += count[~status.ok]
+            valid, status = rows[status.ok], status.select(status.ok)
+        self._missed_replies[valid] = 0
+        same = (status.boot == self._boot[valid]) & (status.sequence == self._sequence[valid])
         done = same & (status.state == _DONE)
-        runs = done | (same & (status.state == _MOVING))
-        self.seen[good] |= runs
-        arrived = bool((done & ~self.arrived[good]).any())
-        self.arrived[good] |= done
-        self.deaf[good] = same & (status.state == _LOADED) & self.counting
-        self.wrong[good] |= ~runs & ~self.deaf[good]
-        if width == STATUS_BYTES and len(good):
-            self.listen(good, status, self.now_s)
+        executing = done | (same & (status.state == _MOVING))
+        self.go_confirmed[valid] |= executing
+        arrived = bool((done & ~self.arrived[valid]).any())
+        self.arrived[valid] |= done
+        self.missed_go[valid] = same & (status.state == _LOADED) & self.counting_down
+        self.not_executing[valid] |= ~executing & ~self.missed_go[valid]
+        if width == STATUS_BYTES and len(valid):
+            self.on_statuses(valid, status, self.now_s)
         return arrived
 
-    def _judge(self, running):
-        """Decide whether all must stop, and when."""
-        wrong = running & self.failing
-        if wrong.any():
-            # known as soon as the bus is through with them, which on a slow one takes its time
-            known = self.link.free_s[self._bus[wrong]].min()
-            if known <= self.now_s:
-                self.freeze_s = float(known)
+    def _decide_stop(self, running: Mask) -> None:
+        """Decide whether all robots must stop, and when."""
+        failing = running & self.failing
+        if failing.any():
+            # known when the bus has finished the polls, which takes its time on a slow bus
+            known_s = self.transactions.free_s[self._bus[failing]].min()
+            if known_s <= self.now_s:
+                self.stop_all_at_s = float(known_s)
                 return
-        low = self.link.backend.alert_lines(self.now_s)
-        if len(low) and not np.isin(low, self._low).all():
-            self.freeze_s = self.now_s
+        low = self.transactions.backend.alert_lines(self.now_s)
+        if len(low) and not np.isin(low, self._low_lines).all():
+            self.stop_all_at_s = self.now_s
             return
         running = running & ~self.arrived
-        buses = np.bincount(self._bus[running], minlength=len(self.beat_s)) > 0
+        buses = np.bincount(self._bus[running], minlength=len(self.heartbeat_s)) > 0
         if self.silence_s > 0 and buses.any():
-            last = self.beat_s + self.silence_s
-            # when it is known whether the BEATs of the next step have got through, if any do
-            known = np.where(self._open(), _BEAT_KNOWN, 1.0) * self.period_s + self.now_s
-            if (buses & (known >= last)).any():
-                self.freeze_s = max(last[buses].min(), self.now_s)
+            last_s = self.heartbeat_s + self.silence_s
+            # time at which the success of the heartbeats of the next step is known
+            known_s = np.where(self._buses_ready(), _HEARTBEAT_KNOWN, 1.0) * self.period_s
+            if (buses & (known_s + self.now_s >= last_s)).any():
+                self.stop_all_at_s = float(max(last_s[buses].min(), self.now_s))
 
 
 @njit(cache=True)
-def _beaten(buses, ack, end_s, took_s, silence_s, stretch_s, beat_s, shortest_s, slow):
-    # Take note of which BEATs got through when, and how slowly.
+def _record_heartbeats(
+    buses, ack, end_s, took_s, silence_s, stretch_s, heartbeat_s, shortest_s, slow
+):
+    # Record the time of each heartbeat that got through, and count slow ones in a row.
     for i in range(len(buses)):
         bus = buses[i]
-        # who has not heard one for too long does not begin again
-        if ack[i] != _OK or end_s[i] > beat_s[bus] + silence_s:
+        # robots that missed heartbeats for too long have stopped and do not begin again
+        if ack[i] != _OK or end_s[i] > heartbeat_s[bus] + silence_s:
             continue
-        beat_s[bus] = end_s[i]
+        heartbeat_s[bus] = end_s[i]
         shortest_s[bus] = min(shortest_s[bus], took_s[i])
         slow[bus] = slow[bus] + 1 if took_s[i] > shortest_s[bus] + stretch_s else 0

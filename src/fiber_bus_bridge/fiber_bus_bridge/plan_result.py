@@ -1,118 +1,134 @@
-"""The plan a session carries out, and what became of each robot in it."""
+"""A plan as a session executes it, and the result of each robot."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.loader import LoadedPlan
 from fiber_bus_bridge.wire import MAX_SEGMENTS
 from fiber_core import kinematics
+from fiber_core.array_types import Codes, Counts, Floats, Ints, Mask, Points
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import Outcome, Reason
+from fiber_core.outcomes import Outcome, Reason, first_reason
 from fiber_core.wire_units import WireMotion
 
-__all__ = ["Plan", "PlanResult", "judge"]
+__all__ = ["Plan", "PlanResult", "evaluate"]
+
+# reasons of the bus behind which the reason of an earlier stage tells the cause
+_VAGUE = (Reason.NOT_PLANNED, Reason.OFF_TARGET)
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Orders and what they are for.
+    """Orders and their goals.
 
     Args:
-        motion: orders of every robot, from where its encoders are.
-        goals: where each fibre should go [mm], shape (n, 2), nan = nothing asked.
+        motion: orders of every robot, from the positions of the encoders.
+        goals: target of each fibre [mm], shape (n, 2), nan = no target.
     """
 
     motion: WireMotion
-    goals: np.ndarray
+    goals: Points
 
     @classmethod
-    def of(cls, plane: FocalPlane, motion: WireMotion, counts, targets) -> "Plan":
-        """Make a plan of orders, from encoders [quanta], shape (n, 2), and targets or None.
+    def of(
+        cls, plane: FocalPlane, motion: WireMotion, counts: Counts, targets: ArrayLike | None
+    ) -> "Plan":
+        """Make a plan of orders.
 
-        Without targets, the goals are where the orders of those that move should end.
+        Args:
+            plane: the focal plane.
+            motion: the orders.
+            counts: encoders now [quanta], shape (n, 2).
+            targets: target of each fibre [mm], shape (n, 2), nan = no target; None for the ends of
+                the orders of the robots that move.
 
         Raises:
-            SessionError: targets do not fit the plane.
+            SessionError: the targets do not fit the plane.
         """
-        goals = targets
         if targets is None:
-            goals = kinematics.forward(plane, motion.units.to_angles(motion.end))[1]
-            moves = np.diff(motion.offsets).reshape(-1, 2).any(axis=1)
-            goals = np.where(moves[:, None], goals, np.nan)
-        goals = np.array(goals, dtype=float)
+            ends = kinematics.forward(plane, motion.units.to_angles(motion.end))[1]
+            moves = np.any(np.diff(motion.offsets).reshape(-1, 2), axis=1)
+            targets = np.where(moves[:, None], ends, np.nan)
+        goals = np.array(targets, dtype=float)
         if goals.shape != (plane.n, 2):
-            raise SessionError(f"targets of shape {goals.shape} for {plane.n} robots")
-        here = WireMotion(motion.units, counts, motion.offsets, motion.ticks, motion.velocity)
-        return cls(here, goals)
+            raise SessionError(f"targets have shape {goals.shape}, expected {(plane.n, 2)}")
+        from_counts = WireMotion(
+            motion.units, counts, motion.offsets, motion.ticks, motion.velocity
+        )
+        return cls(from_counts, goals)
 
     @property
-    def asked(self) -> np.ndarray:
-        """Robots with a goal, shape (n,)."""
-        return np.isfinite(self.goals).all(axis=1)
+    def asked(self) -> Mask:
+        """Robots with a target, shape (n,)."""
+        return np.all(np.isfinite(self.goals), axis=1)
 
     @property
-    def moves(self) -> np.ndarray:
+    def moves(self) -> Mask:
         """Robots with orders, shape (n,)."""
-        return self._counts.any(axis=1)
+        return np.any(self._segments > 0, axis=1)
 
     @property
-    def crowded(self) -> np.ndarray:
-        """Robots with more segments than one order carries, shape (n,)."""
-        return (self._counts > MAX_SEGMENTS).any(axis=1)
+    def oversized(self) -> Mask:
+        """Robots with more segments than one order can carry, shape (n,)."""
+        return np.any(self._segments > MAX_SEGMENTS, axis=1)
 
     @property
-    def _counts(self):
+    def _segments(self) -> Ints:
         return np.diff(self.motion.offsets).reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False)
 class PlanResult:
-    """How each robot ended a plan.
+    """Result of each robot at the end of a plan.
 
     Args:
         outcome: Outcome, shape (n,).
         reason: Reason, shape (n,).
-        error_mm: distance of its tip, by its encoders, from its goal [mm], nan without, (n,).
+        error_mm: distance of the tip, by the encoders, from its target [mm], nan without a
+            target, shape (n,).
     """
 
-    outcome: np.ndarray
-    reason: np.ndarray
-    error_mm: np.ndarray
+    outcome: Codes
+    reason: Codes
+    error_mm: Floats
 
-    def explained_by(self, reason) -> "PlanResult":
-        """Return the same result with the reasons of earlier stages where they tell more.
+    def explained_by(self, reason: ArrayLike) -> "PlanResult":
+        """Return the same result with the reasons of earlier stages where they tell the cause.
+
+        A robot that is held because it had no orders, or orders that end off its target, was
+        held by an earlier stage if that stage says so.
 
         Args:
-            reason: why an earlier stage held a robot, OK where none did, shape (n,).
+            reason: Reason for which an earlier stage held each robot, else OK, shape (n,).
         """
-        vague = np.isin(self.reason, (Reason.NOT_PLANNED, Reason.OFF_TARGET))
-        told = vague & (self.outcome == Outcome.HELD) & (np.asarray(reason) != Reason.OK)
-        return replace(self, reason=np.where(told, reason, self.reason))
+        vague = np.isin(self.reason, _VAGUE) & (self.outcome == Outcome.HELD)
+        return replace(self, reason=np.where(vague, first_reason(reason, self.reason), self.reason))
 
 
-def judge(
+def evaluate(
     plane: FocalPlane,
     plan: Plan,
-    upload: LoadedPlan | None,
-    counts,
-    known,
-    arrived,
-    failed,
+    loaded_plan: LoadedPlan | None,
+    counts: Counts,
+    known: Mask,
+    arrived: Mask,
+    failed: Mask,
     tolerance_mm: float,
 ) -> PlanResult:
-    """Give every robot of a plan that has ended exactly one outcome and a reason.
+    """Return exactly one outcome and one reason for each robot of a plan that has ended.
 
     Args:
         plane: the focal plane.
-        plan: what was asked.
-        upload: what was started; None if it never came to that.
+        plan: the plan.
+        loaded_plan: the started orders; None if the plan was never loaded.
         counts: encoders now [quanta], shape (n, 2).
         known: robots that can be commanded, shape (n,).
         arrived: robots that reported the end of their orders, shape (n,).
-        failed: robots that were started and fell silent or did not move, shape (n,).
-        tolerance_mm: distance from its goal within which a tip has reached it [mm].
+        failed: robots that were started and are lost or did not move, shape (n,).
+        tolerance_mm: distance from its target within which a tip has reached it [mm].
     """
     units = plan.motion.units
     tips = kinematics.forward(plane, units.to_angles(counts))[1]
@@ -122,15 +138,16 @@ def judge(
 
     # later lines overrule earlier ones
     reason = np.where(plan.asked, Reason.NOT_PLANNED, Reason.NO_TARGET)
-    if upload is None:
+    if loaded_plan is None:
         reason[concerned] = Reason.STOPPED
     else:
-        ordered = kinematics.forward(plane, units.to_angles(upload.motion.end))[1]
-        off = upload.started & arrived & (np.hypot(*(tips - ordered).T) > tolerance_mm)
-        reason[upload.started & ~arrived] = Reason.STOPPED
-        reason[upload.started & arrived & plan.asked] = Reason.OFF_TARGET
-        reason = np.where(upload.reason != Reason.OK, upload.reason, reason)
-    reason[plan.crowded] = Reason.TOO_MANY_SEGMENTS
+        started = loaded_plan.started
+        ordered = kinematics.forward(plane, units.to_angles(loaded_plan.motion.end))[1]
+        off = started & arrived & (np.hypot(*(tips - ordered).T) > tolerance_mm)
+        reason[started & ~arrived] = Reason.STOPPED
+        reason[started & arrived & plan.asked] = Reason.OFF_TARGET
+        reason = np.where(loaded_plan.reason != Reason.OK, loaded_plan.reason, reason)
+    reason[plan.oversized] = Reason.TOO_MANY_SEGMENTS
     reason[concerned & ~known] = Reason.NOT_ACKNOWLEDGED
     reason[concerned & ~plane.enabled] = Reason.DISABLED
     reason[failed] = Reason.NOT_ACKNOWLEDGED

@@ -1,60 +1,51 @@
-"""A controller's session with a focal plane: configure, take orders, start, watch, stop."""
+"""A controller's session with a focal plane: configure, submit orders, start, advance, stop."""
 
 from collections.abc import Callable
 from dataclasses import replace
-from enum import Enum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.bus import BusBackend, addresses_of
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.home import home_motion
 from fiber_bus_bridge.loader import LoadedPlan, Loader
-from fiber_bus_bridge.plan_result import Plan, PlanResult, judge
+from fiber_bus_bridge.plan_result import Plan, PlanResult, evaluate
 from fiber_bus_bridge.remaining_motion import remaining_motion
 from fiber_bus_bridge.session_config import SessionConfig
+from fiber_bus_bridge.session_state import SessionState
 from fiber_bus_bridge.start_stop import StartStop
 from fiber_bus_bridge.transactions import Transactions
-from fiber_bus_bridge.wire import Alert, Configuration, Opcode, RobotState, encode_config
+from fiber_bus_bridge.wire import Alert, Configuration, Opcode, RobotState, Statuses, encode_config
+from fiber_core.array_types import Angles, Counts, Mask, Rows, Velocities
 from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 
-__all__ = ["Session", "SessionState"]
+__all__ = ["Session"]
 
-
-_CONFIGS = 2  # times a robot is configured that then reports a fault
-
-
-class SessionState(Enum):
-    """What a session may be asked next; the value is the advice given with a refusal."""
-
-    UNCONFIGURED = "configure first"
-    IDLE = "send orders, or home"
-    READY = "start, or clear to drop the orders"
-    MOVING = "wait for the end, or stop"
-    STOPPED = "clear first"
+_CONFIGS = 2  # attempts to configure a robot that reports a fault afterwards
 
 
 class Session:
-    """Everything a bridge does, without a clock: each call is told the simulated time.
+    """The controller of a focal plane, without a clock: each call is given the simulated time.
 
-    Calls that use the bus return when the bus is free again [s]; a later call at an
-    earlier time waits for that. Each robot of each plan gets exactly one outcome, in
-    `result` from the moment the plan ends until the next one begins.
+    Calls that use the buses return the time at which the buses are free [s]; a later call at an
+    earlier time waits until then. Each robot of each plan gets exactly one outcome, in `result`
+    from the end of the plan until the next plan begins.
 
     Args:
         plane: the focal plane.
         units: tick, quantum and widths of the wire format.
-        safety: clearance asked of everything that is started.
+        safety: clearance required of every started motion.
         backend: the buses.
-        believed: where robots that never answered are held to be [rad], shape (n, 2).
+        assumed: angles of robots that have never answered [rad], shape (n, 2).
         config: settings.
 
     Raises:
         TopologyError: the plane's addresses are impossible.
-        SessionError: `believed` does not fit the plane.
+        SessionError: `assumed` does not fit the plane.
     """
 
     def __init__(
@@ -63,83 +54,86 @@ class Session:
         units: WireUnits,
         safety: Safety,
         backend: BusBackend,
-        believed,
+        assumed: ArrayLike,
         config: SessionConfig | None = None,
     ):
-        believed = np.asarray(believed, dtype=float)
-        if believed.shape != (plane.n, 2) or not np.isfinite(believed).all():
-            raise SessionError(f"believed angles {believed.shape} do not fit {plane.n} robots")
+        assumed = np.asarray(assumed, dtype=float)
+        if assumed.shape != (plane.n, 2) or not np.isfinite(assumed).all():
+            raise SessionError(
+                f"assumed angles have shape {assumed.shape}, expected {(plane.n, 2)} finite values"
+            )
         self.plane, self.units, self.config = plane, units, config or SessionConfig()
-        self.link = Transactions(backend, addresses_of(plane))
+        self.transactions = Transactions(backend, addresses_of(plane))
         self.state = SessionState.UNCONFIGURED
-        self.counts = units.encoder_counts(plane, believed)
-        self.known = np.zeros(plane.n, dtype=bool)
+        self.counts: Counts = units.encoder_counts(plane, assumed)
+        self.known: Mask = np.zeros(plane.n, dtype=bool)
         self.robot_state = np.zeros(plane.n, dtype=np.int64)
         self.robot_fault = np.zeros(plane.n, dtype=np.int64)
         self.alerts = np.zeros(plane.n, dtype=np.int64)
         self.result: PlanResult | None = None
-        self.upload: LoadedPlan | None = None
-        self.uploads: list[LoadedPlan] = []  # all of the last plan
+        self.loaded_plan: LoadedPlan | None = None
+        self.loaded_plans: list[LoadedPlan] = []  # one for each phase of the last plan
         self._may_go: Callable[[], bool] = lambda: True
         self._boot = np.full(plane.n, -1)
-        self._lost = np.zeros(plane.n, dtype=bool)  # last heard, or started, while it moved
+        self._lost = np.zeros(plane.n, dtype=bool)  # moving at the last status, or since
         self._arrived = np.zeros(plane.n, dtype=bool)
         self._failed = np.zeros(plane.n, dtype=bool)
         self._velocities = np.zeros((plane.n, 2))
         self._read_s = np.full(plane.n, -np.inf)
         self._plan: Plan | None = None
-        silence_s = 1e-3 * self.config.silence_ms
-        self._starter = StartStop(
-            self.link, silence_s, self.config.watch_s, self.config.stretch_s,
-            0.25 * safety.start_skew_s, self._hear,
+        self._start_stop = StartStop(
+            self.transactions, 1e-3 * self.config.silence_ms, self.config.heartbeat_period_s,
+            self.config.stretch_s, 0.25 * safety.start_skew_s, self._handle_statuses,
         )  # fmt: skip
-        self._uploader = Loader(
-            plane, units, safety, self.link, neighbour_pairs(plane), self._starter
-        )
-        # inside the limits, so that what a robot accepts is inside them too
+        pairs = neighbour_pairs(plane)
+        self._loader = Loader(plane, units, safety, self.transactions, pairs, self._start_stop)
+        # rounded inwards, so that every order that a robot accepts keeps the limits and speeds
         self._limits = units.range_counts(plane)
         speed = np.floor(plane.speeds / units.velocity_rad_s).astype(np.int64)
         self._speed = np.minimum(speed, units.max_velocity)
 
     @property
-    def angles(self) -> np.ndarray:
-        """Joint angles by the robots' own encoders, last read or believed [rad], shape (n, 2)."""
+    def angles(self) -> Angles:
+        """Joint angles by the robots' own encoders, last read or assumed [rad], shape (n, 2)."""
         return self.units.to_angles(self.counts)
 
     @property
-    def velocities(self) -> np.ndarray:
+    def velocities(self) -> Velocities:
         """Mean joint speeds between the last two readings, 0 at rest [rad/s], shape (n, 2)."""
         if self.state is not SessionState.MOVING:
             return np.zeros(self.counts.shape)
         return self._velocities
 
     def take_result(self) -> PlanResult | None:
-        """Return the result of the plan that has ended since the last call, if there is one."""
+        """Return the result of the plan that has ended since the last call, None without one."""
         taken, self.result = self.result, None
         return taken
 
-    def enable(self, enabled) -> None:
-        """Say who may move from now on, shape (n,); the others are obstacles where they are.
+    def enable(self, enabled: Mask) -> None:
+        """Set the robots that may move from now on; the others are obstacles where they are.
+
+        Args:
+            enabled: robots that may move, shape (n,).
 
         Raises:
             SessionError: robots are moving.
         """
-        self._require("change who may move", *set(SessionState) - {SessionState.MOVING})
-        self.plane = self._uploader.plane = self.plane.with_enabled(enabled)
+        self._require("enable or disable robots", *set(SessionState) - {SessionState.MOVING})
+        self.plane = self._loader.plane = self.plane.with_enabled(enabled)
 
     def configure(self, t: float) -> float:
-        """Find out who is there, check identities, and send units, limits and speeds.
+        """Identify the robots, and send units, limits and speeds to them.
 
-        Robots that do not answer, or answer with another serial number, stay unknown and
-        are obstacles where they are believed to be; a later call tries them again.
+        Robots that do not answer, or answer with another serial number, remain unknown and
+        are obstacles at their assumed angles; a later call tries them again.
 
         Raises:
             SessionError: robots are moving, or stopped and not cleared, or orders wait.
         """
         self._require("configure", SessionState.UNCONFIGURED, SessionState.IDLE)
-        everybody = np.arange(self.plane.n)
-        self.link.revive(power=True, t=t)
-        identity = self.link.identities(everybody, t)
+        all_rows = np.arange(self.plane.n)
+        self.transactions.revive(power=True, t=t)
+        identity = self.transactions.identities(all_rows, t)
         rows = np.flatnonzero(identity.ok & (identity.serial == self.plane.ids))
         self.known = np.zeros(self.plane.n, dtype=bool)
         for _ in range(_CONFIGS):
@@ -151,31 +145,32 @@ class Session:
                 self.config.watchdog_ms,
                 self.config.silence_ms,
             )
-            self.link.send(todo, encode_config(config, self.link.addresses[todo]), t)
-            status = self._sweep(todo, t)
-            # a fault may be of a frame that was not meant for it; then the next try tells
+            frames = encode_config(config, self.transactions.addresses[todo])
+            self.transactions.send(todo, frames, t)
+            status = self._read_statuses(todo, t)
+            # a fault may be of a frame that was not meant for the robot; the next try tells
             self.known[todo] = (
                 status.ok & (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)
             )
             self._boot[todo] = status.boot
         halted = np.isin(self.robot_state, (RobotState.STOPPED, RobotState.FAULT)) & self.known
         self.state = SessionState.STOPPED if halted.any() else SessionState.IDLE
-        return self.link.now_s
+        return self.transactions.now_s
 
-    def submit(self, motion: WireMotion, targets=None) -> PlanResult | None:
-        """Take the orders of the next plan; nothing goes to the robots yet.
+    def submit(self, motion: WireMotion, targets: ArrayLike | None = None) -> PlanResult | None:
+        """Accept the orders of the next plan; no frame is sent yet.
 
         Args:
-            motion: orders of every robot, from where its encoders are.
-            targets: where each fibre should go [mm], shape (n, 2), nan = nothing asked; by
-                default the end of the motion, for those that move.
+            motion: orders of every robot, from the positions of the encoders.
+            targets: target of each fibre [mm], shape (n, 2), nan = no target; by default the end
+                of the motion, for robots that move.
 
         Returns:
-            The result of the plan that waited and is replaced, if there was one.
+            The result of the waiting plan that is replaced, None without one.
 
         Raises:
-            SessionError: in this state orders are not taken, or they do not fit the plane,
-                the units, or where a robot stands; names the robot.
+            SessionError: orders are not accepted in this state, or they do not fit the plane,
+                the units, or the encoders of a robot; names the robot.
         """
         self._require("submit", SessionState.IDLE, SessionState.READY)
         if motion.units != self.units:
@@ -191,76 +186,87 @@ class Session:
                 f"robot {self.plane.ids[at]}: orders begin at {motion.start[at].tolist()} quanta, "
                 f"its encoders are at {self.counts[at].tolist()}"
             )
-        replaced = self._end() if self._plan else None
-        self._plan, self.upload, self.result = plan, None, None
+        replaced = self._end_plan(self._plan) if self._plan else None
+        self._plan, self.loaded_plan, self.result = plan, None, None
         self._arrived[:] = self._failed[:] = False
         self.state = SessionState.READY
         return replaced
 
     def start(self, t: float, may_go: Callable[[], bool] = lambda: True) -> float:
-        """Load, verify, certify and, if nobody objects by then, go.
+        """Load, verify and certify the orders, and start them unless `may_go` refuses.
 
-        Robots that cannot be verified or certified stay where they are and say why. When
-        nobody is started the plan ends at once.
+        Robots that cannot be verified or certified stay where they are; their reasons are in the
+        result. When no robot is started the plan ends at once.
+
+        Args:
+            t: earliest time [s].
+            may_go: asked when the orders are certified; False drops all orders.
 
         Raises:
             SessionError: there are no orders to start, or the robots are moving or stopped.
         """
-        self._require("start", SessionState.READY)
         plan = self._plan
-        self.link.revive()
-        self._may_go, self.uploads = may_go, []
-        wanted = plan.moves & self.plane.enabled & ~plan.crowded & self.known
-        self._begin(wanted, t)
-        return self._watch()
+        if plan is None or self.state is not SessionState.READY:
+            raise self._refusal("start")
+        self.transactions.revive()
+        self._may_go, self.loaded_plans = may_go, []
+        wanted = plan.moves & self.plane.enabled & ~plan.oversized & self.known
+        return self._evaluate_motion(plan, self._start_phase(plan, wanted, t))
 
     def advance(self, t: float) -> float:
-        """MotionMonitor the robots until time t; end the plan when all have arrived or time is up.
+        """Supervise the robots until time t [s]; end the plan when all have arrived or on timeout.
 
-        A robot that stops by itself, or falls silent, stops everybody. In other states
-        nothing is done.
+        A robot that stops by itself, or is lost, makes all robots stop. In other states nothing
+        is done.
         """
-        if self.state is not SessionState.MOVING:
-            return self.link.now_s
-        watch = self.upload.watch
-        while watch.now_s < t and watch.freeze_s is None and watch.running.any():
-            watch.step()
-        return self._watch()
+        plan, loaded_plan = self._plan, self.loaded_plan
+        if self.state is not SessionState.MOVING or plan is None or loaded_plan is None:
+            return self.transactions.now_s
+        monitor = loaded_plan.monitor
+        if monitor is not None:
+            while monitor.now_s < t and monitor.stop_all_at_s is None and monitor.running.any():
+                monitor.step()
+        return self._evaluate_motion(plan, loaded_plan)
 
     def stop(self, t: float) -> float:
-        """Stop every robot, from any state: a general call, then one by one who has not."""
-        self.link.revive()
-        rows = np.flatnonzero(self.known) if self.known.any() else np.arange(self.plane.n)
-        status = self._starter.stop(rows, t)
+        """Stop every robot, in any state: by general call, then singly where needed."""
+        self.transactions.revive()
+        rows = self._known_or_all()
+        status = self._start_stop.stop(rows, t)
         self.robot_state[rows] = status.state
         if self._plan:
-            self._end()
+            self._end_plan(self._plan)
         self.state = SessionState.STOPPED
-        return self.link.now_s
+        return self.transactions.now_s
 
     def clear(self, t: float) -> float:
-        """Forget orders, faults and a stop; robots stay where they are.
+        """Delete orders and faults, and leave the state STOPPED; robots stay where they are.
 
         Raises:
-            SessionError: robots are moving, or nobody is configured.
+            SessionError: robots are moving, or no robot is configured.
         """
         self._require("clear", SessionState.IDLE, SessionState.READY, SessionState.STOPPED)
         if self._plan:
-            self._end()
-        self.link.revive()
-        rows = np.flatnonzero(self.known) if self.known.any() else np.arange(self.plane.n)
-        self.link.command(Opcode.CLEAR, rows, t)
-        self._sweep(rows, t)
+            self._end_plan(self._plan)
+        self.transactions.revive()
+        rows = self._known_or_all()
+        self.transactions.command(Opcode.CLEAR, rows, t)
+        self._read_statuses(rows, t)
         self.state = SessionState.IDLE if self.known.any() else SessionState.UNCONFIGURED
-        return self.link.now_s
+        return self.transactions.now_s
 
     def home(self, t: float, may_go: Callable[[], bool] = lambda: True) -> float:
         """Fold every robot that safely can: phi to its upper limit, theta still.
 
-        Goes the way of all orders. Robots held the first time may fold the next.
+        The orders are loaded, verified and certified as those of every plan. Robots that are held
+        in the first call may fold in the next.
+
+        Args:
+            t: earliest time [s].
+            may_go: as in `start`.
 
         Raises:
-            SessionError: in this state the robots cannot be moved.
+            SessionError: the robots cannot be moved in this state.
         """
         self._require("home", SessionState.IDLE)
         chosen = self.plane.enabled & self.known
@@ -270,23 +276,30 @@ class Session:
         self.submit(motion)
         return self.start(t, may_go)
 
-    def _require(self, call, *states):
+    def _require(self, call: str, *states: SessionState) -> None:
         if self.state not in states:
-            raise SessionError(f"cannot {call} while {self.state.name}: {self.state.value}")
+            raise self._refusal(call)
 
-    def _sweep(self, rows, t):
-        """Read robots; a silent one has state 0 and keeps its last position."""
-        status = self.link.statuses(rows, t)
+    def _refusal(self, call: str) -> SessionError:
+        return SessionError(f"cannot {call} while {self.state.name}: {self.state.value}")
+
+    def _known_or_all(self) -> Rows:
+        return np.flatnonzero(self.known) if self.known.any() else np.arange(self.plane.n)
+
+    def _read_statuses(self, rows: Rows, t: float) -> Statuses:
+        """Read robots; a robot without a reply has state 0 and keeps its last position."""
+        status = self.transactions.statuses(rows, t)
         self.robot_state[rows] = status.state
-        self._hear(rows[status.ok], status.only(status.ok), self.link.now_s)
+        valid = status.select(status.ok)
+        self._handle_statuses(rows[status.ok], valid, self.transactions.now_s)
         return status
 
-    def _hear(self, rows, status, t):
-        """Take note of valid statuses read at time t."""
-        way = (status.position - self.counts[rows]) * self.units.quantum_rad
-        passed = np.maximum(t - self._read_s[rows], 1e-9)[:, None]
+    def _handle_statuses(self, rows: Rows, status: Statuses, t: float) -> None:
+        """Take over valid statuses read at time t [s]."""
+        distance = (status.position - self.counts[rows]) * self.units.quantum_rad
+        elapsed_s = np.maximum(t - self._read_s[rows], 1e-9)[:, None]
         moves = (status.state == RobotState.MOVING)[:, None]
-        self._velocities[rows] = np.where(moves, way / passed, 0.0)
+        self._velocities[rows] = np.where(moves, distance / elapsed_s, 0.0)
         self._read_s[rows] = t
         self.counts[rows] = status.position
         self.robot_state[rows] = status.state
@@ -294,75 +307,85 @@ class Session:
         self.alerts[rows] = status.alerts
         self._lost[rows] = status.state == RobotState.MOVING
 
-    def _watch(self):
-        """End the plan when all have arrived; stop all when time is up or one must be stopped."""
-        watch = self.upload.watch
-        if watch is None:
-            self._end()
-            return self.link.now_s
-        self._arrived = self.upload.started & watch.arrived
-        running = self.upload.started & ~self._arrived
-        motion, safety = self.upload.motion.decoded(), self._uploader.safety
-        late = safety.clock_ppm * 1e-6 * motion.makespan_s + safety.start_skew_s
-        if watch.freeze_s is not None:
-            return self._freeze(watch)
-        if not running.any():
-            self._end()
-        elif watch.now_s > self.upload.start_s + motion.makespan_s + late + self.config.grace_s:
-            self._failed |= running
-            return self.stop(watch.now_s)
-        return max(watch.now_s, self.link.now_s)
-
-    def _begin(self, wanted, t):
-        """LoadedPlan the plan for the wanted robots and start them."""
-        self.upload = self._uploader.run(
-            self._plan.motion, wanted, self.known, self._boot, self._lost, t, self._may_go
+    def _start_phase(self, plan: Plan, wanted: Mask, t: float) -> LoadedPlan:
+        """Load a plan for the wanted robots and start them."""
+        loaded_plan = self._loader.run(
+            plan.motion, wanted, self.known, self._boot, self._lost, t, self._may_go
         )
-        self.uploads.append(self.upload)
-        self._lost |= self.upload.started
+        self.loaded_plan = loaded_plan
+        self.loaded_plans.append(loaded_plan)
+        self._lost |= loaded_plan.started
         self.state = SessionState.MOVING
+        return loaded_plan
 
-    def _freeze(self, watch):
-        """Stop everybody together, and let those go on who can."""
-        before, t = self.upload, watch.freeze_s
-        self.link.revive()
+    def _evaluate_motion(self, plan: Plan, loaded_plan: LoadedPlan) -> float:
+        """End the plan when all have arrived; stop all on timeout or when the monitor says so."""
+        monitor = loaded_plan.monitor
+        if monitor is None:
+            self._end_plan(plan)
+            return self.transactions.now_s
+        self._arrived = loaded_plan.started & monitor.arrived
+        running = loaded_plan.started & ~self._arrived
+        safety, makespan_s = self._loader.safety, loaded_plan.motion.decoded().makespan_s
+        late_s = safety.clock_ppm * 1e-6 * makespan_s + safety.start_skew_s
+        end_s = loaded_plan.start_s + makespan_s + late_s + self.config.grace_s
+        if monitor.stop_all_at_s is not None:
+            return self._stop_and_resume(plan, loaded_plan, monitor.stop_all_at_s)
+        if not running.any():
+            self._end_plan(plan)
+        elif monitor.now_s > end_s:
+            self._failed |= running
+            return self.stop(monitor.now_s)
+        return max(monitor.now_s, self.transactions.now_s)
+
+    def _stop_and_resume(self, plan: Plan, before: LoadedPlan, t: float) -> float:
+        """Stop all robots together, and start the remaining motion of those that can resume."""
+        self.transactions.revive()
         running = before.started & ~self._arrived
         rows = np.flatnonzero(self.known)
-        status = self._starter.stop(rows, t)
+        status = self._start_stop.stop(rows, t)
         self.robot_state[rows] = status.state
-        # faults may be of garbled frames meanwhile; alerts stay
-        silent = (self.robot_state == RobotState.FAULT) & (self.alerts & Alert.SILENT != 0)
-        fit = (self.robot_state == RobotState.STOPPED) | silent
-        fit &= (self.alerts & (Alert.STALLED | Alert.REBOOTED) == 0) & ~self._lost
-        fit[rows] &= status.ok & (status.boot == self._boot[rows])
-        # who heard no HEARTBEAT though its bus did will not hear the next either
-        bus = self.link.at(self.plane.bus)
-        heard = np.unique(bus[running & (self.robot_state == RobotState.STOPPED)])
-        fit &= ~(silent & np.isin(bus, heard))
-        self._failed |= running & ~fit
-        if len(self.uploads) > self.config.resumes or not self._may_go():
-            return self.stop(self.link.now_s)
-        self.link.command(Opcode.CLEAR, rows[fit[rows]], self.link.now_s)
-        elapsed_s, goes_on, crowded = t - before.start_s, running & fit, self._plan.crowded
-        left = remaining_motion(before.motion, self.counts, elapsed_s, self._speed, goes_on)
-        self._plan = Plan(left, self._plan.goals)
-        self._begin(goes_on & self._plan.moves & ~self._plan.crowded, self.link.now_s)
-        stays = running & ~self.upload.started & (self.upload.reason == Reason.OK)
-        # who was left behind before keeps its reason
-        reason = np.where(self.upload.reason == Reason.OK, before.reason, self.upload.reason)
-        reason[crowded] = Reason.TOO_MANY_SEGMENTS
+        able = self._able_to_resume(running)
+        able[rows] &= status.ok & (status.boot == self._boot[rows])
+        self._failed |= running & ~able
+        if len(self.loaded_plans) > self.config.resumes or not self._may_go():
+            return self.stop(self.transactions.now_s)
+        self.transactions.command(Opcode.CLEAR, rows[able[rows]], self.transactions.now_s)
+        resuming, oversized = running & able, plan.oversized
+        left = remaining_motion(
+            before.motion, self.counts, t - before.start_s, self._speed, resuming
+        )
+        plan = self._plan = Plan(left, plan.goals)
+        wanted = resuming & plan.moves & ~plan.oversized
+        loaded_plan = self._start_phase(plan, wanted, self.transactions.now_s)
+        stays = running & ~loaded_plan.started & (loaded_plan.reason == Reason.OK)
+        # a robot that was not started in an earlier phase keeps its reason
+        reason = np.where(loaded_plan.reason == Reason.OK, before.reason, loaded_plan.reason)
+        reason[oversized] = Reason.TOO_MANY_SEGMENTS
         reason[stays] = Reason.STOPPED
-        self.upload = self.uploads[-1] = replace(self.upload, reason=reason)
-        return self._watch()
+        self.loaded_plan = self.loaded_plans[-1] = replace(loaded_plan, reason=reason)
+        return self._evaluate_motion(plan, self.loaded_plan)
 
-    def _end(self):
-        """Judge the plan and forget it; silent robots of a plan cut short have failed."""
-        if self.upload:
-            self._failed |= self.upload.started & ~self._arrived & (self.robot_state == 0)
-        self.result = judge(
+    def _able_to_resume(self, running: Mask) -> Mask:
+        """Robots that have stopped in order, by state and alerts, shape (n,)."""
+        # faults may be of frames garbled in the meantime; alerts stay
+        silent = (self.robot_state == RobotState.FAULT) & (self.alerts & Alert.SILENT != 0)
+        able = (self.robot_state == RobotState.STOPPED) | silent
+        able &= (self.alerts & (Alert.STALLED | Alert.REBOOTED) == 0) & ~self._lost
+        # a robot without heartbeats on a bus with heartbeats would miss the next ones too
+        bus = self.transactions.places(self.transactions.addresses.bus)
+        with_heartbeats = np.unique(bus[running & (self.robot_state == RobotState.STOPPED)])
+        return able & ~(silent & np.isin(bus, with_heartbeats))
+
+    def _end_plan(self, plan: Plan) -> PlanResult:
+        """Evaluate a plan and forget it; lost robots of a plan cut short have failed."""
+        loaded_plan = self.loaded_plan
+        if loaded_plan is not None:
+            self._failed |= loaded_plan.started & ~self._arrived & (self.robot_state == 0)
+        self.result = evaluate(
             self.plane,
-            self._plan,
-            self.upload,
+            plan,
+            loaded_plan,
             self.counts,
             self.known,
             self._arrived,

@@ -1,11 +1,10 @@
-"""GO, and nobody moves before everybody is known to have heard it; STOP, until all have stopped."""
+"""Synchronised start and stop: no robot moves until all have confirmed GO; STOP is repeated."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from fiber_bus_bridge.motion_monitor import MotionMonitor
+from fiber_bus_bridge.motion_monitor import MotionMonitor, StatusHandler
 from fiber_bus_bridge.transactions import Transactions
 from fiber_bus_bridge.wire import (
     COUNTDOWN_S,
@@ -16,162 +15,188 @@ from fiber_bus_bridge.wire import (
     encode_command,
     general_call,
 )
+from fiber_core.array_types import Ints, Mask, Rows
 
 __all__ = ["AT_REST", "Start", "StartStop"]
 
 AT_REST = (RobotState.UNCONFIGURED, RobotState.STOPPED, RobotState.FAULT)
-_LONGEST_S = 0.65  # what the field of the countdown carries
-_SLACK_S = 10e-3  # for robots that have to be asked or told once more
-_CALLS = 3  # times the call to STOP is sent
-_STOPS = 3  # times STOP is tried on who does not stop
+_LONGEST_S = 0.65  # largest countdown that its field can carry
+_SLACK_S = 10e-3  # for robots that need another poll or another GO
+_CALLS = 3  # repetitions of the general call STOP
+_STOPS = 3  # attempts to stop a single robot
 
 
 class Start(NamedTuple):
-    """What came of a GO.
+    """Result of a GO.
 
     Args:
-        go_s: when the GO was complete [s].
-        start_s: when the robots begin to move [s].
-        watch: the watch over them; None when nobody moves, because all were called off.
-        missing: for whom all were called off: who did not count down, shape (n,).
-        late: whose bus the GO reached too late, or else they would be missing, shape (n,).
+        go_s: time at which the GO was complete [s].
+        start_s: time at which the robots begin to move [s].
+        monitor: the monitor of the robots; None when the start was cancelled and no robot moves.
+        missing: robots because of which the start was cancelled: no confirmation, shape (n,).
+        late: robots on buses on which the GO was late and that are not `missing`, shape (n,).
     """
 
     go_s: float
     start_s: float
-    watch: MotionMonitor | None
-    missing: np.ndarray
-    late: np.ndarray
+    monitor: MotionMonitor | None
+    missing: Mask
+    late: Mask
 
 
 class StartStop:
     """Starts robots together and stops them.
 
-    GO is never repeated blindly: only to a robot whose status says that it is loaded and
-    has not started, and then with what is left of the countdown, so that it begins with all
-    others. If anybody cannot be brought to count down in time, all are stopped before one has
-    moved. Who cannot even be told that hears no HEARTBEAT any more, and does not start either.
+    GO is never repeated blindly. It is repeated only to a robot that reports LOADED, with the
+    time left of the countdown, so that this robot starts with all others. If a robot does not
+    confirm the GO in time, all robots are stopped before one has moved. A robot that cannot be
+    told to stop also gets no heartbeat, so it does not start.
 
     Args:
-        link: the wire.
-        silence_s: after how long without a HEARTBEAT robots stop themselves [s].
-        period_s: shortest time between two looks at the robots [s].
-        stretch_s: how much longer than usual a HEARTBEAT may take, as by MotionMonitor [s].
-        skew_s: how much later than the first a bus may have heard the GO [s].
-        listen: told of every status, as by MotionMonitor.
+        transactions: the transactions with the robots.
+        silence_s: time without a heartbeat after which robots stop by themselves [s].
+        period_s: time between two steps of the monitor [s].
+        stretch_s: how much longer than the shortest a heartbeat may take, as in MotionMonitor [s].
+        skew_s: largest delay of the GO on a bus after the first bus [s].
+        on_statuses: called with rows, their valid statuses, and the time of the poll.
     """
 
     def __init__(
         self,
-        link: Transactions,
+        transactions: Transactions,
         silence_s: float,
         period_s: float,
         stretch_s: float,
         skew_s: float,
-        listen: Callable[[np.ndarray, Statuses, float], None],
+        on_statuses: StatusHandler,
     ):
-        self.link, self.silence_s, self.period_s, self.listen = link, silence_s, period_s, listen
+        self.transactions, self.on_statuses = transactions, on_statuses
+        self.silence_s, self.period_s = silence_s, period_s
         self.stretch_s, self.skew_s = stretch_s, skew_s
-        self._bus = link.at(link.addresses.bus)
+        self._bus = transactions.places(transactions.addresses.bus)
 
-    def go(self, rows, known, sequence, boot, look_s: float, t: float) -> Start:
+    def go(
+        self, rows: Rows, known: Mask, sequence: Ints, boot: Ints, verify_s: float, t: float
+    ) -> Start:
         """Start robots that are loaded and verified.
 
         Args:
-            rows: the robots, shape (r,).
+            rows: robots to start, shape (r,).
             known: robots that can be commanded, shape (n,): a STOP reaches all of them.
             sequence: sequence number of each bus, shape (b,).
             boot: boot counters of all robots, shape (n,).
-            look_s: how long it takes to look at all of them once [s].
-            t: not before this time [s].
+            verify_s: time to VERIFY all robots once [s].
+            t: earliest time [s].
         """
-        t = max(t, self.link.now_s)
-        nobody = np.zeros(len(boot), dtype=bool)
+        t = max(t, self.transactions.now_s)
+        none = np.zeros(len(boot), dtype=bool)
         if len(rows) == 0:
-            return Start(t, t, None, nobody, nobody)
+            return Start(t, t, None, none, none)
         buses = np.unique(self._bus[rows])
-        countdown_s = 1.2 * look_s + _SLACK_S + self.silence_s + 2.0 * self.period_s
-        countdown_s = min(countdown_s, _LONGEST_S)
-        units = round(countdown_s / COUNTDOWN_S)
+        countdown_s = 1.2 * verify_s + _SLACK_S + self.silence_s + 2.0 * self.period_s
+        units = round(min(countdown_s, _LONGEST_S) / COUNTDOWN_S)
         calls = encode_command(
-            Opcode.GO, general_call(self.link.buses[buses]), sequence[buses], units
+            Opcode.GO, general_call(self.transactions.buses[buses]), sequence[buses], units
         )
-        replies = self.link.call(calls, t)
+        replies = self.transactions.call(calls, t)
         took_s = float((replies.end_s - replies.start_s).min())
         go_s = float(replies.start_s.min() + took_s)
         start_s = go_s + units * COUNTDOWN_S
-        late, everyone = nobody.copy(), ~nobody
+        late = none.copy()
         late[rows] = (replies.end_s > go_s + self.skew_s)[np.searchsorted(buses, self._bus[rows])]
-        watch = MotionMonitor(
-            self.link, rows, boot, sequence, go_s,
+        monitor = MotionMonitor(
+            self.transactions, rows, boot, sequence, go_s,
             self.silence_s, self.period_s, self.stretch_s,
-            look_s / np.bincount(self._bus[rows]).max(), self.listen,
+            verify_s / np.bincount(self._bus[rows]).max(), self.on_statuses,
         )  # fmt: skip
-        if late.any():  # a clock held low made the GO late on their bus
-            missing = self._call_off(rows, known, watch, everyone)
+        if late.any():  # a clock held low delayed the GO on the bus of these robots
+            missing = self._cancel(rows, known, monitor, ~none)
             return Start(go_s, start_s, None, missing, late & ~missing)
-        # without a HEARTBEAT from then on nobody starts
-        until_s = start_s - self.silence_s - self.period_s
-        while not watch.seen[rows].all():
-            watch.step(VERIFY_BYTES)
-            over = watch.now_s >= until_s and not watch.seen[rows].all()
-            if watch.freeze_s is not None or over:
-                # stopped early, most of those not seen yet have only not been looked at
-                heard = watch.seen if over else ~watch.failing
-                missing = self._call_off(rows, known, watch, heard)
-                return Start(go_s, start_s, None, missing, nobody)
-            self._again(watch, sequence, took_s, start_s)
-        watch.counting = False
-        return Start(go_s, start_s, watch, nobody, nobody)
+        missing = self._await_confirmations(rows, known, monitor, sequence, took_s, start_s)
+        if missing is not None:
+            return Start(go_s, start_s, None, missing, none)
+        monitor.counting_down = False
+        return Start(go_s, start_s, monitor, none, none)
 
-    def _again(self, watch, sequence, took_s, start_s):
-        """GO to each robot that said it is loaded and has not heard it, for the same instant."""
-        rows = np.flatnonzero(watch.deaf)
+    def _await_confirmations(
+        self,
+        rows: Rows,
+        known: Mask,
+        monitor: MotionMonitor,
+        sequence: Ints,
+        took_s: float,
+        start_s: float,
+    ) -> Mask | None:
+        """Poll until all robots have confirmed the GO: None, or else the missing robots, (n,)."""
+        # without a heartbeat after this time no robot starts
+        until_s = start_s - self.silence_s - self.period_s
+        while not monitor.go_confirmed[rows].all():
+            monitor.step(VERIFY_BYTES)
+            confirmed = monitor.go_confirmed
+            over = monitor.now_s >= until_s and not confirmed[rows].all()
+            if monitor.stop_all_at_s is not None or over:
+                # after an early cancel most robots without confirmation were not polled yet
+                return self._cancel(rows, known, monitor, confirmed if over else ~monitor.failing)
+            self._repeat_go(monitor, sequence, took_s, start_s)
+        return None
+
+    def _repeat_go(
+        self, monitor: MotionMonitor, sequence: Ints, took_s: float, start_s: float
+    ) -> None:
+        """Send GO, for the same start, to each robot that reports LOADED after the first GO."""
+        rows = np.flatnonzero(monitor.missed_go)
         if len(rows) == 0:
             return
         rows = rows[np.argsort(self._bus[rows], kind="stable")]
         bus = self._bus[rows]
         slot = np.arange(len(rows)) - np.searchsorted(bus, bus)
-        # beats must not wait for them: the others are told after the next step
+        # heartbeats must not wait: the remaining robots get their GO after the next step
         soon = 1.5 * took_s * (slot + 1) <= 0.5 * self.period_s
         soon |= slot == 0
         rows, bus, slot = rows[soon], bus[soon], slot[soon]
-        begin_s = np.maximum(watch.now_s, self.link.free_s[bus]) + 1.5 * took_s * slot
+        begin_s = np.maximum(monitor.now_s, self.transactions.free_s[bus]) + 1.5 * took_s * slot
         left = np.rint((start_s - begin_s - took_s) / COUNTDOWN_S)
         frames = encode_command(
-            Opcode.GO, self.link.addresses[rows], sequence[bus], np.maximum(left, 1)
+            Opcode.GO, self.transactions.addresses[rows], sequence[bus], np.maximum(left, 1)
         )
-        self.link.transfer(frames, 0, begin_s)
-        watch.deaf[rows] = False
+        self.transactions.transfer(frames, 0, begin_s)
+        monitor.missed_go[rows] = False
 
-    def _call_off(self, rows, known, watch, heard):
-        """Stop and clear everybody before anyone moves; return who must be left out, (n,)."""
-        everybody = np.flatnonzero(known)
-        status = self.stop(everybody, watch.now_s)
+    def _cancel(self, rows: Rows, known: Mask, monitor: MotionMonitor, responding: Mask) -> Mask:
+        """Stop and clear all robots before one moves; return the robots to leave out, (n,)."""
+        all_rows = np.flatnonzero(known)
+        status = self.stop(all_rows, monitor.now_s)
         stopped = status.ok & (status.state == RobotState.STOPPED)
-        self.link.command(Opcode.CLEAR, everybody[stopped], watch.now_s)
-        stopped = np.isin(rows, everybody[stopped])
-        missing = np.zeros(len(heard), dtype=bool)
-        missing[rows] = ~stopped | ~heard[rows]
-        # no HEARTBEAT gets through to them, whatever they answered before
+        self.transactions.command(Opcode.CLEAR, all_rows[stopped], monitor.now_s)
+        was_stopped = np.isin(rows, all_rows[stopped])
+        missing = np.zeros(len(responding), dtype=bool)
+        missing[rows] = ~was_stopped | ~responding[rows]
+        # a bus without heartbeats is out, even if its robots have answered before
         bus = self._bus[rows]
-        missing[rows] |= watch.beat_s[bus] < watch.beat_s[bus].max() - 2 * self.period_s
+        last_s = monitor.heartbeat_s
+        missing[rows] |= last_s[bus] < last_s[bus].max() - 2 * self.period_s
         return missing
 
-    def stop(self, rows, t: float) -> Statuses:
-        """Stop robots by general call, then one by one who has not; return their statuses.
+    def stop(self, rows: Rows, t: float) -> Statuses:
+        """Stop robots by general call, then singly where needed; return their statuses.
 
-        The call is repeated at once, and no bus waits for another: a lost STOP costs less time
-        than finding out.
+        The call is repeated at once, because a lost STOP costs less time than finding out about
+        it. No bus waits for another bus.
+
+        Args:
+            rows: robots to stop, shape (r,).
+            t: earliest time [s].
         """
-        calls = encode_command(Opcode.STOP, general_call(np.repeat(self.link.buses, _CALLS)))
-        self.link.transfer(calls, 0, t)
-        status = self.link.statuses(rows, t)
+        calls = encode_command(
+            Opcode.STOP, general_call(np.repeat(self.transactions.buses, _CALLS))
+        )
+        self.transactions.transfer(calls, 0, t)
+        status = self.transactions.statuses(rows, t)
         for _ in range(_STOPS):
-            going = rows[~(status.ok & np.isin(status.state, AT_REST))]
-            if len(going) == 0:
+            moving = rows[~(status.ok & np.isin(status.state, AT_REST))]
+            if len(moving) == 0:
                 break
-            self.link.command(Opcode.STOP, going, t)
-            status = self.link.statuses(rows, t)
-        self.listen(rows[status.ok], status.only(status.ok), self.link.now_s)
+            self.transactions.command(Opcode.STOP, moving, t)
+            status = self.transactions.statuses(rows, t)
+        self.on_statuses(rows[status.ok], status.select(status.ok), self.transactions.now_s)
         return status

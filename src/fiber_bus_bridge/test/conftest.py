@@ -1,4 +1,4 @@
-"""What the tests of this package share stands beside them, in modules of its own."""
+"""Make the helper modules in this folder importable."""
 
 import sys
 from pathlib import Path

@@ -1,6 +1,6 @@
-"""A Linux kernel with I2C adapters that has simulated robots behind them, by umockdev.
+"""A mock of the kernel's I2C adapters, by umockdev, with simulated robots on them.
 
-It works inside `umockdev-wrapper` only, where opening /dev/i2c-N and its ioctls come here.
+It works only inside `umockdev-wrapper`, which redirects /dev/i2c-N and its ioctls to the mock.
 """
 
 import errno
@@ -15,7 +15,7 @@ from fiber_bus_bridge.bus.linux import LinuxBuses
 from fiber_bus_bridge.simulation import SimulatedBuses
 from fiber_bus_bridge.wire import Addresses, Frames
 
-DEBIAN = "/usr/lib/python3/dist-packages"  # where gi is, for Debian's own Python
+DEBIAN = "/usr/lib/python3/dist-packages"  # folder of gi for Debian's own Python
 I2C_FUNCS, I2C_RDWR = 0x0705, 0x0707
 READ, TEN_BIT = 0x01, 0x10
 ERRNO = {
@@ -29,7 +29,7 @@ ERRNO = {
 
 
 def umockdev():
-    """Return the modules of umockdev and GLib, or None where they are not installed."""
+    """Return the modules of umockdev and GLib, None if they are not installed."""
     sys.path.append(DEBIAN)
     try:
         import gi
@@ -44,11 +44,11 @@ def umockdev():
 
 
 class Kernel:
-    """Devices, /dev/i2c-N, that do not exist, for simulated buses.
+    """Mock devices /dev/i2c-N for simulated buses.
 
     Args:
         simulated: the buses.
-        clock: tells the time of the buses [s]; by default it goes on with what is done on them.
+        clock: returns the time of the buses [s]; by default it advances with their traffic.
     """
 
     def __init__(self, simulated: SimulatedBuses, clock=lambda: 0.0):
@@ -119,7 +119,7 @@ class Kernel:
 
 
 class KernelBuses(LinuxBuses):
-    """The real backend on such devices; time is that of the simulated buses."""
+    """The real backend on mock devices; its time is that of the simulated buses."""
 
     def __init__(self, simulated: SimulatedBuses):
         self._kernel = Kernel(simulated)
@@ -127,7 +127,7 @@ class KernelBuses(LinuxBuses):
 
     @property
     def calls(self):
-        """Messages of each call of the kernel."""
+        """Number of messages in each call of the kernel."""
         return self._kernel.calls
 
     def close(self):

@@ -1,6 +1,6 @@
-"""The bridge node in real time, on devices that are run by `test_node_devices.py`.
+"""Tests of the bridge node in real time on mock devices, run by `test_node_devices.py`.
 
-Not collected by itself: it works inside `umockdev-wrapper` only.
+Not collected directly: they work only inside `umockdev-wrapper`.
 """
 
 import time
@@ -29,18 +29,18 @@ PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
   </rtps></participant>
 </profiles></dds>
 """
-# a message takes longer here than on a bus, and this machine does other things meanwhile
+# a message takes longer on a mock device than on a bus, and the machine is shared
 PATIENT = {
     "session__silence_ms": 400,
-    "session__watch_s": 0.02,
+    "session__heartbeat_period_s": 0.02,
     "session__stretch_s": float("inf"),
 }
 
 
 @pytest.fixture
 def rest(tmp_path, monkeypatch):
-    """A bridge on a device behind which robots are elsewhere than it believes."""
-    # umockdev takes every file below /dev for one of its own, also what Fast DDS has in /dev/shm
+    """A bridge on a mock device with robots that are not at their assumed angles."""
+    # umockdev intercepts every file below /dev, also the shared memory of Fast DDS in /dev/shm
     (tmp_path / "udp.xml").write_text(PROFILE)
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(tmp_path / "udp.xml"))
     moved = COUNTS + [30, 0]
@@ -59,7 +59,7 @@ def orders(ticks):
 
 
 def test_a_plan_is_carried_out_in_real_time(rest):
-    rest.until(lambda: np.array_equal(rest.counts(), COUNTS + [30, 0]))  # of the encoders
+    rest.until(lambda: np.array_equal(rest.counts(), COUNTS + [30, 0]))  # as the encoders read
     motion = orders(200)
     rest.ready(9, motion)
     begin = time.monotonic()
@@ -78,12 +78,12 @@ def test_a_stop_is_carried_out_at_once(rest):
     assert rest.call(topics.START).success
 
     def moving():
-        return joint_states.decode(rest.heard[topics.JOINT_STATES.name][-1])[2].any()
+        return joint_states.decode(rest.received[topics.JOINT_STATES.name][-1])[2].any()
 
     rest.until(moving)
     assert rest.call(topics.STOP).success
     rest.end(9)
-    there = rest.robots.memory["position"]
-    rest.until(lambda: np.array_equal(rest.counts(), there))
-    gone = np.abs(there - motion.start)[:, 0] / np.abs(motion.end - motion.start)[:, 0]
+    stopped = rest.robots.memory["position"]
+    rest.until(lambda: np.array_equal(rest.counts(), stopped))
+    gone = np.abs(stopped - motion.start)[:, 0] / np.abs(motion.end - motion.start)[:, 0]
     assert np.all(gone > 0) and np.all(gone < 0.9)

@@ -1,4 +1,4 @@
-"""The bridge node and the rest of the graph as it sees it, which is a test."""
+"""A bridge node, and a test in place of the other nodes of the graph."""
 
 import numpy as np
 
@@ -32,7 +32,7 @@ __all__ = [
 WAIT_S = 300.0  # the first motion compiles
 PLANE = preset("desi", 7)
 UNITS = WireUnits.for_plane(PLANE)
-# folded, where arms are clear of each other whatever theta is
+# folded: arms are clear of each other at every theta
 START = np.stack([np.linspace(-1.0, 1.0, 7), np.full(7, 3.1)], axis=1)
 COUNTS = UNITS.to_counts(START)
 TICKS, VELOCITY = 50, 700
@@ -46,18 +46,18 @@ def turning(ids=PLANE.ids, ticks=TICKS):
 
 
 def problem_file(folder, start=START) -> str:
-    """Write where the robots begin, nobody asked to go anywhere; return the file."""
+    """Write a problem with starts and without targets; return the file."""
     path = folder / "problem.npz"
     save_problem(path, Problem(PLANE, start, np.full((7, 2), np.nan)))
     return str(path)
 
 
 class Rest:
-    """The rest of the graph, as the bridge sees it."""
+    """The other nodes of the graph: publishes their messages, keeps those of the bridge."""
 
     def __init__(self, peer, path, **parameters):
         self.peer = peer
-        self.heard = {
+        self.received = {
             topic.name: peer.collect(topic)
             for topic in (
                 topics.LAYOUT,
@@ -74,7 +74,9 @@ class Rest:
         self.held = topics.HELD_BY_PLANNER.publisher(peer.node)
         self.bridge = peer.add_node(BridgeNode, problem=path, **{"time_scale": 0.0} | parameters)
         self.until(
-            lambda: self.heard[topics.JOINT_STATES.name] and self.heard[topics.DIAGNOSTICS.name]
+            lambda: (
+                self.received[topics.JOINT_STATES.name] and self.received[topics.DIAGNOSTICS.name]
+            )
         )
         self.until(lambda: self.segments.get_subscription_count() == 1)
 
@@ -82,22 +84,22 @@ class Rest:
         self.peer.wait_for(condition, WAIT_S)
 
     def status(self):
-        return diagnostics.decode(self.heard[topics.DIAGNOSTICS.name][-1])[0]
+        return diagnostics.decode(self.received[topics.DIAGNOSTICS.name][-1])[0]
 
     def counts(self):
-        ids, angles, _, _ = joint_states.decode(self.heard[topics.JOINT_STATES.name][-1])
+        ids, angles, _, _ = joint_states.decode(self.received[topics.JOINT_STATES.name][-1])
         assert np.array_equal(ids, PLANE.ids)
         return UNITS.to_counts(angles)
 
     def order(self, ns, motion=None, ids=PLANE.ids, attempt=1):
-        self.heard[topics.PROGRESS.name].clear()
+        self.received[topics.PROGRESS.name].clear()
         stamp = self.stamp_of(ns, attempt)
         self.segments.publish(segments.encode(ids, motion or turning(), stamp))
 
     def stamp_of(self, ns, attempt):
-        """The stamp of an attempt of a plan, as the targets of the attempt tell it."""
-        asked = map(targets.decode_attempt, self.heard[topics.TARGETS.name])
-        later = [a.stamp for a in asked if (a.plan.ns, a.number) == (ns, attempt)]
+        """The stamp of an attempt of a plan, from the targets of the attempt."""
+        announced = map(targets.decode_attempt, self.received[topics.TARGETS.name])
+        later = [a.stamp for a in announced if (a.plan.ns, a.number) == (ns, attempt)]
         return later[0] if attempt > 1 else PlanStamp(ns)
 
     def ask(self, ns, ids, xy_mm):
@@ -106,7 +108,7 @@ class Rest:
 
     def ready(self, ns, motion=None):
         self.order(ns, motion)
-        self.until(lambda: self.heard[topics.PROGRESS.name])
+        self.until(lambda: self.received[topics.PROGRESS.name])
 
     def call(self, service):
         client = service.client(self.peer.node)
@@ -116,9 +118,11 @@ class Rest:
         return future.result()
 
     def end(self, ns):
-        """What became of the robots of a plan."""
-        self.until(lambda: any(PlanStamp.of(m).ns == ns for m in self.heard[topics.OUTCOME.name]))
-        message = next(m for m in self.heard[topics.OUTCOME.name] if PlanStamp.of(m).ns == ns)
+        """Wait for the end of a plan; return outcome, reason and error of its robots."""
+        self.until(
+            lambda: any(PlanStamp.of(m).ns == ns for m in self.received[topics.OUTCOME.name])
+        )
+        message = next(m for m in self.received[topics.OUTCOME.name] if PlanStamp.of(m).ns == ns)
         ids, result, reason, error_mm = outcome.decode(message)
         assert np.array_equal(ids, PLANE.ids)
         return result, reason, error_mm

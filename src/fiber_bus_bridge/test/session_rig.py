@@ -38,7 +38,7 @@ class Rig:
         self.t = 0.0
 
     def orders(self, theta, phi, ticks=250):
-        """One segment for each joint that moves: turns of theta and phi [quanta a tick], (n,)."""
+        """One segment for each moving joint: speeds of theta and phi [quanta per tick], (n,)."""
         velocity = np.stack(np.broadcast_arrays(theta, phi, np.zeros(self.plane.n)), 1)[:, :2]
         velocity = velocity.astype(np.int64).ravel()
         moves = velocity != 0

@@ -1,4 +1,4 @@
-"""One behaviour, whatever carries the messages: simulated buses, or the Linux kernel's."""
+"""Tests that every bus backend must pass: simulated buses and adapters of the Linux kernel."""
 
 import os
 import re
@@ -14,7 +14,7 @@ from kernel_buses import KernelBuses, umockdev
 
 from fiber_bus_bridge import Session, SessionConfig, SessionState, addresses_of, bus_timing
 from fiber_bus_bridge.bus import Ack, Recovery
-from fiber_bus_bridge.simulation import Faults, Line, Positioners, SimulatedBuses
+from fiber_bus_bridge.simulation import Faults, LineFault, Positioners, SimulatedBuses
 from fiber_bus_bridge.transactions import Transactions
 from fiber_bus_bridge.wire import (
     STATUS_BYTES,
@@ -42,7 +42,7 @@ INSIDE = "umockdev" in os.environ.get("LD_PRELOAD", "")
 def backend(request):
     """Function that makes a backend with robots at some addresses and faults.
 
-    The kernel's is made inside umockdev, where test_the_linux_backend runs this file again.
+    Inside umockdev, where a test runs this file a second time, it makes the Linux backend.
     """
     made = []
 
@@ -55,13 +55,13 @@ def backend(request):
         return made[-1], robots
 
     yield make
-    for one in made:
+    for each in made:
         if request.param == "linux":
-            one.close()
+            each.close()
 
 
-@pytest.mark.skipif(INSIDE, reason="this is inside already")
-def test_the_linux_backend():
+@pytest.mark.skipif(INSIDE, reason="runs inside umockdev already")
+def test_the_linux_backend_passes_these_tests():
     if WRAPPER is None or umockdev() is None:
         pytest.skip("umockdev with its Python bindings is not installed: /dev/i2c-N is not tested")
     pytest.importorskip("smbus2", reason="smbus2 is not installed: /dev/i2c-N is not tested")
@@ -92,29 +92,29 @@ def test_messages_reach_the_robots_they_are_for(backend):
     assert states == [RobotState.IDLE, RobotState.STOPPED] * 2
 
 
-def test_who_is_not_there_or_refuses_does_not_acknowledge(backend):
+def test_an_absent_or_refusing_robot_does_not_acknowledge(backend):
     buses, _ = backend()
     absent = Addresses([0, 5], [10, 301], [False, True])
     replies = buses.transfer(encode_command(Opcode.CLEAR, absent), 4, 0.0)
     assert replies.ack.tolist() == [Ack.NO_ADDRESS] * 2
     assert np.array_equal(replies.table(4), np.full((2, 4), 255))
-    # the kernel's drivers do not tell the two apart
+    # the kernel's drivers do not distinguish the two
     wrong = Frames.from_bytes(TO, [b"\x40\x00"] * 4)
     assert set(buses.transfer(wrong, 0, 0.0).ack) <= {Ack.NO_ADDRESS, Ack.REFUSED}
 
 
-def test_answers_come_from_the_robots_asked(backend):
+def test_replies_come_from_the_addressed_robots(backend):
     buses, robots = backend()
     robots.memory["position"] = np.arange(8).reshape(4, 2) * 1000 - 3000
     nothing = Frames(TO, np.zeros(5, dtype=int), np.zeros(0, dtype=np.uint8))
     replies = buses.transfer(nothing, STATUS_BYTES, 0.0)
     status = decode_status(TO, replies.table(STATUS_BYTES))
     assert status.ok.all() and np.array_equal(status.position, robots.memory["position"])
-    who = Transactions(buses, TO).identities(np.arange(4), 0.0)
-    assert who.ok.all() and who.serial.tolist() == [1, 2, 3, 4]
+    identity = Transactions(buses, TO).identities(np.arange(4), 0.0)
+    assert identity.ok.all() and identity.serial.tolist() == [1, 2, 3, 4]
 
 
-def test_a_general_call_reaches_all(backend):
+def test_a_general_call_reaches_all_robots(backend):
     buses, robots = backend()
     robots.memory["state"] = RobotState.IDLE
     call = encode_command(Opcode.STOP, general_call([0, 5]))
@@ -122,7 +122,7 @@ def test_a_general_call_reaches_all(backend):
     assert set(robots.memory["state"]) == {RobotState.STOPPED}
 
 
-def test_one_that_fails_among_many_does_not_hide_the_others(backend):
+def test_one_failing_robot_of_a_batch_does_not_hide_the_others(backend):
     to = Addresses(np.zeros(100), np.arange(100) + 8, np.zeros(100, dtype=bool))
     buses, robots = backend(to)
     robots.memory["state"] = RobotState.IDLE
@@ -147,12 +147,12 @@ def test_a_go_is_never_sent_twice(backend):
 @pytest.mark.parametrize(
     ("line", "acks"),
     [
-        (Line.SDA_LOW, [Ack.STUCK, Ack.NOT_SENT, Ack.NOT_SENT, Ack.OK]),
-        (Line.SCL_LOW, [Ack.TIMED_OUT, Ack.NOT_SENT, Ack.NOT_SENT, Ack.OK]),
-        (Line.BABBLE, [Ack.LOST, Ack.LOST, Ack.LOST, Ack.OK]),
+        (LineFault.SDA_LOW, [Ack.STUCK, Ack.NOT_SENT, Ack.NOT_SENT, Ack.OK]),
+        (LineFault.SCL_LOW, [Ack.TIMED_OUT, Ack.NOT_SENT, Ack.NOT_SENT, Ack.OK]),
+        (LineFault.BABBLE, [Ack.LOST, Ack.LOST, Ack.LOST, Ack.OK]),
     ],
 )
-def test_lines_that_fail_are_told_apart_and_cost_their_bus_only(backend, line, acks):
+def test_line_faults_are_distinguished_and_affect_only_their_bus(backend, line, acks):
     buses, _ = backend(faults=Faults(lines=((line, 0, 0.0, np.inf, Recovery.NOTHING),)))
     assert buses.transfer(encode_command(Opcode.CLEAR, TO), 0, 0.0).ack.tolist() == acks
 
@@ -164,7 +164,7 @@ def test_a_plan_is_carried_out(backend):
     start = units.to_counts(np.stack([np.linspace(-1, 1, 19), np.full(19, 2.6)], axis=1))
     to = addresses_of(plane)
     buses, robots = backend(to, robots=Positioners(to, plane.ids, units.quantum_prad, start))
-    # the kernel here serves one bus after the other, which makes a GO late on the second
+    # the mock kernel serves one bus after the other, so the GO is late on the second bus
     safety, unhurried = Safety(start_skew_s=2e-3), SessionConfig(stretch_s=np.inf)
     session = Session(plane, units, safety, buses, units.to_angles(start), unhurried)
     t = session.configure(0.0)
@@ -177,5 +177,5 @@ def test_a_plan_is_carried_out(backend):
         if session.state is not SessionState.MOVING:
             break
         t = session.advance(t + 0.1)
-    assert session.upload.started.all() and set(session.result.outcome) == {Outcome.REACHED}
+    assert session.loaded_plan.started.all() and set(session.result.outcome) == {Outcome.REACHED}
     assert np.array_equal(session.counts, motion.end)

@@ -1,4 +1,4 @@
-"""Time on the wire, who hangs where, and what simulated buses do with messages."""
+"""Time on the wire, topologies, and the transfer of messages on simulated buses."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def test_writes_at_1_mhz_take_the_published_time(written, ten_bit, expected_us):
 
 
 @pytest.mark.parametrize("mode", BUS_TIMINGS)
-def test_reads_repeat_start_and_address_where_they_must(mode):
+def test_reads_repeat_start_and_address_where_the_standard_requires_it(mode):
     timing = bus_timing(mode)
     byte = 9 / timing.clock_hz
     restart = byte + timing.restart_setup_s + timing.start_hold_s + timing.low_s
@@ -47,13 +47,13 @@ def test_an_unknown_mode_is_refused():
 def test_topologies_fill_their_buses():
     for name, topology in TOPOLOGIES.items():
         buses, per_bus = (int(part) for part in name.split("x"))
-        bus, address = topology.hang(buses * per_bus)
+        bus, address = topology.assign(buses * per_bus)
         assert bus.max() == buses - 1
         assert np.bincount(bus).tolist() == [per_bus] * buses
         assert len(set(zip(bus.tolist(), address.tolist()))) == buses * per_bus
 
 
-def test_the_form_of_addresses_follows_from_the_bus():
+def test_the_form_of_an_address_follows_from_the_addresses_of_its_bus():
     plane = preset("desi", 4)
     plane = replace(plane, bus=[0, 0, 7, 7], address=[0x08, 0x77, 0x08, 0x78])
     assert addresses_of(plane).ten_bit.tolist() == [False, False, True, True]
@@ -80,9 +80,9 @@ def test_buses_run_in_parallel_and_frames_of_one_bus_in_turn(buses):
     assert later.start_s == pytest.approx([0.5, 0.5 + one, *(1 + one + ten + [0, one])], abs=1e-12)
 
 
-def test_absent_robots_do_not_acknowledge_and_cost_their_address(buses):
-    nobody = Addresses([0, 5, 9], [10, 8, 8], [False, True, False])
-    replies = buses.transfer(encode_command(Opcode.CLEAR, nobody), 3, 0.0)
+def test_an_absent_robot_does_not_acknowledge_and_takes_the_time_of_its_address(buses):
+    absent = Addresses([0, 5, 9], [10, 8, 8], [False, True, False])
+    replies = buses.transfer(encode_command(Opcode.CLEAR, absent), 3, 0.0)
     assert replies.ack.tolist() == [Ack.NO_ADDRESS] * 3
     assert np.array_equal(replies.table(3), np.full((3, 3), 255))
     assert replies.end_s == pytest.approx(buses.timing.unanswered_s([False, True, False]))
@@ -91,7 +91,7 @@ def test_absent_robots_do_not_acknowledge_and_cost_their_address(buses):
     assert acks.tolist() == [Ack.NO_ADDRESS, Ack.OK, Ack.OK, Ack.OK]
 
 
-def test_a_general_call_is_a_wired_and(buses):
+def test_a_general_call_is_acknowledged_if_one_robot_acknowledges(buses):
     call = encode_command(Opcode.STOP, general_call([0, 5, 6]))
     buses.positioners.power([0, 2, 3], False, 0.0)
     acks = buses.transfer(call, 0, 0.0).ack

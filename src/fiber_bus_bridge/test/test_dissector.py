@@ -1,4 +1,4 @@
-"""The dissector for Wireshark says of our packets what our own decoder says, field by field."""
+"""The dissector for Wireshark agrees with the decoder of the package, field by field."""
 
 import shutil
 import subprocess
@@ -47,7 +47,7 @@ TO = Addresses([0, 0, 1, 1], [8, 0x77, 300, 1023], [False, False, True, True])
 CALLED = general_call([0, 1])
 UNITS = WireUnits()
 NOTHING = Frames(TO, np.zeros(5, dtype=int), np.zeros(0, dtype=np.uint8))
-# by name in the dissector: of hexadecimal fields the text, of others the number
+# width of the fields that the dissector shows in hexadecimal
 HEX = {"order_crc": 4, "alerts": 2, "crc": 4, "pec": 2}
 FIELDS = (
     "bus address ten_bit read opcode sequence theta_segments phi_segments segments countdown "
@@ -58,8 +58,8 @@ FIELDS = (
 
 
 @pytest.fixture(scope="module")
-def talk():
-    """A tap with frames of every kind: configuration, orders, motion, refusals, absence."""
+def traffic():
+    """A tap with frames of every kind: configuration, orders, motion, refusals, absent robots."""
     robots = Positioners(TO, [11, 22, 33, 44], UNITS.quantum_prad, np.full((4, 2), -70_000))
     tap, t = Tap(SimulatedBuses(robots, bus_timing("1M")), bus_timing("1M")), 0.0
     limits = np.tile([[-2_000_000, 2_000_001], [-1_000_002, 2_000_003]], (4, 1, 1))
@@ -68,7 +68,7 @@ def talk():
     absent = Addresses([0, 1], [0x20, 301], [False, True])
     for frames, read in (
         (encode_command(Opcode.IDENTIFY, TO), IDENTITY_BYTES),
-        (load, 0),  # refused: nobody is configured
+        (load, 0),  # refused: no robot is configured
         (encode_config(config, TO), 0),
         (NOTHING, STATUS_BYTES),
         (load, 0),
@@ -89,7 +89,7 @@ def talk():
 
 
 def packets_of(exchange):
-    """What is on the wire of an exchange, by bus: fields by name, in the order of the frames."""
+    """Yield the fields of each message of an exchange, by name, in the order of the frames."""
     frames, replies = exchange.frames, exchange.replies
     for row in range(len(frames)):
         to = frames.to[row : row + 1]
@@ -101,7 +101,7 @@ def packets_of(exchange):
         if payload or place["ten_bit"] or not len(read):
             yield place | {"read": 0} | written(to, frames[np.array([row])], payload)
         if len(read) and replies.ack[row] == Ack.OK:
-            yield place | {"read": 1} | answered(to, read[None])
+            yield place | {"read": 1} | reply_fields(to, read[None])
 
 
 def written(to, frame, payload):
@@ -117,8 +117,8 @@ def written(to, frame, payload):
         fields |= {"sequence": int(order.sequence[0]), "crc": int(order.crc[0])}
         fields |= {"theta_segments": int(counts[0]), "phi_segments": int(counts[1])}
         return fields | ({"segments": payload[2:-2].hex()} if counts.any() else {})
-    told = decode_command(payload, int(to.address[0]), bool(to.ten_bit[0]))
-    assert told == (opcode, sequence)
+    decoded = decode_command(payload, int(to.address[0]), bool(to.ten_bit[0]))
+    assert decoded == (opcode, sequence)
     if opcode == Opcode.GO:
         row = np.frombuffer(head, GO_FIELDS)[0]
         return fields | {
@@ -140,14 +140,15 @@ def written(to, frame, payload):
     return fields | {"pec": head[-1]}
 
 
-def answered(to, data):
+def reply_fields(to, data):
     pec = int(data[0, VERIFY_BYTES - 1])
     if data.shape[1] == IDENTITY_BYTES:
-        who = decode_identity(to, data)
-        assert who.ok.all()
+        identity = decode_identity(to, data)
+        assert identity.ok.all()
         return {
-            "opcode": int(Opcode.IDENTIFY), "version": VERSION, "serial": int(who.serial[0]),
-            "new_address": int(who.address[0]), "boot": int(who.boot[0]), "pec": int(data[0, -1]),
+            "opcode": int(Opcode.IDENTIFY), "version": VERSION, "serial": int(identity.serial[0]),
+            "new_address": int(identity.address[0]), "boot": int(identity.boot[0]),
+            "pec": int(data[0, -1]),
         }  # fmt: skip
     status = decode_status(to, data)
     assert status.ok.all()
@@ -161,7 +162,7 @@ def answered(to, data):
 
 
 def dissected(path):
-    """Fields and words of every packet, by tshark with the script of tools/."""
+    """Yield fields and description of every packet, by tshark with the script of tools/."""
     names = [f"fiber.{name}" for name in FIELDS]
     command = [TSHARK, "-X", f"lua_script:{SCRIPT}", "-r", str(path), "-T", "fields"]
     command += ["-E", "separator=;", *(word for name in names for word in ("-e", name))]
@@ -175,9 +176,9 @@ def dissected(path):
 
 
 @pytest.mark.skipif(TSHARK is None, reason="tshark is not installed: the dissector is not tested")
-def test_every_field_is_as_our_decoder_reads_it(talk, tmp_path):
+def test_every_field_agrees_with_the_decoder(traffic, tmp_path):
     expected = {0: [], 1: []}
-    for exchange in talk.exchanges:
+    for exchange in traffic.exchanges:
         for fields in packets_of(exchange):
             shown = {
                 name: f"0x{value:0{HEX[name]}x}" if name in HEX else str(value)
@@ -186,24 +187,24 @@ def test_every_field_is_as_our_decoder_reads_it(talk, tmp_path):
             expected[fields["bus"]].append(shown)
     states = {fields.get("state") for fields in expected[0]}
     assert states >= {str(int(s)) for s in (RobotState.IDLE, RobotState.LOADED, RobotState.STOPPED)}
-    talk.write(tmp_path)
+    traffic.write(tmp_path)
     found = {0: [], 1: []}
-    said = set()
+    descriptions = set()
     for fields, words in dissected(tmp_path / "buses.pcap"):
         found[int(fields["bus"])].append(fields)
-        said.add(words)
+        descriptions.add(words)
     assert found == expected
     assert {field for packets in found.values() for packet in packets for field in packet} == set(
         FIELDS
     )
-    assert said >= {
+    assert descriptions >= {
         "identity", "address only", "CONFIG", "LOAD, 1 + 1 segments", "GO to all", "GO",
         "HEARTBEAT to all", "STOP to all", "CLEAR", "ADDRESS", "RESET", "verify LOADED",
         "status IDLE", "status STOPPED",
     }  # fmt: skip
 
 
-def test_the_names_in_the_dissector_are_those_of_our_codes():
+def test_the_dissector_names_the_codes_of_the_wire_format():
     text = SCRIPT.read_text(encoding="utf-8")
     for table, codes in (("OPCODES", Opcode), ("STATES", RobotState), ("FAULTS", Fault)):
         body = text.split(f"local {table} = {{")[1].split("}")[0]

@@ -1,4 +1,4 @@
-"""The bridge node alone: a test sends the orders and calls the services."""
+"""The bridge node by itself: the tests send orders and call services."""
 
 import numpy as np
 import pytest
@@ -30,24 +30,24 @@ def rest(tmp_path):
         yield Rest(peer, problem_file(tmp_path))
 
 
-def test_it_shows_its_plane_and_where_the_encoders_are(rest):
-    rest.until(lambda: rest.heard[topics.LAYOUT.name])
-    plane, units = layout.decode(rest.heard[topics.LAYOUT.name][-1])
+def test_the_bridge_publishes_its_plane_and_the_encoders(rest):
+    rest.until(lambda: rest.received[topics.LAYOUT.name])
+    plane, units = layout.decode(rest.received[topics.LAYOUT.name][-1])
     assert units == UNITS and np.array_equal(plane.ids, PLANE.ids)
     np.testing.assert_allclose(plane.centers, PLANE.centers, rtol=1e-12)
     assert np.array_equal(rest.counts(), COUNTS)
 
 
-def test_orders_wait_for_start_and_are_carried_out_to_the_last_quantum(rest):
+def test_orders_wait_for_start_and_are_executed_to_the_last_quantum(rest):
     rest.ready(9)
-    assert np.array_equal(rest.counts(), COUNTS) and not rest.heard[topics.OUTCOME.name]
+    assert np.array_equal(rest.counts(), COUNTS) and not rest.received[topics.OUTCOME.name]
     answer = rest.call(topics.START)
     assert answer.success and "7 robots started" in answer.message
     result, reason, error_mm = rest.end(9)
     assert np.all(result == Outcome.REACHED) and np.all(reason == Reason.OK)
     rest.until(lambda: np.array_equal(rest.counts(), turning().end))
     assert error_mm.max() < 1e-6
-    logs = [(PlanStamp.of(m).ns, frames.decode(m)) for m in rest.heard[topics.FRAMES.name]]
+    logs = [(PlanStamp.of(m).ns, frames.decode(m)) for m in rest.received[topics.FRAMES.name]]
     assert {ns for ns, _ in logs} == {9}
     opcodes = {int(data) >> 4 for _, log in logs for data in log.data[log.offsets[:-1]]}
     assert Opcode.LOAD in opcodes and any(np.any(log.read) for _, log in logs)
@@ -65,7 +65,7 @@ def test_a_capture_is_written_of_each_plan(tmp_path):
         assert (folder / "buses.vcd").stat().st_size > 10_000
 
 
-def test_the_first_reason_given_for_a_robot_stays(rest):
+def test_the_first_reason_received_for_a_robot_is_kept(rest):
     tips = PLANE.centers + [2.0, 0.0]
     rest.targets.publish(targets.encode(PLANE.ids, tips, PlanStamp(9)))
     reasons = [Reason.GOAL_BLOCKED, Reason.UNREACHABLE]
@@ -79,7 +79,7 @@ def test_the_first_reason_given_for_a_robot_stays(rest):
     assert np.all(error_mm > 0.1)
 
 
-def test_asked_and_never_mentioned_again_is_held_not_planned(rest):
+def test_a_robot_with_a_target_and_without_orders_is_held_as_not_planned(rest):
     rest.targets.publish(targets.encode([6], [PLANE.centers[6] + 3.0], PlanStamp(9)))
     rest.until(lambda: rest.targets.wait_for_all_acked())
     nothing = WireMotion(UNITS, COUNTS, np.zeros(15), [], [])
@@ -95,7 +95,7 @@ def test_asked_and_never_mentioned_again_is_held_not_planned(rest):
     ("state", "allowed"),
     [("IDLE", {"HOME", "CONFIGURE", "CLEAR", "STOP"}), ("READY", {"START", "CLEAR", "STOP"})],
 )
-def test_services_answer_for_the_state_they_are_called_in(rest, state, allowed, service):
+def test_services_answer_according_to_the_state(rest, state, allowed, service):
     if state == "READY":
         rest.ready(9)
     answer = rest.call(getattr(topics, service))
@@ -106,14 +106,14 @@ def test_services_answer_for_the_state_they_are_called_in(rest, state, allowed, 
         assert np.array_equal(rest.counts(), COUNTS)
 
 
-def test_orders_for_a_robot_of_another_plane_are_refused_by_name(rest):
+def test_orders_for_an_unknown_robot_are_refused_with_its_id(rest):
     rest.order(9, ids=PLANE.ids + 90)
     rest.until(lambda: "robot 90" in rest.status().text)
     assert not rest.call(topics.START).success
     assert np.array_equal(rest.counts(), COUNTS)
 
 
-def test_older_orders_are_dropped_and_say_so(rest):
+def test_older_orders_are_dropped_with_a_message(rest):
     rest.ready(20)
     rest.order(19)
     rest.until(lambda: f"{PlanStamp(19)} dropped" in rest.status().text)
@@ -131,24 +131,24 @@ def test_newer_orders_replace_those_that_wait(rest):
     rest.until(lambda: np.array_equal(rest.counts(), turning(ticks=10).end))
 
 
-def test_a_stop_while_the_next_look_is_due_leaves_a_bridge_that_answers(tmp_path):
+def test_the_bridge_answers_after_a_stop_while_a_tick_is_due(tmp_path):
     with RosClient("rest") as peer:
         rest = Rest(peer, problem_file(tmp_path), time_scale=1.0)
         rest.ready(9)
         assert rest.call(topics.START).success
-        looks = min(rest.bridge.timers, key=lambda timer: timer.timer_period_ns)
+        ticks = min(rest.bridge.timers, key=lambda timer: timer.timer_period_ns)
         stop = next(s for s in rest.bridge.services if s.service_name.endswith("stop"))
         waits = rest.bridge.executor.wait_for_ready_callbacks
-        while (due := waits(timeout_sec=WAIT_S))[1] is not looks:
+        while (due := waits(timeout_sec=WAIT_S))[1] is not ticks:
             due[0]()
-        # as another thread does: after the look is found to be due, and before it is taken
+        # as in another thread: after the tick is found to be due, and before it is taken
         assert stop.callback(stop.srv_type.Request(), stop.srv_type.Response()).success
         due[0]()
         assert due[0].exception() is None
         assert rest.call(topics.CLEAR).success
 
 
-def test_settings_it_cannot_work_with_end_it(tmp_path):
+def test_impossible_parameters_end_the_bridge(tmp_path):
     path = problem_file(tmp_path)
     with RosClient("rest") as peer:
         with pytest.raises(MessageError, match="time_scale -1.0"):

@@ -1,4 +1,4 @@
-"""The bridge node on devices of this machine: /dev/i2c-N of a kernel that umockdev plays."""
+"""The bridge node on I2C adapters: devices /dev/i2c-N that umockdev mocks."""
 
 import errno
 import os
@@ -20,42 +20,42 @@ from fiber_node import RosClient
 pytestmark = pytest.mark.timeout(600)
 
 WRAPPER = shutil.which("umockdev-wrapper")
-HERE = Path(__file__)
+THIS_FILE = Path(__file__)
 
 
-def test_the_node_on_devices():
+def test_the_node_passes_its_tests_on_devices():
     if WRAPPER is None or umockdev() is None:
         pytest.skip("umockdev with its Python bindings is not installed: devices are not tested")
     pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
-    inside = str(HERE.with_name("node_on_devices.py"))
+    inside = str(THIS_FILE.with_name("node_on_devices.py"))
     run = subprocess.run(
         [WRAPPER, sys.executable, "-m", "pytest", "-q", inside],
         capture_output=True,
         text=True,
         timeout=500,
-        cwd=HERE.parents[3],
+        cwd=THIS_FILE.parents[3],
     )
     assert run.returncode == 0, run.stdout + run.stderr
     assert re.search(r"\b2 passed\b", run.stdout), run.stdout
 
 
 @pytest.mark.parametrize(
-    ("devices", "problem", "said"),
+    ("devices", "problem", "message"),
     [
-        (["/dev/i2c-0"], False, "devices need problem"),
+        (["/dev/i2c-0"], False, "devices need the parameter problem"),
         (["a", "b"], True, r"\['a', 'b'\] for the 1 buses \[0\]"),
         (["/dev/no-such"], True, "No such file or directory"),
     ],
 )
-def test_devices_that_cannot_be_used_end_it(tmp_path, devices, problem, said):
+def test_unusable_devices_end_the_bridge(tmp_path, devices, problem, message):
     pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
     path = problem_file(tmp_path)
-    with RosClient("rest") as peer, pytest.raises(BridgeError, match=said):
+    with RosClient("rest") as peer, pytest.raises(BridgeError, match=message):
         peer.add_node(BridgeNode, devices=devices, problem=path if problem else "")
 
 
-class Disowned:
-    """An adapter whose driver cannot do what it is asked."""
+class Unsupported:
+    """An adapter with a driver that supports no message."""
 
     def __init__(self, path):
         self.path = path
@@ -64,11 +64,11 @@ class Disowned:
         raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
 
 
-def test_an_adapter_that_cannot_be_used_leaves_a_bridge_that_says_so(tmp_path, caplog, monkeypatch):
+def test_an_unusable_adapter_counts_as_stuck_and_is_logged(tmp_path, caplog, monkeypatch):
     pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
-    monkeypatch.setattr("smbus2.SMBus", Disowned)
+    monkeypatch.setattr("smbus2.SMBus", Unsupported)
     with RosClient("rest") as peer:
         rest = Rest(peer, problem_file(tmp_path), devices=["/dev/i2c-0"])
         answer = rest.call(topics.CONFIGURE)
         assert answer.success and answer.message == "0 of 7 robots configured"
-    assert "bus 0: [Errno 95] Operation not supported" in caplog.text
+    assert "bus 0 counts as stuck: [Errno 95] Operation not supported" in caplog.text

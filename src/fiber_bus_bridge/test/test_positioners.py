@@ -1,4 +1,4 @@
-"""Simulated positioners: what they accept, what they refuse, and where they end up."""
+"""Simulated positioners: accepted and refused frames, states, and final positions."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ SPEED = [8000, 6000]
 
 
 class Bench:
-    """A few robots on one bus and a controller that counts time for itself."""
+    """A few robots on one bus and a controller that keeps its own time."""
 
     def __init__(self, n=1, start=(0, 1_000_000), watchdog_ms=0, **clocks):
         self.to = Addresses([0] * n, np.arange(n) + 8, [False] * n)
@@ -78,7 +78,7 @@ def random_motion(rng, n):
     counts = rng.integers(0, 16, 2 * n)
     offsets = np.concatenate([[0], np.cumsum(counts)])
     ticks = rng.integers(1, 120, offsets[-1])
-    # 15 segments of 120 ticks and 500 quanta stay within 900 000 quanta of the start
+    # 15 segments of 120 ticks and 500 quanta remain within 900 000 quanta of the start
     return WireMotion(
         UNITS, np.tile([0, 1_000_000], (n, 1)), offsets, ticks, rng.integers(-500, 501, offsets[-1])
     )
@@ -116,7 +116,7 @@ def test_clocks_and_skew_shift_the_motion():
     assert bench.robots.positions(bench.t + 9)[:, 0].tolist() == [1_000_000] * 3
 
 
-def test_stop_freezes_where_it_is_heard():
+def test_a_stop_halts_a_robot_at_the_position_where_it_is_received():
     bench = Bench()
     bench.configure()
     bench.load(theta=((250, 1000),), phi=((100, -500), (100, 0), (100, 500)))
@@ -140,7 +140,7 @@ RESET = ("command", Opcode.RESET)
 WAIT = ("wait",)
 OVERWRITE = ("load", 1, (), ())
 
-# what happens to a robot, whether it takes the last of it, its state and fault then
+# frames to a robot, whether it accepts the last of them, its state and fault afterwards
 STORIES = [
     ((), True, RobotState.UNCONFIGURED, Fault.NONE),
     ((LOAD,), False, RobotState.UNCONFIGURED, Fault.NOT_CONFIGURED),
@@ -174,7 +174,7 @@ STORIES = [
     ((CONFIGURE, OVERWRITE, GO), True, RobotState.DONE, Fault.NONE),
     ((CONFIGURE, ("load", 1, ((1, 8001),))), False, RobotState.IDLE, Fault.OVER_SPEED),
     ((CONFIGURE, ("load", 1, (), ((1, -6001),))), False, RobotState.IDLE, Fault.OVER_SPEED),
-    # out of the limits on the way, though the end is inside
+    # outside the limits on the way, although the end is inside
     (
         (CONFIGURE, ("load", 1, (), ((201, -5000), (100, 5000)))),
         False,
@@ -186,7 +186,7 @@ STORIES = [
 
 
 @pytest.mark.parametrize(("story", "taken", "state", "fault"), STORIES)
-def test_states(story, taken, state, fault):
+def test_a_robot_has_the_state_and_fault_of_the_wire_format(story, taken, state, fault):
     bench = Bench()
     acks = [Ack.OK]
     for verb, *arguments in story:
@@ -209,14 +209,14 @@ def test_an_order_is_executed_once():
     assert bench.status().position[0].tolist() == [250_000, 950_000]
 
 
-def test_whoever_stands_outside_may_only_come_back():
+def test_a_robot_outside_its_limits_accepts_only_orders_that_return():
     bench = Bench(start=(0, 2_000_100))
     bench.configure()
     assert bench.load(1, (), ((1, 1),)) == [Ack.REFUSED]
     assert bench.load(1, (), ((100, -10),)) == [Ack.OK]
 
 
-def test_a_robot_reports_the_checksum_of_what_it_stores():
+def test_a_robot_reports_the_checksum_of_its_stored_order():
     bench = Bench()
     bench.configure()
     bench.load()
@@ -229,7 +229,7 @@ def test_a_robot_reports_the_checksum_of_what_it_stores():
     assert status.position[0].tolist() == [0, 1_000_000]
 
 
-def test_an_order_nobody_starts_lapses():
+def test_an_order_that_is_never_started_lapses():
     bench = Bench(watchdog_ms=1000)
     bench.configure()
     bench.load()
@@ -264,13 +264,13 @@ def test_other_quanta_and_impossible_units_are_refused():
         assert bench.status().fault[0] == Fault.BAD_VALUE
 
 
-def test_a_robot_says_who_it_is():
+def test_a_robot_reports_its_identity():
     bench = Bench(2)
-    asks = encode_command(Opcode.IDENTIFY, bench.to)
-    replies = bench.buses.transfer(asks, 9, 0.0)
-    who = decode_identity(bench.to, replies.table(9))
-    assert who.ok.all() and who.serial.tolist() == [100, 101]
-    assert who.address.tolist() == [8, 9] and not who.ten_bit.any()
+    requests = encode_command(Opcode.IDENTIFY, bench.to)
+    replies = bench.buses.transfer(requests, 9, 0.0)
+    identity = decode_identity(bench.to, replies.table(9))
+    assert identity.ok.all() and identity.serial.tolist() == [100, 101]
+    assert identity.address.tolist() == [8, 9] and not identity.ten_bit.any()
 
 
 def test_impossible_robots_are_refused():
@@ -282,7 +282,7 @@ def test_impossible_robots_are_refused():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_noise_moves_nobody(seed):
+def test_noise_moves_no_robot(seed):
     rng = np.random.default_rng(seed)
     bench = Bench()
     bench.configure()

@@ -1,4 +1,4 @@
-"""Replanning of a plan add up, and the roster knows who is left out of the next."""
+"""The attempts of a plan are combined, and failed or disabled robots are left out of plans."""
 
 import numpy as np
 import pytest
@@ -22,13 +22,13 @@ def result_of(*pairs):
     return PlanResult(outcome, reason, np.arange(len(pairs), dtype=float))
 
 
-def attempts(*pairs, most=2, asked=None):
-    """Replanning whose first attempt ended as the pairs say; asked: all but NO_TARGET."""
+def attempts(*pairs, max_attempts=2, asked=None):
+    """Replanning after a first attempt with these results; asked: all but NO_TARGET."""
     goals = np.zeros((len(pairs), 2))
     goals[[pair == UNASKED for pair in pairs]] = np.nan
-    made = Replanning(goals, most)
-    made.add(result_of(*pairs), made.asked if asked is None else asked)
-    return made
+    replanning = Replanning(goals, max_attempts)
+    replanning.add_attempt(result_of(*pairs), replanning.asked if asked is None else asked)
+    return replanning
 
 
 ALL = np.ones(4, dtype=bool)
@@ -37,37 +37,47 @@ BUT_FIRST = np.array([False, True, True, True])
 
 @pytest.mark.parametrize("waits", [UNSAFE, HALTED])
 @pytest.mark.parametrize("lost", [ABSENT, STALLED])
-def test_others_held_for_one_that_is_lost_are_asked_again_with_all_that_have_arrived(waits, lost):
-    again = attempts(lost, waits, REACHED, UNASKED).again(ALL, BUT_FIRST)
-    assert again.tolist() == [False, True, True, False]
+def test_robots_held_because_of_a_lost_one_are_asked_again_with_all_that_have_arrived(waits, lost):
+    robots = attempts(lost, waits, REACHED, UNASKED).next_robots(ALL, BUT_FIRST)
+    assert robots.tolist() == [False, True, True, False]
 
 
 @pytest.mark.parametrize(
     ("pairs", "ordered", "commandable"),
     [
         ((REACHED, REACHED, REACHED, REACHED), ALL, ALL),
-        ((ABSENT, REACHED, REACHED, UNASKED), ALL, BUT_FIRST),  # nobody waits
-        ((UNSAFE, UNSAFE, REACHED, REACHED), ALL, ALL),  # nothing is known that was not
-        ((ABSENT, UNSAFE, REACHED, REACHED), BUT_FIRST, BUT_FIRST),  # it was known before
-        ((ABSENT, BLOCKED, REACHED, REACHED), ALL, BUT_FIRST),  # not held for it
-        ((ABSENT, UNSAFE, REACHED, REACHED), ALL, ALL & False),  # cannot be commanded either
+        ((ABSENT, REACHED, REACHED, UNASKED), ALL, BUT_FIRST),  # no robot waits
+        ((UNSAFE, UNSAFE, REACHED, REACHED), ALL, ALL),  # no new obstacle
+        ((ABSENT, UNSAFE, REACHED, REACHED), BUT_FIRST, BUT_FIRST),  # the planner knew the obstacle
+        ((ABSENT, BLOCKED, REACHED, REACHED), ALL, BUT_FIRST),  # held for another reason
+        (
+            (ABSENT, UNSAFE, REACHED, REACHED),
+            ALL,
+            ALL & False,
+        ),  # neither can be commanded
     ],
 )
-def test_nobody_is_asked_again_without_need(pairs, ordered, commandable):
-    assert not attempts(*pairs).again(ordered, commandable).any()
+def test_no_robot_is_asked_again_without_need(pairs, ordered, commandable):
+    assert not attempts(*pairs).next_robots(ordered, commandable).any()
 
 
 def test_there_are_no_more_attempts_than_allowed():
-    assert not attempts(ABSENT, UNSAFE, REACHED, UNASKED, most=1).again(ALL, BUT_FIRST).any()
-    two = attempts(ABSENT, UNSAFE, REACHED, UNASKED, most=2)
-    two.add(result_of(UNASKED, ABSENT, UNSAFE, UNASKED), np.array([False, True, True, False]))
-    assert not two.again(BUT_FIRST, np.array([False, False, True, True])).any()
+    assert (
+        not attempts(ABSENT, UNSAFE, REACHED, UNASKED, max_attempts=1)
+        .next_robots(ALL, BUT_FIRST)
+        .any()
+    )
+    two = attempts(ABSENT, UNSAFE, REACHED, UNASKED, max_attempts=2)
+    two.add_attempt(
+        result_of(UNASKED, ABSENT, UNSAFE, UNASKED), np.array([False, True, True, False])
+    )
+    assert not two.next_robots(BUT_FIRST, np.array([False, False, True, True])).any()
 
 
 def test_the_last_attempt_a_robot_is_asked_in_counts_and_a_failure_always():
     both = attempts(ABSENT, UNSAFE, REACHED, UNASKED)
     second = result_of(UNASKED, REACHED, HALTED, STALLED)
-    both.add(second, np.array([False, True, True, False]))
+    both.add_attempt(second, np.array([False, True, True, False]))
     ended = both.result
     assert list(zip(ended.outcome, ended.reason)) == [ABSENT, REACHED, HALTED, STALLED]
     assert ended.error_mm.tolist() == [0.0, 1.0, 2.0, 3.0]
@@ -76,63 +86,63 @@ def test_the_last_attempt_a_robot_is_asked_in_counts_and_a_failure_always():
 PLANE = preset("desi", 7).with_enabled(np.arange(7) != 6)
 
 
-def test_who_is_out_for_which_reason(tmp_path):
-    roster = Availability(PLANE)
+def test_each_excluded_robot_has_its_reason(tmp_path):
+    availability = Availability(PLANE)
     known = np.arange(7) != 5
-    roster.disable([2], "arm bent")
+    availability.disable([2], "arm bent")
     failed = result_of(ABSENT, STALLED, UNASKED, UNSAFE, REACHED, ABSENT, UNASKED)
-    roster.leave_out(failed, known)
-    assert np.flatnonzero(roster.enabled).tolist() == [0, 1, 3, 4, 5]
-    assert np.flatnonzero(roster.commandable(known)).tolist() == [3, 4]
-    told = roster.explain(result_of(*[(Outcome.HELD, Reason.DISABLED)] * 7))
-    assert told.reason[:3].tolist() == [Reason.NOT_ACKNOWLEDGED] * 2 + [Reason.DISABLED]
-    roster.take_back()
-    assert np.flatnonzero(roster.commandable(known)).tolist() == [0, 1, 3, 4]
+    availability.exclude_failed(failed, known)
+    assert np.flatnonzero(availability.enabled).tolist() == [0, 1, 3, 4, 5]
+    assert np.flatnonzero(availability.commandable(known)).tolist() == [3, 4]
+    explained = availability.explain(result_of(*[(Outcome.HELD, Reason.DISABLED)] * 7))
+    assert explained.reason[:3].tolist() == [Reason.NOT_ACKNOWLEDGED] * 2 + [Reason.DISABLED]
+    availability.restore()
+    assert np.flatnonzero(availability.commandable(known)).tolist() == [0, 1, 3, 4]
 
 
-def test_the_list_outlives_whoever_keeps_it_and_reasons_stay(tmp_path):
+def test_the_list_outlives_the_bridge_and_keeps_the_reasons(tmp_path):
     path = tmp_path / "night" / "disabled.yaml"
-    roster = Availability(PLANE, path)
-    roster.disable([3], "arm bent: see log of 2026-11-20")
-    roster.disable([3, 1], "fibre broken")
+    availability = Availability(PLANE, path)
+    availability.disable([3], "arm bent: see log of 2026-11-20")
+    availability.disable([3, 1], "fibre broken")
     assert Availability(PLANE, path).disabled == {
         3: "arm bent: see log of 2026-11-20",
         1: "fibre broken",
     }
-    roster.disable([1])
+    availability.disable([1])
     assert read_disabled(path) == {1: "fibre broken"}
-    roster.disable([])
-    assert Availability(PLANE, path).disabled == {} and roster.enabled[:6].all()
+    availability.disable([])
+    assert Availability(PLANE, path).disabled == {} and availability.enabled[:6].all()
     assert [entry.name for entry in path.parent.iterdir()] == ["disabled.yaml"]
 
 
 def test_a_robot_the_plane_does_not_have_is_refused_and_the_list_stays(tmp_path):
     path = tmp_path / "disabled.yaml"
-    roster = Availability(PLANE, path)
-    roster.disable([1], "x")
-    with pytest.raises(BridgeError, match="robot 99: no such robot"):
-        roster.disable([1, 99])
-    assert read_disabled(path) == roster.disabled == {1: "x"}
+    availability = Availability(PLANE, path)
+    availability.disable([1], "x")
+    with pytest.raises(BridgeError, match="robot 99 cannot be disabled: the plane has no"):
+        availability.disable([1, 99])
+    assert read_disabled(path) == availability.disabled == {1: "x"}
     write_disabled(path, {99: ""})
-    with pytest.raises(BridgeError, match="robot 99: no such robot"):
+    with pytest.raises(BridgeError, match="robot 99 cannot be disabled: the plane has no"):
         Availability(PLANE, path)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("3: [", "disabled.yaml: while parsing"),
-        ("- 3\n- 17\n", "no table of ids"),
+        ("- 3\n- 17\n", "is not a table of ids"),
         ("three: bent\n", "'three': 'bent', expected an id"),
         ("true: bent\n", "True: 'bent', expected an id"),
         ("3: 7\n", "3: 7, expected an id and a reason"),
         ("\x00", "disabled.yaml"),
     ],
 )
-def test_a_file_that_is_no_list_is_an_error_and_not_an_empty_list(tmp_path, text, said):
+def test_a_file_without_a_list_is_an_error_and_not_an_empty_list(tmp_path, text, message):
     path = tmp_path / "disabled.yaml"
     path.write_text(text)
-    with pytest.raises(BridgeError, match=said):
+    with pytest.raises(BridgeError, match=message):
         read_disabled(path)
     path.unlink()
     path.mkdir()
@@ -142,16 +152,16 @@ def test_a_file_that_is_no_list_is_an_error_and_not_an_empty_list(tmp_path, text
 
 def test_a_list_that_cannot_be_written_changes_nothing(tmp_path):
     path = tmp_path / "disabled.yaml"
-    roster = Availability(PLANE, path)
-    path.mkdir()  # root may write anywhere, but not in the place of a folder
+    availability = Availability(PLANE, path)
+    path.mkdir()  # even root cannot replace a folder by a file
     (path / "full").touch()
     with pytest.raises(BridgeError, match=r"disabled\.yaml"):
-        roster.disable([3])
-    assert not roster.disabled and roster.enabled[3]
+        availability.disable([3])
+    assert not availability.disabled and availability.enabled[3]
 
 
 def test_a_file_edited_by_hand_may_be_empty(tmp_path):
     path = tmp_path / "disabled.yaml"
     assert read_disabled(path) == {}
-    path.write_text("# nobody\n")
+    path.write_text("# no robot\n")
     assert read_disabled(path) == {}

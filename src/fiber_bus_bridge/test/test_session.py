@@ -1,4 +1,4 @@
-"""What may be asked of a session when, and where all robots of a plan end."""
+"""Sessions: the calls allowed in each state, and the result of every robot of a plan."""
 
 from dataclasses import replace
 
@@ -14,14 +14,14 @@ from fiber_core.outcomes import Outcome, Reason
 from fiber_core.wire_units import WireMotion
 
 
-def test_a_plan_from_bytes_to_targets():
+def test_a_plan_brings_all_robots_to_their_targets():
     rig = Rig()
     motion = rig.ready(theta=np.arange(19) * 40 - 360, phi=-30)
     targets = kinematics.forward(rig.plane, rig.units.to_angles(motion.end))[1]
     rig.session.submit(motion, targets + [[0.03, 0.04]])
     rig.call("start")
     assert rig.session.state is SessionState.MOVING
-    assert rig.session.upload.certificate.ok
+    assert rig.session.loaded_plan.certificate.ok
     result = rig.run()
     ended_once(result, 19)
     assert set(result.outcome) == {Outcome.REACHED}
@@ -31,19 +31,19 @@ def test_a_plan_from_bytes_to_targets():
     assert rig.session.state is SessionState.IDLE
 
 
-def test_the_encoders_are_seen_on_the_way():
+def test_the_encoders_are_read_during_the_motion():
     rig = Rig()
     motion = rig.ready(phi=-30)
     rig.call("start")
-    rig.t = rig.session.upload.start_s + 0.5
+    rig.t = rig.session.loaded_plan.start_s + 0.5
     rig.session.advance(rig.t)
     halfway = rig.units.to_angles(rig.session.counts)
-    spread = 0.02 * rig.plane.speeds  # the sweep takes a few ms
+    spread = 0.02 * rig.plane.speeds  # reading all robots takes a few ms
     assert np.all(np.abs(halfway - motion.decoded()(0.5)) < spread)
     assert np.all(np.abs(halfway - motion.decoded().start)[:, 0] > spread[:, 0])
 
 
-def test_who_has_arrived_has_no_speed_while_another_moves():
+def test_a_robot_that_has_arrived_has_no_speed_while_another_moves():
     rig = Rig(n=3)
     session = rig.session
     rig.call("configure")
@@ -57,9 +57,9 @@ def test_who_has_arrived_has_no_speed_while_another_moves():
     assert not session.velocities[:2].any()
 
 
-def test_a_frame_that_was_not_meant_for_it_costs_no_robot(monkeypatch):
+def test_a_fault_of_a_stray_frame_does_not_exclude_a_robot(monkeypatch):
     rig = Rig(3)
-    send = rig.session.link.send
+    send = rig.session.transactions.send
 
     def astray(rows, *arguments):
         acks = send(rows, *arguments)
@@ -67,7 +67,7 @@ def test_a_frame_that_was_not_meant_for_it_costs_no_robot(monkeypatch):
             rig.robots.memory["fault"][1] = Fault.BAD_CRC
         return acks
 
-    monkeypatch.setattr(rig.session.link, "send", astray)
+    monkeypatch.setattr(rig.session.transactions, "send", astray)
     rig.call("configure")
     assert rig.session.known.all()
 
@@ -102,11 +102,11 @@ def test_calls_in_the_wrong_state_are_refused_and_change_nothing(before, name, w
 
     for step in before:
         call(step)
-    state, now = rig.session.state, rig.session.link.now_s
+    state, now = rig.session.state, rig.session.transactions.now_s
     with pytest.raises(SessionError) as error:
         call(name)
     assert f"cannot {name} while {words}" in str(error.value)
-    assert (rig.session.state, rig.session.link.now_s) == (state, now)
+    assert (rig.session.state, rig.session.transactions.now_s) == (state, now)
 
 
 def test_orders_that_do_not_fit_are_refused():
@@ -120,7 +120,7 @@ def test_orders_that_do_not_fit_are_refused():
         rig.session.submit(WireMotion(rig.units, np.zeros((4, 2)), np.zeros(9), [], []))
     with pytest.raises(SessionError, match="configured for"):
         rig.session.submit(WireMotion(replace(rig.units, tick_us=10), good.start, *_rest(good)))
-    with pytest.raises(SessionError, match="targets of shape"):
+    with pytest.raises(SessionError, match="targets have shape"):
         rig.session.submit(good, np.zeros((2, 2)))
     assert rig.session.state is SessionState.IDLE
 
@@ -131,7 +131,7 @@ def _rest(motion):
 
 def test_every_robot_of_a_plan_has_its_own_reason():
     # 0 moves and is not asked, 1 is asked and has no orders, 2 is disabled, 3 is absent,
-    # 4 has too many segments, 5 is asked to be where it is, 6 arrives beside its target
+    # 4 has too many segments, 5 is asked to be where it is, 6 arrives off its target
     rig = Rig(8, enabled=np.arange(8) != 2)
     rig.robots.power([3], False, 0.0)
     rig.call("configure")
@@ -163,7 +163,7 @@ def test_every_robot_of_a_plan_has_its_own_reason():
     assert np.isnan(result.error_mm[[0, 7]]).all() and result.error_mm[6] == pytest.approx(8**0.5)
 
 
-def test_a_plan_that_is_replaced_ends():
+def test_a_plan_that_is_replaced_ends_as_stopped():
     rig = Rig(3)
     rig.ready()
     replaced = rig.session.submit(rig.orders(-400, 0))
@@ -172,8 +172,8 @@ def test_a_plan_that_is_replaced_ends():
     assert rig.session.state is SessionState.READY and rig.session.result is None
 
 
-def test_home_folds_all_and_can_be_called_again():
-    # tips of random outstretched arms, those in each other's way come later
+def test_home_folds_all_robots_in_repeated_calls():
+    # stretched arms; robots in each other's way fold in later calls
     start = np.stack([np.linspace(-3, 3, 19), np.linspace(1.5, 2.5, 19)], axis=1)
     rig = Rig(19, start)
     assert certify(rig.plane, rig.orders(0, 0).decoded(), Safety()).ok
@@ -188,7 +188,7 @@ def test_home_folds_all_and_can_be_called_again():
     assert np.all((0 <= short) & (short < 2 * rig.units.quantum_rad))
 
 
-def test_a_stranger_at_an_address_is_not_commanded():
+def test_a_robot_with_another_serial_number_is_not_commanded():
     rig = Rig(3)
     rig.robots.memory["serial"][1] = 77
     rig.call("configure")

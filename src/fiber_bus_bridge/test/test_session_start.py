@@ -1,4 +1,4 @@
-"""Load, verify, go: who is started, who is held and why."""
+"""Load, verify, go: the robots that are started, and the robots that are held with a reason."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from session_rig import Rig, ended_once
 
 import fiber_bus_bridge.loader
 from fiber_bus_bridge.bus import Recovery
-from fiber_bus_bridge.simulation import Faults, Line
+from fiber_bus_bridge.simulation import Faults, LineFault
 from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_command, decode_load
 from fiber_core.clearance import neighbour_pairs
 from fiber_core.outcomes import Outcome, Reason
@@ -14,19 +14,19 @@ from fiber_core.outcomes import Outcome, Reason
 
 @pytest.mark.parametrize("present", [True, False])
 def test_an_absent_robot_is_held_and_its_neighbours_are_certified_around_it(present):
-    # one robot points at another, which turns to point at it while it turns away
+    # a robot points at its neighbour, which turns there while the robot turns away
     plane = Rig(7).plane
-    away, comer = neighbour_pairs(plane)[0]
-    toward = plane.centers[comer] - plane.centers[away]
+    away, follower = neighbour_pairs(plane)[0]
+    toward = plane.centers[follower] - plane.centers[away]
     angle = np.arctan2(toward[1], toward[0])
     bend = 1.2  # tips lie half of this off theta
     facing = np.angle(np.exp(1j * (angle + np.pi))) - bend / 2
     start = np.tile([0.0, 3.1], (7, 1))
     start[away] = [angle - bend / 2, bend]
-    start[comer] = [facing - np.sign(facing) * 7000 * 250 * 1e-6, bend]
+    start[follower] = [facing - np.sign(facing) * 7000 * 250 * 1e-6, bend]
     theta = np.zeros(7)
     theta[away] = -7000 * np.sign(start[away, 0])
-    theta[comer] = np.sign(facing) * 7000e-6 / Rig(7).units.quantum_rad
+    theta[follower] = np.sign(facing) * 7000e-6 / Rig(7).units.quantum_rad
 
     rig = Rig(7, start)
     rig.ready(theta)
@@ -35,12 +35,12 @@ def test_an_absent_robot_is_held_and_its_neighbours_are_certified_around_it(pres
     result = rig.run()
     ended_once(result, 7)
     expected = [Reason.OK] * 2 if present else [Reason.NOT_ACKNOWLEDGED, Reason.UNSAFE_AS_LOADED]
-    assert result.reason[[away, comer]].tolist() == expected
+    assert result.reason[[away, follower]].tolist() == expected
     assert np.any(rig.where() != rig.units.to_counts(start)) == present
-    assert rig.session.link.counters.table()[0]["retries"] == (0 if present else 4)
+    assert rig.session.transactions.counters.table()[0]["retries"] == (0 if present else 4)
 
 
-def test_the_certificate_sees_bytes_not_intentions(monkeypatch):
+def test_the_certificate_is_of_the_loaded_bytes(monkeypatch):
     rig = Rig()
     motion = rig.ready(theta=400, phi=-30)
     seen = []
@@ -62,14 +62,14 @@ def test_the_certificate_sees_bytes_not_intentions(monkeypatch):
         seen.append(motion)
         return hold(plane, motion, *arguments)
 
-    upload = fiber_bus_bridge.loader
-    encode, hold = upload.encode_load, upload.hold_until_safe
-    monkeypatch.setattr(upload, "encode_load", tampered)
-    monkeypatch.setattr(upload, "hold_until_safe", certified)
+    loader = fiber_bus_bridge.loader
+    encode, hold = loader.encode_load, loader.hold_until_safe
+    monkeypatch.setattr(loader, "encode_load", tampered)
+    monkeypatch.setattr(loader, "hold_until_safe", certified)
     rig.call("start")
-    turns = rig.units.to_counts(seen[-1].end - seen[-1].start)
-    assert turns[4].tolist() == [-400 * 250, 30 * 250]
-    assert turns[5].tolist() == [400 * 250, -30 * 250]
+    moved = rig.units.to_counts(seen[-1].end - seen[-1].start)
+    assert moved[4].tolist() == [-400 * 250, 30 * 250]
+    assert moved[5].tolist() == [400 * 250, -30 * 250]
     result = rig.run()
     assert (result.outcome[4], result.reason[4]) == (Outcome.HELD, Reason.OFF_TARGET)
     assert np.array_equal(np.delete(rig.where(), 4, 0), np.delete(motion.end, 4, 0))
@@ -78,19 +78,19 @@ def test_the_certificate_sees_bytes_not_intentions(monkeypatch):
 def test_a_tampered_order_is_not_verified_and_does_not_move(monkeypatch):
     rig = Rig()
     motion = rig.ready()
-    link = rig.session.link
-    statuses = link.statuses
+    transactions = rig.session.transactions
+    statuses = transactions.statuses
 
-    def tamper_then_read(rows, t, whole=True):
+    def tamper_then_read(rows, t, complete=True):
         rig.robots.memory["order"][3, 3] ^= 1
-        return statuses(rows, t, whole)
+        return statuses(rows, t, complete)
 
-    monkeypatch.setattr(link, "statuses", tamper_then_read)
+    monkeypatch.setattr(transactions, "statuses", tamper_then_read)
     rig.call("start")
     monkeypatch.undo()
-    assert not rig.session.upload.started[3]
-    # its bus went to a fresh sequence number, so that the GO meant nothing to it
-    assert rig.session.upload.sequence.tolist() == [2] * 10 + [1] * 9
+    assert not rig.session.loaded_plan.started[3]
+    # its bus has a fresh sequence number, so that the GO had no effect on the robot
+    assert rig.session.loaded_plan.sequence.tolist() == [2] * 10 + [1] * 9
     result = rig.run()
     assert (result.outcome[3], result.reason[3]) == (Outcome.HELD, Reason.NOT_VERIFIED)
     expected = motion.end.copy()
@@ -98,39 +98,39 @@ def test_a_tampered_order_is_not_verified_and_does_not_move(monkeypatch):
     assert np.array_equal(rig.where(), expected)
 
 
-def test_an_order_the_robot_refuses_holds_only_that_robot():
+def test_a_robot_that_refuses_its_order_is_held_alone():
     rig = Rig()
     rig.call("configure")
     rig.robots.memory["limits"][5] = 0
-    rig.session.submit(rig.orders(-400, 0))  # farther out of what it takes for its limits
+    rig.session.submit(rig.orders(-400, 0))  # beyond the limits that the robot has
     rig.call("start")
     result = rig.run()
     assert result.reason[5] == Reason.REFUSED and result.outcome[5] == Outcome.HELD
     assert (result.outcome == Outcome.REACHED).sum() == 18
-    assert rig.session.link.counters.table()[0]["refused"] == 3
+    assert rig.session.transactions.counters.table()[0]["refused"] == 3
 
 
 def test_a_reset_after_loading_is_noticed_before_go(monkeypatch):
     rig = Rig()
     rig.ready()
-    send = rig.session.link.send
+    send = rig.session.transactions.send
 
     def send_then_lose_power(rows, frames, t):
         acks = send(rows, frames, t)
-        rig.robots.power([2], False, rig.session.link.now_s)
-        rig.robots.power([2], True, rig.session.link.now_s)
+        rig.robots.power([2], False, rig.session.transactions.now_s)
+        rig.robots.power([2], True, rig.session.transactions.now_s)
         return acks
 
-    monkeypatch.setattr(rig.session.link, "send", send_then_lose_power)
+    monkeypatch.setattr(rig.session.transactions, "send", send_then_lose_power)
     rig.call("start")
     monkeypatch.undo()
     assert rig.run().reason[2] == Reason.NOT_VERIFIED
 
 
-def test_a_robot_that_misses_the_go_is_told_by_itself_and_starts_with_the_others(monkeypatch):
+def test_a_robot_that_misses_the_go_gets_its_own_and_starts_with_the_others(monkeypatch):
     rig = Rig()
     motion = rig.ready()
-    call = rig.session.link.call
+    call = rig.session.transactions.call
 
     def deaf_to_go(frames, t):
         rig.robots.memory["call_deaf"][1] = True
@@ -138,30 +138,30 @@ def test_a_robot_that_misses_the_go_is_told_by_itself_and_starts_with_the_others
         rig.robots.memory["call_deaf"][1] = False
         return replies
 
-    monkeypatch.setattr(rig.session.link, "call", deaf_to_go)
+    monkeypatch.setattr(rig.session.transactions, "call", deaf_to_go)
     rig.call("start")
     monkeypatch.undo()
     started = rig.robots.memory["started_s"]
-    assert np.ptp(started) < 20e-6 and started.min() > rig.session.link.now_s
+    assert np.ptp(started) < 20e-6 and started.min() > rig.session.transactions.now_s
     assert set(rig.run().outcome) == {Outcome.REACHED}
     assert np.array_equal(rig.where(), motion.end)
 
 
-def test_a_robot_that_cannot_be_started_calls_the_others_off_and_they_go_without_it(monkeypatch):
+def test_a_robot_that_cannot_be_started_cancels_the_start_and_is_left_out_of_the_next(monkeypatch):
     rig = Rig()
     motion = rig.ready()
-    link = rig.session.link
-    transfer = link.transfer
+    transactions = rig.session.transactions
+    transfer = transactions.transfer
 
     def deaf_to_every_go(frames, *arguments, **options):
         heads = [p[p[:1] == b"\xf1" :][:1] for p in map(frames.payload, range(len(frames)))]
         rig.robots.memory["deaf"][1] = any(h and h[0] >> 4 == Opcode.GO for h in heads)
         return transfer(frames, *arguments, **options)
 
-    monkeypatch.setattr(link, "transfer", deaf_to_every_go)
+    monkeypatch.setattr(transactions, "transfer", deaf_to_every_go)
     rig.call("start")
-    assert rig.session.upload.started.tolist() == [row != 1 for row in range(19)]
-    assert set(rig.session.upload.sequence) == {2}
+    assert rig.session.loaded_plan.started.tolist() == [row != 1 for row in range(19)]
+    assert set(rig.session.loaded_plan.sequence) == {2}
     assert np.array_equal(rig.where(), motion.start)
     result = rig.run()
     ended_once(result, 19)
@@ -169,26 +169,26 @@ def test_a_robot_that_cannot_be_started_calls_the_others_off_and_they_go_without
     assert (result.outcome == Outcome.REACHED).sum() == 18
 
 
-def test_a_bus_that_hears_the_go_late_once_is_told_again():
+def test_a_bus_with_one_late_go_is_loaded_and_started_again():
     quiet = Rig()
     quiet.ready()
     quiet.call("start")
     # the clock of the second bus is held when the GO is on it, and never again
-    go_s = quiet.session.upload.go_s
+    go_s = quiet.session.loaded_plan.go_s
     rig = Rig(faults=Faults(stretches=((12, go_s - 1.1e-4, go_s, 1e-3),)))
     motion = rig.ready()
     rig.call("start")
-    assert rig.session.upload.started.all() and rig.session.upload.go_s > go_s + 2e-3
+    assert rig.session.loaded_plan.started.all() and rig.session.loaded_plan.go_s > go_s + 2e-3
     assert set(rig.run().outcome) == {Outcome.REACHED}
     assert np.array_equal(rig.where(), motion.end)
 
 
-def test_a_bus_that_hears_the_go_late_does_not_start_and_nobody_is_left_stopped():
+def test_a_bus_with_late_gos_does_not_start_and_no_robot_is_left_stopped():
     rig = Rig(faults=Faults(stretches=((12, 0.0, np.inf, 1e-3),)))
     motion = rig.ready(theta=np.where(np.arange(19) == 4, 0, 400))
     rig.call("start")
     moves = (np.arange(19) < 10) & (np.arange(19) != 4)
-    assert np.array_equal(rig.session.upload.started, moves)
+    assert np.array_equal(rig.session.loaded_plan.started, moves)
     result = rig.run()
     assert set(result.reason[10:]) == {Reason.NOT_ACKNOWLEDGED}
     assert np.array_equal(rig.where()[moves], motion.end[moves])
@@ -196,33 +196,33 @@ def test_a_bus_that_hears_the_go_late_does_not_start_and_nobody_is_left_stopped(
     assert set(rig.robots.states(rig.t)[~moves]) == {RobotState.IDLE}
 
 
-def test_a_bus_that_sticks_in_the_countdown_costs_the_other_bus_nobody():
+def test_a_bus_that_sticks_in_the_countdown_holds_no_robot_of_the_other_bus():
     quiet = Rig(220, on_bus=110)
     quiet.ready()
     quiet.call("start")
-    go_s = quiet.session.upload.go_s
-    # before all on the other bus have been asked whether they count down
-    lines = ((Line.SCL_LOW, 0, go_s + 1e-4, np.inf, Recovery.NOTHING),)
+    go_s = quiet.session.loaded_plan.go_s
+    # before all robots of the other bus have been polled in the countdown
+    lines = ((LineFault.SCL_LOW, 0, go_s + 1e-4, np.inf, Recovery.NOTHING),)
     rig = Rig(220, on_bus=110, faults=Faults(lines=lines))
     motion = rig.ready()
     rig.call("start")
-    assert np.array_equal(rig.session.upload.started, rig.plane.bus == 1)
+    assert np.array_equal(rig.session.loaded_plan.started, rig.plane.bus == 1)
     result = rig.run()
     assert set(result.reason[:110]) == {Reason.NOT_ACKNOWLEDGED}
     assert set(result.outcome[110:]) == {Outcome.REACHED}
     assert np.array_equal(rig.where(), np.where(rig.plane.bus[:, None], motion.end, motion.start))
 
 
-def test_an_objection_after_the_certificate_drops_all_orders():
+def test_a_refusal_after_the_certificate_drops_all_orders():
     rig = Rig(7)
     motion = rig.ready()
     seen = []
 
-    def object_to_it():
-        seen.append(set(rig.robots.states(rig.session.link.now_s)))
+    def refuse():
+        seen.append(set(rig.robots.states(rig.session.transactions.now_s)))
         return False
 
-    rig.call("start", object_to_it)
+    rig.call("start", refuse)
     assert seen == [{RobotState.LOADED}]
     assert set(rig.session.result.reason) == {Reason.STOPPED}
     assert set(rig.robots.states(rig.t)) == {RobotState.IDLE}
@@ -238,9 +238,9 @@ def test_the_same_call_puts_the_same_bytes_on_the_buses():
         rig.run()
         parts = [
             (e.frames.to.bus, e.frames.to.address, e.frames.data, e.replies.data, e.replies.end_s)
-            for e in rig.session.link.take_traffic()
+            for e in rig.session.transactions.take_traffic()
         ]
-        assert rig.session.link.take_traffic() == []
+        assert rig.session.transactions.take_traffic() == []
         return b"".join(column.tobytes() for part in parts for column in part)
 
     assert traffic() == traffic()
@@ -249,79 +249,79 @@ def test_the_same_call_puts_the_same_bytes_on_the_buses():
 def test_go_starts_all_buses_at_one_instant_and_is_sent_once():
     rig = Rig()
     rig.ready()
-    rig.session.link.take_traffic()
+    rig.session.transactions.take_traffic()
     rig.call("start")
-    calls = [e for e in rig.session.link.take_traffic() if not e.frames.to.address.any()]
+    calls = [e for e in rig.session.transactions.take_traffic() if not e.frames.to.address.any()]
     assert len(calls) == 1 and calls[0].frames.to.bus.tolist() == [0, 1]
     assert decode_command(calls[0].frames.payload(0), 0, False) == (Opcode.GO, 1)
     assert len(set(calls[0].replies.start_s)) == 1
 
 
-def test_the_fresh_sequence_numbers_come_round():
+def test_sequence_numbers_are_reused_after_fifteen():
     rig = Rig(3)
     rig.call("configure")
-    for turn in range(35):
-        rig.session.submit(rig.orders(200 if turn % 2 else -200, 0, ticks=5))
+    for number in range(35):
+        rig.session.submit(rig.orders(200 if number % 2 else -200, 0, ticks=5))
         rig.call("start")
         assert set(rig.run().outcome) == {Outcome.REACHED}
 
 
-def test_an_unsafe_robot_that_cannot_be_disarmed_does_not_hear_the_go(monkeypatch):
+def test_an_unsafe_robot_that_cannot_be_disarmed_ignores_the_go(monkeypatch):
     rig = Rig()
     motion = rig.ready()
-    uploader, link = rig.session._uploader, rig.session.link
-    certify_loaded, call = uploader._certify, link.call
+    loader, transactions = rig.session._loader, rig.session.transactions
+    certify_loaded, call = loader._certify, transactions.call
     held = np.arange(19) == 2
 
     def unsafe_and_cut_off(loaded):
-        rig.robots.powered[2] = False  # only from the bus: it keeps its order
+        rig.robots.powered[2] = False  # on the bus only: the robot keeps its order
         return certify_loaded(loaded)[0], held
 
-    def heard_again(frames, t):
+    def call_with_power(frames, t):
         rig.robots.powered[2] = True
         return call(frames, t)
 
-    monkeypatch.setattr(uploader, "_certify", unsafe_and_cut_off)
-    monkeypatch.setattr(link, "call", heard_again)
+    monkeypatch.setattr(loader, "_certify", unsafe_and_cut_off)
+    monkeypatch.setattr(transactions, "call", call_with_power)
     rig.call("start")
     assert rig.robots.states(rig.t)[2] == RobotState.LOADED
-    assert np.array_equal(rig.session.upload.started, ~held)
+    assert np.array_equal(rig.session.loaded_plan.started, ~held)
     result = rig.run()
     assert result.reason[2] == Reason.UNSAFE_AS_LOADED
     expected = np.where(held[:, None], motion.start, motion.end)
     assert np.array_equal(rig.where(), expected)
 
 
-def test_nobody_moves_when_no_sequence_number_is_safe(monkeypatch):
+def test_no_robot_moves_when_no_sequence_number_is_safe(monkeypatch):
     rig = Rig(7)
     motion = rig.ready()
-    uploader = rig.session._uploader
-    certify_loaded, rounds = uploader._certify, iter(np.eye(7, dtype=bool))
+    loader = rig.session._loader
+    certify_loaded, rounds = loader._certify, iter(np.eye(7, dtype=bool))
     monkeypatch.setattr(
-        uploader, "_certify", lambda loaded: (certify_loaded(loaded)[0], next(rounds))
+        loader, "_certify", lambda loaded: (certify_loaded(loaded)[0], next(rounds))
     )
-    monkeypatch.setattr(uploader, "_disarm", lambda rows, boot, t: np.array([2]))
+    monkeypatch.setattr(loader, "_disarm", lambda rows, boot, t: np.array([2]))
     rig.call("start")
     ended_once(rig.session.result, 7)
-    told = rig.session.result.reason.tolist()
-    assert told == [Reason.UNSAFE_AS_LOADED] * 6 + [Reason.STOPPED]
+    reasons = rig.session.result.reason.tolist()
+    assert reasons == [Reason.UNSAFE_AS_LOADED] * 6 + [Reason.STOPPED]
     assert np.array_equal(rig.robots.positions(rig.t + 9), motion.start)
 
 
-def test_all_or_nothing_is_of_those_who_could_touch_not_of_the_plane():
-    # a robot points at its neighbour, which comes there as it leaves; others turn elsewhere
+def test_an_absent_robot_holds_only_the_robots_that_could_touch_it():
+    # a robot points at its neighbour, which turns there while the robot turns away; others turn too
     rig = Rig(37)
     plane, pairs = rig.plane, neighbour_pairs(rig.plane)
-    leaver, comer = pairs[len(pairs) // 2]
-    toward = plane.centers[comer] - plane.centers[leaver]
+    leaver, follower = pairs[len(pairs) // 2]
+    toward = plane.centers[follower] - plane.centers[leaver]
     angle, bend = np.arctan2(toward[1], toward[0]), 1.2
     facing = np.angle(np.exp(1j * (angle + np.pi))) - bend / 2
     start = np.tile([0.0, 3.1], (37, 1))
     start[leaver] = [angle - bend / 2, bend]
-    start[comer] = [facing - np.sign(facing) * 7000 * 250 * 1e-6, bend]
+    start[follower] = [facing - np.sign(facing) * 7000 * 250 * 1e-6, bend]
     theta = np.full(37, 400)
     theta[leaver] = -7000 * np.sign(start[leaver, 0])
-    theta[comer] = np.sign(facing) * 7000e-6 / rig.units.quantum_rad
+    theta[follower] = np.sign(facing) * 7000e-6 / rig.units.quantum_rad
 
     ended = []
     for present in (True, False):
@@ -330,12 +330,12 @@ def test_all_or_nothing_is_of_those_who_could_touch_not_of_the_plane():
         rig.robots.power([leaver], present, rig.t)
         rig.call("start")
         ended.append((rig.run(), rig.where(), motion))
-    (whole, _, _), (result, where, motion) = ended
-    assert set(whole.outcome) == {Outcome.REACHED}
+    (with_all, _, _), (result, where, motion) = ended
+    assert set(with_all.outcome) == {Outcome.REACHED}
     held = np.flatnonzero(result.outcome != Outcome.REACHED)
-    assert sorted(held.tolist()) == sorted([leaver, comer])
+    assert sorted(held.tolist()) == sorted([leaver, follower])
     assert result.reason[leaver] == Reason.NOT_ACKNOWLEDGED
-    assert result.reason[comer] == Reason.UNSAFE_AS_LOADED
+    assert result.reason[follower] == Reason.UNSAFE_AS_LOADED
     others = np.setdiff1d(np.arange(37), held)
     assert len(np.unique(plane.bus[others])) == len(np.unique(plane.bus))
     assert np.array_equal(where[others], motion.end[others])

@@ -1,4 +1,4 @@
-"""Robots that stop on the way: who is stopped when, and who goes on."""
+"""Stops during a motion: when all robots stop, and which robots resume."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from session_rig import Rig, ended_once
 from fiber_bus_bridge import Session, SessionConfig, SessionError, SessionState
 from fiber_bus_bridge.bus import Recovery
 from fiber_bus_bridge.remaining_motion import remaining_motion
-from fiber_bus_bridge.simulation import Event, Faults, Line, SimulatedBuses
+from fiber_bus_bridge.simulation import Event, Faults, LineFault, SimulatedBuses
 from fiber_bus_bridge.wire import Fault, RobotState
 from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.outcomes import Outcome, Reason
@@ -15,12 +15,12 @@ from fiber_core.wire_units import WireMotion, WireUnits
 
 
 @pytest.mark.parametrize("when_s", [-0.2, 0.2])
-def test_a_robot_that_hears_no_general_call_keeps_nobody_else_from_the_end(when_s):
+def test_a_robot_deaf_to_general_calls_fails_and_all_others_arrive(when_s):
     rig = Rig()
     motion = rig.ready()
     if when_s > 0:
         rig.call("start")
-        when_s += rig.session.upload.start_s
+        when_s += rig.session.loaded_plan.start_s
     rig.robots.schedule([(3, when_s, Event.CALL_DEAF, 1)])
     if when_s < 0:
         rig.call("start")
@@ -33,11 +33,11 @@ def test_a_robot_that_hears_no_general_call_keeps_nobody_else_from_the_end(when_
 
 
 @pytest.mark.parametrize("when_s", [0.0, 0.3])
-def test_a_robot_that_stops_by_itself_stops_everybody_at_once(when_s):
+def test_a_robot_that_stops_by_itself_stops_all_robots_at_once(when_s):
     rig = Rig(config=SessionConfig(resumes=0))
     rig.ready()
     rig.call("start")
-    at = rig.session.upload.start_s + when_s
+    at = rig.session.loaded_plan.start_s + when_s
     rig.robots.schedule([(3, at, Event.JAM_THETA, 1)])
     result = rig.run()
     assert rig.session.state is SessionState.STOPPED
@@ -46,25 +46,25 @@ def test_a_robot_that_stops_by_itself_stops_everybody_at_once(when_s):
     assert set(np.delete(result.reason, 3)) == {Reason.STOPPED}
     halted = rig.robots.memory["halted_s"]
     assert halted[3] == pytest.approx(at, abs=20e-6)
-    assert np.all(halted - at < rig.session.config.watch_s + 1e-3)
+    assert np.all(halted - at < rig.session.config.heartbeat_period_s + 1e-3)
 
 
 @pytest.mark.parametrize("when_s", [0.0, 0.3123, 0.9999])
-def test_those_who_had_to_stop_go_on_to_the_very_end_of_their_orders(when_s):
+def test_stopped_robots_resume_to_the_exact_end_of_their_orders(when_s):
     rig = Rig()
     motion = rig.ready(theta=np.arange(19) * 40 - 360, phi=-30)
     rig.call("start")
-    at = rig.session.upload.start_s + when_s
+    at = rig.session.loaded_plan.start_s + when_s
     rig.robots.schedule([(3, at, Event.JAM_THETA, 1)])
     result = rig.run()
-    assert rig.session.state is SessionState.IDLE and len(rig.session.uploads) == 2
+    assert rig.session.state is SessionState.IDLE and len(rig.session.loaded_plans) == 2
     ended_once(result, 19)
     assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
     assert set(np.delete(result.outcome, 3)) == {Outcome.REACHED}
     assert np.array_equal(np.delete(rig.where(), 3, 0), np.delete(motion.end, 3, 0))
 
 
-def test_what_remains_of_a_motion_keeps_its_instants():
+def test_the_remaining_motion_keeps_the_instants_of_its_segments():
     units = WireUnits()
     motion = WireMotion(units, [[0, 0]], [0, 3, 4], [10, 20, 5, 40], [7, -3, 100, 11])
     # stopped half a tick after the 17th: theta is in its second segment
@@ -79,11 +79,11 @@ def test_what_remains_of_a_motion_keeps_its_instants():
     assert len(rests.ticks) == 0
 
 
-def test_robots_nobody_beats_for_stop_themselves():
+def test_robots_without_heartbeats_stop_by_themselves():
     rig = Rig()
     rig.ready()
     rig.call("start")
-    rig.t = rig.session.upload.start_s + 0.3
+    rig.t = rig.session.loaded_plan.start_s + 0.3
     rig.session.advance(rig.t)
     silence_s = 1e-3 * rig.session.config.silence_ms
     assert set(rig.robots.states(rig.t + silence_s + 0.1)) == {RobotState.FAULT}
@@ -91,28 +91,28 @@ def test_robots_nobody_beats_for_stop_themselves():
     assert np.ptp(rig.robots.memory["halted_s"]) < 100e-6
 
 
-def test_a_robot_that_falls_silent_fails_and_holds_its_neighbours_until_found_again():
+def test_a_lost_robot_fails_and_holds_its_neighbours_until_it_is_configured():
     rig = Rig()
     rig.ready()
     rig.call("start")
-    rig.robots.schedule([(0, rig.session.upload.start_s + 0.3, Event.POWER, 0)])
+    rig.robots.schedule([(0, rig.session.loaded_plan.start_s + 0.3, Event.POWER, 0)])
     result = rig.run()
     ended_once(result, 19)
     assert (result.outcome[0], result.reason[0]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
-    # nobody knows where it is: who could touch it stays where all stopped, the rest go on
+    # its position is unknown: robots that could touch it stay at the stop, the others resume
     assert rig.session.state is SessionState.IDLE
-    touchy = np.isin(
+    neighbours = np.isin(
         np.arange(19), neighbour_pairs(rig.plane)[(neighbour_pairs(rig.plane) == 0).any(axis=1)]
     )
-    assert set(result.reason[touchy & (np.arange(19) > 0)]) == {Reason.UNSAFE_AS_LOADED}
-    assert set(result.reason[~touchy]) == {Reason.OK}
+    assert set(result.reason[neighbours & (np.arange(19) > 0)]) == {Reason.UNSAFE_AS_LOADED}
+    assert set(result.reason[~neighbours]) == {Reason.OK}
 
     rig.session.submit(rig.orders(-400, 0))
     rig.call("start")
     pairs = neighbour_pairs(rig.plane)
-    beside = np.setdiff1d(pairs[(pairs == 0).any(axis=1)].ravel(), 0)
-    held = np.union1d(beside, [0])
-    assert np.array_equal(np.flatnonzero(~rig.session.upload.started), held)
+    held_neighbours = np.setdiff1d(pairs[(pairs == 0).any(axis=1)].ravel(), 0)
+    held = np.union1d(held_neighbours, [0])
+    assert np.array_equal(np.flatnonzero(~rig.session.loaded_plan.started), held)
     rig.run()
 
     rig.robots.power([0], True, rig.t)
@@ -123,13 +123,15 @@ def test_a_robot_that_falls_silent_fails_and_holds_its_neighbours_until_found_ag
     assert (rig.run().outcome[held] == Outcome.REACHED).all()
 
 
-def test_who_was_left_behind_keeps_its_reason_when_all_are_stopped_again():
+def test_a_robot_left_out_of_a_phase_keeps_its_reason_in_the_next():
     rig = Rig()
     pairs = neighbour_pairs(rig.plane)
-    beside = np.setdiff1d(pairs[(pairs == 0).any(axis=1)].ravel(), 0)
-    wordy = np.setdiff1d(np.arange(1, 18), beside)[0]  # has more segments than can be sent
+    held_neighbours = np.setdiff1d(pairs[(pairs == 0).any(axis=1)].ravel(), 0)
+    oversized = np.setdiff1d(np.arange(1, 18), held_neighbours)[
+        0
+    ]  # has more segments than an order can carry
     counts = np.zeros((19, 2), dtype=np.int64)
-    counts[:, 0] = np.where(np.arange(19) == wordy, 16, 1)
+    counts[:, 0] = np.where(np.arange(19) == oversized, 16, 1)
     offsets = np.concatenate([[0], np.cumsum(counts.ravel())])
     m = offsets[-1]
     rig.call("configure")
@@ -139,7 +141,7 @@ def test_who_was_left_behind_keeps_its_reason_when_all_are_stopped_again():
         np.zeros((19, 2)),
     )
     rig.call("start")
-    begin_s = rig.session.upload.start_s
+    begin_s = rig.session.loaded_plan.start_s
     rig.robots.schedule(
         [
             (0, begin_s + 0.3, Event.POWER, 0),
@@ -147,18 +149,18 @@ def test_who_was_left_behind_keeps_its_reason_when_all_are_stopped_again():
         ]
     )
     result = rig.run()
-    assert len(rig.session.uploads) == 3
+    assert len(rig.session.loaded_plans) == 3
     ended_once(result, 19)
     assert set(result.reason[[0, 18]]) == {Reason.NOT_ACKNOWLEDGED}
-    assert set(result.reason[beside]) == {Reason.UNSAFE_AS_LOADED}
-    assert result.reason[wordy] == Reason.TOO_MANY_SEGMENTS
-    others = np.setdiff1d(np.arange(19), [0, 18, wordy, *beside])
-    assert set(result.reason[others]) == {Reason.OFF_TARGET}  # nobody is asked to be there
+    assert set(result.reason[held_neighbours]) == {Reason.UNSAFE_AS_LOADED}
+    assert result.reason[oversized] == Reason.TOO_MANY_SEGMENTS
+    others = np.setdiff1d(np.arange(19), [0, 18, oversized, *held_neighbours])
+    assert set(result.reason[others]) == {Reason.OFF_TARGET}  # no target is there
     assert (rig.where()[others, 0] == start[others, 0] + 250 * 400).all()
 
 
 @pytest.mark.parametrize("moving", [True, False])
-def test_stop_then_clear(moving):
+def test_orders_are_accepted_after_stop_and_clear(moving):
     rig = Rig()
     motion = rig.ready()
     if moving:
@@ -196,13 +198,13 @@ def test_stop_works_in_every_state():
         assert rig.session.state is known
 
 
-def test_a_stop_survives_the_bridge():
+def test_a_new_session_finds_stopped_robots_stopped():
     rig = Rig(7)
     rig.call("configure")
     rig.call("stop")
-    again = Session(rig.plane, rig.units, Safety(), SimulatedBuses(rig.robots), rig.session.angles)
-    again.configure(rig.t)
-    assert again.state is SessionState.STOPPED
+    second = Session(rig.plane, rig.units, Safety(), SimulatedBuses(rig.robots), rig.session.angles)
+    second.configure(rig.t)
+    assert second.state is SessionState.STOPPED
 
 
 STOPS = {
@@ -212,7 +214,7 @@ STOPS = {
     "boots after 2 ms": ([(3, 0.3, Event.POWER, 0), (3, 0.302, Event.POWER, 1)], ()),
     "goes deaf": ([(3, 0.3, Event.DEAF, 1)], ()),
     "hears no calls": ([(3, 0.3, Event.CALL_DEAF, 1)], ()),
-    "takes nothing": ([(3, 0.3, Event.BUSY, 1)], ()),
+    "refuses frames": ([(3, 0.3, Event.BUSY, 1)], ()),
     "holds the clock": ([], ((3, 0.3, np.inf, 2e-3),)),
     "holds the clock for long": ([], ((3, 0.3, np.inf, 3.55e-3),)),
 }
@@ -220,7 +222,7 @@ STOPS = {
 
 @pytest.mark.parametrize("what", STOPS)
 @pytest.mark.parametrize("later_s", [0.0, 0.7e-3, 1.4e-3, 2.1e-3])
-def test_whoever_fails_all_stop_within_the_skew_that_is_certified(what, later_s):
+def test_all_robots_stop_within_the_certified_skew(what, later_s):
     events, stretches = STOPS[what]
     faults = Faults(stretches=tuple((row, t + later_s, *rest) for row, t, *rest in stretches))
     rig = Rig(config=SessionConfig(resumes=0), faults=faults)
@@ -228,19 +230,19 @@ def test_whoever_fails_all_stop_within_the_skew_that_is_certified(what, later_s)
     rig.call("start")
     rig.robots.schedule([(row, t + later_s, *rest) for row, t, *rest in events])
     rig.run()
-    rig.robots.bring_up(rig.t + 0.1)
+    rig.robots.advance(rig.t + 0.1)
     stops = rig.robots.memory["halted_s"]
     assert stops.min() >= 0.3
     assert np.ptp(stops) <= Safety().stop_skew_s
 
 
 def test_a_bus_that_sticks_stops_with_the_others():
-    lines = ((Line.SCL_LOW, 1, 0.3, np.inf, Recovery.NOTHING),)
+    lines = ((LineFault.SCL_LOW, 1, 0.3, np.inf, Recovery.NOTHING),)
     rig = Rig(config=SessionConfig(resumes=0), faults=Faults(lines=lines))
     rig.ready()
     rig.call("start")
     rig.run()
-    rig.robots.bring_up(rig.t + 0.1)
+    rig.robots.advance(rig.t + 0.1)
     stops = rig.robots.memory["halted_s"]
     silence_s = 1e-3 * SessionConfig().silence_ms
     assert 0.3 < stops.min() and stops.max() < 0.3 + silence_s + 1e-3

@@ -1,4 +1,7 @@
-"""A simulated plane whose faults are asked for by name."""
+"""The simulated plant: faults requested by name, and its separation from run-time code."""
+
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -13,6 +16,21 @@ UNITS = WireUnits.for_plane(PLANE)
 START = np.tile([0.0, 3.0], (37, 1))
 
 
+RUN_TIME = """
+availability bus bus.linux capture disabled_list frame_log home loader motion_monitor plan_result
+poll_scheduler remaining_motion replanning session session_config start_stop transactions wire
+"""
+
+
+@pytest.mark.parametrize("module", RUN_TIME.split())
+def test_run_time_code_does_not_import_the_simulation(module):
+    code = (
+        f"import fiber_bus_bridge.{module}, sys; "
+        "assert not [m for m in sys.modules if 'simulation' in m]"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
 def test_faults_are_named_and_counted():
     kinds = SimulationConfig(faults="stall:2, Reset").fault_kinds()
     assert kinds == [FaultKind.STALL, FaultKind.STALL, FaultKind.RESET]
@@ -20,12 +38,12 @@ def test_faults_are_named_and_counted():
 
 
 @pytest.mark.parametrize("faults", ["stal", "stall:x", "stall:-1", ":2"])
-def test_a_fault_that_is_not_there_is_refused_with_those_that_are(faults):
+def test_an_unknown_fault_is_refused_with_a_list_of_the_known_faults(faults):
     with pytest.raises(BridgeError, match="stuck_joint"):
         SimulationConfig(faults=faults)
 
 
-def test_they_come_when_they_are_asked_for_and_alike_for_a_seed():
+def test_faults_begin_in_the_requested_period_and_repeat_for_a_seed():
     config = SimulationConfig(faults="stall:20", faults_from_s=3.0, faults_until_s=3.5, seed=4)
     events = [simulated_buses(PLANE, UNITS, START, config)._faults.events for _ in range(2)]
     assert np.array_equal(*events) and len(events[0]) == 20

@@ -1,4 +1,4 @@
-"""Bytes: golden vectors beside their meaning, a slow reference, and everything malformed."""
+"""Wire format: golden bytes with their meaning, a slow reference, and malformed frames."""
 
 from pathlib import Path
 
@@ -75,7 +75,7 @@ def wire_bytes(to, row, data=b""):
 
 
 def slow_load(units, to, row, sequence, theta, phi):
-    """A LOAD frame spelled out in text."""
+    """A LOAD frame composed as text of zeros and ones."""
     pad = 8 * units.segment_bytes - units.velocity_bits - units.duration_bits
     text = f"{1:04b}{sequence:04b}{len(theta):04b}{len(phi):04b}"
     for ticks, velocity in theta + phi:
@@ -113,18 +113,18 @@ def test_golden_replies():
     assert status.tobytes() == golden("STATUS")
     assert status.tobytes().startswith(golden("VERIFY"))
     assert encode_identity(ROBOT, 4711, 7).tobytes() == golden("ID")
-    told = decode_status(ROBOT, status)
-    assert told.ok[0] and told.state[0] == RobotState.LOADED and told.fault[0] == 20
-    assert (told.sequence[0], told.order_crc[0], told.boot[0]) == (5, 0x6CE1, 7)
-    assert told.alerts[0] == 1 and told.position[0].tolist() == [-250_000, 2_007_000]
+    full = decode_status(ROBOT, status)
+    assert full.ok[0] and full.state[0] == RobotState.LOADED and full.fault[0] == 20
+    assert (full.sequence[0], full.order_crc[0], full.boot[0]) == (5, 0x6CE1, 7)
+    assert full.alerts[0] == 1 and full.position[0].tolist() == [-250_000, 2_007_000]
     short = decode_status(ROBOT, status[:, :5])
     assert short.ok[0] and short.order_crc[0] == 0x6CE1
     alone = Addresses([0], [0x20], [False])
     idle = np.frombuffer(golden("VERIFY, 0x20"), dtype=np.uint8)[None]
     assert decode_status(alone, idle).state[0] == RobotState.IDLE
-    who = decode_identity(ROBOT, np.frombuffer(golden("ID"), dtype=np.uint8)[None])
-    assert who.ok[0] and who.ten_bit[0]
-    assert (who.serial[0], who.address[0], who.boot[0]) == (4711, 300, 7)
+    identity = decode_identity(ROBOT, np.frombuffer(golden("ID"), dtype=np.uint8)[None])
+    assert identity.ok[0] and identity.ten_bit[0]
+    assert (identity.serial[0], identity.address[0], identity.boot[0]) == (4711, 300, 7)
 
 
 def test_golden_reads():
@@ -138,7 +138,7 @@ def test_golden_reads():
     assert np.array_equal(config.speed, CONFIG.speed)
 
 
-def test_the_page_shows_the_golden_bytes():
+def test_the_page_of_the_wire_format_shows_the_golden_bytes():
     page = " ".join(PAGE.read_text(encoding="utf-8").split())
     missing = [name for name, text in GOLDEN.items() if text not in page]
     assert not missing
@@ -165,7 +165,7 @@ def batches(draw):
 
 @settings(max_examples=200, deadline=None)
 @given(batches())
-def test_orders_agree_with_the_reference_and_come_back(batch):
+def test_orders_agree_with_the_reference_and_decode_to_the_same_values(batch):
     units, to, sequence, orders = batch
     flat = [profile for order in orders for profile in order]
     offsets = np.concatenate([[0], np.cumsum([len(p) for p in flat], dtype=int)])
@@ -239,7 +239,7 @@ def sealed(hexes):
         (sealed("15 10 8000fa"), Fault.BAD_VELOCITY),
     ],
 )
-def test_malformed_orders_are_named(payload, fault):
+def test_each_malformed_order_has_its_fault(payload, fault):
     assert decode_load(UNITS, Frames.from_bytes(ROBOT, [payload])).fault[0] == fault
 
 
@@ -268,7 +268,7 @@ def test_values_that_do_not_fit_are_refused(arguments, words):
     assert words in str(error.value)
 
 
-def test_what_is_no_short_command_is_not_written_as_one():
+def test_only_go_and_short_commands_are_encoded_as_such():
     for opcode in (Opcode.LOAD, Opcode.CONFIG, Opcode.ADDRESS):
         with pytest.raises(WireError):
             encode_command(opcode, ROBOT)
@@ -312,14 +312,14 @@ def test_a_config_that_does_not_fit_is_refused(change):
 @settings(deadline=None)
 def test_noise_is_never_an_order(noise):
     orders = decode_load(UNITS, Frames.from_bytes(ROBOT, [noise]))
-    if orders.ok[0]:  # whatever is accepted is byte for byte what would be sent
-        again = encode_load(
+    if orders.ok[0]:  # an accepted frame is, byte for byte, the frame that the encoder writes
+        encoded = encode_load(
             UNITS, ROBOT, orders.sequence, orders.offsets, orders.ticks, orders.velocity
         )
-        assert again.payload(0) == noise
+        assert encoded.payload(0) == noise
 
 
-def test_frames_can_be_chosen():
+def test_frames_can_be_selected_by_row():
     to = Addresses([0, 0, 1], [8, 9, 8], [False] * 3)
     frames = Frames.from_bytes(to, [b"a", b"", b"cde"])
     chosen = frames[np.array([2, 0])]

@@ -71,30 +71,30 @@ def run_on_simulated_buses(
     tap = None if capture is None else Tap(buses, buses.timing)
     session = Session(plane, units, orders.safety, tap or buses, start)
     ready_s = session.configure(0.0)
-    session.link.take_traffic()  # the frames of the configuration belong to no plan
+    session.transactions.take_traffic()  # the frames of the configuration belong to no plan
     session.submit(orders.wire, orders.targets)
     now_s = _timed(seconds, "upload_s", lambda: session.start(ready_s))
-    upload, exchanges = session.upload, session.link.take_traffic()
-    assert upload is not None  # start() sets it
-    motion = upload.motion.decoded()
+    loaded_plan, exchanges = session.loaded_plan, session.transactions.take_traffic()
+    assert loaded_plan is not None  # start() sets it
+    motion = loaded_plan.motion.decoded()
     while session.state is SessionState.MOVING:
         now_s = session.advance(now_s + _STEP_S)
-        exchanges += session.link.take_traffic()
+        exchanges += session.transactions.take_traffic()
         if progress is not None:
-            gone = (now_s - upload.start_s) / max(motion.makespan_s, _STEP_S)
+            gone = (now_s - loaded_plan.start_s) / max(motion.makespan_s, _STEP_S)
             progress(float(np.clip(gone, 0.0, 1.0)), "robots are moving")
     if tap is not None and capture is not None:
         tap.write(Path(capture))
     pairs = neighbour_pairs(plane)
     certificate = _timed(seconds, "certify_s", lambda: certify(plane, motion, orders.safety, pairs))
-    _timed(seconds, "encode_s", lambda: _encoded(orders, session, upload))
+    _timed(seconds, "encode_s", lambda: _encoded(orders, session, loaded_plan))
     result = session.take_result()
     assert result is not None  # a plan that is over has one
-    lengths = upload.loaded.lengths
+    lengths = loaded_plan.frames.lengths
     costs = {
         "bytes_mean": float(lengths.mean()) if len(lengths) else 0.0,
-        "bus_time_s": upload.go_s - ready_s,
-        "countdown_s": upload.start_s - upload.go_s,
+        "bus_time_s": loaded_plan.go_s - ready_s,
+        "countdown_s": loaded_plan.start_s - loaded_plan.go_s,
         **seconds,
     }
     return SimulatedRun(
@@ -109,10 +109,10 @@ def _timed(seconds: dict[str, float], name: str, work: Callable[[], T]) -> T:
     return value
 
 
-def _encoded(orders: Orders, session: Session, upload: LoadedPlan):
+def _encoded(orders: Orders, session: Session, loaded_plan: LoadedPlan):
     """The LOAD frames of the robots that were started, encoded once more."""
-    rows, wire = np.flatnonzero(upload.started), upload.motion
+    rows, wire = np.flatnonzero(loaded_plan.started), loaded_plan.motion
     profiles = np.sort(np.concatenate([2 * rows, 2 * rows + 1]))
     offsets = np.concatenate([[0], np.cumsum(np.diff(wire.offsets)[profiles])])
-    addresses, sequence = session.link.addresses[rows], upload.sequence[rows]
+    addresses, sequence = session.transactions.addresses[rows], loaded_plan.sequence[rows]
     return encode_load(orders.units, addresses, sequence, offsets, wire.ticks, wire.velocity)

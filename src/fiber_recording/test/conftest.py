@@ -71,7 +71,7 @@ class SimulatedPlan:
 
         def observed_transfer(*batch):
             replies = transfer(*batch)
-            true_motion.look()
+            true_motion.observe()
             return replies
 
         buses.transfer = observed_transfer
@@ -80,7 +80,7 @@ class SimulatedPlan:
             SessionConfig(),
         )  # fmt: skip
         t = session.configure(0.0)
-        session.link.take_traffic()
+        session.transactions.take_traffic()
         for _ in range(attempts):
             session.submit(self._orders(rng, session.counts))
             t = session.start(t)
@@ -88,12 +88,12 @@ class SimulatedPlan:
                 t += 0.1
                 t = max(t, session.stop(t) if t > stop_s else session.advance(t))
             self.result = session.take_result()
-        self.logs = [frame_log(session.link.take_traffic())]
+        self.logs = [frame_log(session.transactions.take_traffic())]
         self.replay = replay(self.plane, units, self.start, self.logs)
         self.encoders = robots.positions(t + 1.0)
         self.truth = true_motion.motion(t + 1.0)
         self.last_counts = session.counts
-        self.phases_started = len(session.uploads)
+        self.phases_started = len(session.loaded_plans)
 
     def _orders(self, rng, counts):
         # theta forth and back at several speeds, phi a little in and out: no arm leaves the fold

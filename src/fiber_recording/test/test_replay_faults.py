@@ -5,7 +5,7 @@ import pytest
 
 from fiber_bus_bridge import SessionConfig
 from fiber_bus_bridge.bus import Recovery
-from fiber_bus_bridge.simulation import Event, Line
+from fiber_bus_bridge.simulation import Event, LineFault
 from fiber_core.outcomes import Outcome
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.replay import replay
@@ -54,7 +54,7 @@ def test_robots_that_stop_by_themselves_and_the_others_that_resume(simulated_pla
 )
 def test_robots_on_a_bus_that_dies_stop_when_the_others_are_stopped(simulated_plan, jam, dies_s):
     # the second time before any of them was polled after it was resumed
-    plan = simulated_plan(jam, lines=[(Line.SCL_LOW, 1, dies_s, np.inf, Recovery.NOTHING)])
+    plan = simulated_plan(jam, lines=[(LineFault.SCL_LOW, 1, dies_s, np.inf, Recovery.NOTHING)])
     followed, dead = plan.replay, plan.plane.bus == 1
     assert (
         len(followed.phases) == 2 + len(jam) and (plan.result.outcome[dead] == Outcome.FAILED).any()
@@ -64,7 +64,10 @@ def test_robots_on_a_bus_that_dies_stop_when_the_others_are_stopped(simulated_pl
     assert plan.off_rad(alive) < MAX_SPEED_RAD_S * FRAME_S
     np.testing.assert_array_equal(followed.end[alive], plan.encoders[alive])
     # when they miss the heartbeat is known to a period of the polls
-    assert plan.off_rad(np.flatnonzero(dead)) < MAX_SPEED_RAD_S * 2 * SessionConfig().watch_s
+    assert (
+        plan.off_rad(np.flatnonzero(dead))
+        < MAX_SPEED_RAD_S * 2 * SessionConfig().heartbeat_period_s
+    )
 
 
 def test_a_lost_robot_is_placed_where_its_last_reply_said(simulated_plan):
@@ -79,7 +82,7 @@ def test_a_lost_robot_is_placed_where_its_last_reply_said(simulated_plan):
     followed = replay(plan.plane, plan.units, plan.start, plan.logs, plan.last_counts)
     np.testing.assert_array_equal(followed.end, plan.last_counts)
     off = plan.units.to_angles(np.abs(followed.end - plan.encoders))
-    assert off.max() < MAX_SPEED_RAD_S * 4 * SessionConfig().watch_s
+    assert off.max() < MAX_SPEED_RAD_S * 4 * SessionConfig().heartbeat_period_s
 
 
 def test_another_attempt_begins_where_the_first_one_ended(simulated_plan):

@@ -1,4 +1,4 @@
-"""The buses: topology, timing, and the backends that carry messages on real hardware."""
+"""The buses: topology, timing, and the backend that carries messages on real adapters."""
 
 from fiber_bus_bridge.bus.backend import Ack, BusBackend, Exchange, Replies
 from fiber_bus_bridge.bus.counters import BusCounters

@@ -1,14 +1,16 @@
-"""What a set of buses can do, whatever it is made of."""
+"""The interface of a set of buses, simulated or real."""
 
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.bus.recovery import Recovery
 from fiber_bus_bridge.errors import WireError
-from fiber_bus_bridge.wire import Frames
+from fiber_bus_bridge.wire import Bytes, Frames
+from fiber_core.array_types import Codes, Floats, Ints, Offsets
 
 __all__ = ["Ack", "BusBackend", "Exchange", "Replies"]
 
@@ -17,79 +19,84 @@ class Ack(IntEnum):
     """How a message ended on the wire."""
 
     OK = 0
-    NO_ADDRESS = 1  # nobody acknowledged the address
-    REFUSED = 2  # the target did not acknowledge a byte written
-    LOST = 3  # arbitration lost to somebody else who talks
+    NO_ADDRESS = 1  # no target acknowledged the address
+    REFUSED = 2  # the target did not acknowledge a written byte
+    LOST = 3  # arbitration lost to another talker
     STUCK = 4  # SDA is held low: no START can be made
     TIMED_OUT = 5  # SCL was held low for longer than SMBus allows
-    NOT_SENT = 6  # the bus failed before this message of the batch had its turn
+    NOT_SENT = 6  # the bus failed earlier in the batch
 
 
 @dataclass(frozen=True, eq=False)
 class Replies:
-    """What came back for each frame of a batch.
+    """Results of a batch, one for each frame.
 
     Args:
         ack: Ack of each frame, shape (f,).
-        start_s: when its START was on the bus [s], shape (f,).
-        end_s: when the bus was free again after it [s], shape (f,).
-        offsets: first byte read of each frame, shape (f + 1,).
-        data: all bytes read, shape (offsets[-1],), uint8.
+        start_s: time of the START of each frame [s], shape (f,).
+        end_s: time at which the bus was free after each frame [s], shape (f,).
+        offsets: first byte of the reply to each frame, shape (f + 1,).
+        data: bytes of all replies, shape (offsets[-1],), uint8.
     """
 
-    ack: np.ndarray
-    start_s: np.ndarray
-    end_s: np.ndarray
-    offsets: np.ndarray
-    data: np.ndarray
+    ack: Codes
+    start_s: Floats
+    end_s: Floats
+    offsets: Offsets
+    data: Bytes
 
-    def table(self, width: int) -> np.ndarray:
-        """Return the bytes read as a table, shape (f, width).
+    def table(self, width: int) -> Bytes:
+        """Return the replies as a table, shape (f, width).
 
         Raises:
-            WireError: not every frame read so many bytes.
+            WireError: a reply has another number of bytes.
         """
-        if np.any(np.diff(self.offsets) != width):
-            raise WireError(f"not every reply has {width} bytes")
+        lengths = np.diff(self.offsets)
+        if np.any(lengths != width):
+            at = int(np.argmax(lengths != width))
+            raise WireError(f"reply {at} has {lengths[at]} bytes, expected {width}")
         return self.data.reshape(-1, width)
 
 
 @dataclass(frozen=True, eq=False)
 class Exchange:
-    """One batch as it went over the buses: what was sent and what came back."""
+    """One batch on the buses: the frames sent and their replies."""
 
     frames: Frames
     replies: Replies
 
 
 class BusBackend(Protocol):
-    """A set of buses that carry batches of messages, each bus at its own pace."""
+    """A set of buses that carry batches of messages; buses do not wait for each other."""
 
-    def transfer(self, frames: Frames, read_bytes, not_before_s) -> Replies:
+    def transfer(self, frames: Frames, read_bytes: ArrayLike, not_before_s: ArrayLike) -> Replies:
         """Send each frame, then read from its target in the same message.
 
-        Frames of one bus go in the order given; buses do not wait for each other. When the
-        lines of a bus fail the rest of its frames are not sent.
+        The frames of one bus are sent in the given order. When the lines of a bus fail, the
+        remaining frames of that bus are not sent.
 
         Args:
-            frames: what to write; a frame without data is a plain read.
-            read_bytes: bytes to read after each frame, one number or shape (f,).
+            frames: frames to write; a frame without data is a plain read.
+            read_bytes: number of bytes to read after each frame, one number or shape (f,).
             not_before_s: earliest start of each frame [s], one number or shape (f,).
 
         Returns:
-            One reply per frame. A frame that fails is a reply with its Ack, not an error;
-            bytes nobody drives read as 0xFF.
+            One reply for each frame. A frame that fails is a reply with its Ack, not an error;
+            bytes that no target drives read as 0xFF.
         """
         ...
 
-    def recover(self, bus: int, cure: Recovery, t: float) -> tuple[float, bool]:
+    def recover(self, bus: int, recovery: Recovery, t: float) -> tuple[float, bool]:
         """Try to free the lines of a bus, not before time t [s].
 
         Returns:
-            When the attempt is over [s], and whether the lines are free.
+            The time at which the attempt is over [s], and whether the lines are free.
         """
         ...
 
-    def alert_lines(self, t: float) -> np.ndarray:
-        """Return the buses whose alert line is low at time t [s]; none where there is no line."""
+    def alert_lines(self, t: float) -> Ints:
+        """Return the numbers of the buses with a low alert line at time t [s], shape (k,).
+
+        A bus without an alert line is never among them.
+        """
         ...

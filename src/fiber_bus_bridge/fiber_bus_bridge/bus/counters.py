@@ -1,9 +1,11 @@
-"""Counts per bus of what went over it, for diagnostics."""
+"""Counters of the traffic and the errors of each bus, for diagnostics."""
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.bus.backend import Ack, Exchange
+from fiber_core.array_types import Floats, Ints
 
 __all__ = ["BusCounters"]
 
@@ -24,47 +26,46 @@ class BusCounters:
         buses: bus numbers, shape (b,).
     """
 
-    def __init__(self, buses):
-        self.buses = np.unique(buses)
+    def __init__(self, buses: ArrayLike):
+        self.buses: Ints = np.unique(np.asarray(buses, dtype=np.int64))
         b = len(self.buses)
-        for name in _COUNTS:
-            setattr(self, name, np.zeros(b, dtype=np.int64))
-        self.busy_s = np.zeros(b)
+        self._counts = {name: np.zeros(b, dtype=np.int64) for name in _COUNTS}
+        self._busy_s = np.zeros(b)
 
     def add(self, exchange: Exchange) -> None:
         """Count a batch; bytes are data bytes, read and written."""
-        frames, replies = exchange.frames, exchange.replies
+        frames, replies, counts = exchange.frames, exchange.replies, self._counts
         _add(
             self._rows(frames.to.bus), replies.ack, frames.offsets, replies.offsets,
-            replies.start_s, replies.end_s, self.frames, self.bytes, self.busy_s,
-            self.no_address, self.refused, self.line_errors,
+            replies.start_s, replies.end_s, counts["frames"], counts["bytes"], self._busy_s,
+            counts["no_address"], counts["refused"], counts["line_errors"],
         )  # fmt: skip
 
-    def add_retries(self, buses) -> None:
-        """Count one more try on each of these buses, shape (f,)."""
-        self.retries += self._count(self._rows(buses))
+    def add_retries(self, buses: Ints) -> None:
+        """Count one retry for each bus number, shape (f,)."""
+        self._counts["retries"] += self._count(buses)
 
-    def add_bad_replies(self, buses) -> None:
-        """Count replies whose checksum was wrong on these buses, shape (f,)."""
-        self.bad_replies += self._count(self._rows(buses))
+    def add_bad_replies(self, buses: Ints) -> None:
+        """Count one reply with a wrong checksum for each bus number, shape (f,)."""
+        self._counts["bad_replies"] += self._count(buses)
 
     def add_recovery(self, at: int) -> None:
-        """Count an attempt to free the lines of the bus at this place."""
-        self.recoveries[at] += 1
+        """Count an attempt to free the lines of the bus buses[at]."""
+        self._counts["recoveries"][at] += 1
 
     def table(self) -> dict[int, dict[str, float]]:
-        """Return the totals of each bus by name."""
-        columns = {name: getattr(self, name).tolist() for name in (*_COUNTS, "busy_s")}
+        """Return the totals of each bus by name; busy_s is the time in use [s]."""
+        columns: dict[str, Ints | Floats] = {**self._counts, "busy_s": self._busy_s}
         return {
-            int(bus): {name: column[i] for name, column in columns.items()}
+            int(bus): {name: column[i].item() for name, column in columns.items()}
             for i, bus in enumerate(self.buses)
         }
 
-    def _rows(self, buses):
+    def _rows(self, buses: Ints) -> Ints:
         return np.searchsorted(self.buses, buses)
 
-    def _count(self, rows):
-        return np.bincount(rows, minlength=len(self.buses))
+    def _count(self, buses: Ints) -> Ints:
+        return np.bincount(self._rows(buses), minlength=len(self.buses))
 
 
 @njit(cache=True)

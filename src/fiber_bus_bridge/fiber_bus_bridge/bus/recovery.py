@@ -1,4 +1,4 @@
-"""How the lines of a bus that is stuck are freed."""
+"""Ways to free the lines of a stuck bus."""
 
 from enum import IntEnum
 
@@ -6,9 +6,9 @@ __all__ = ["Recovery"]
 
 
 class Recovery(IntEnum):
-    """What frees a line, each stronger than the one before."""
+    """Actions that free a line, in increasing strength."""
 
-    CLOCKS = 1  # nine clocks and a STOP: whoever holds SDA lets go
+    CLOCKS = 1  # nine clocks and a STOP: the target that holds SDA low releases it
     RESET = 2  # reset of the controller and of the buffers of the branch
     POWER = 3  # power cycle of the branch: its robots boot
-    NOTHING = 4
+    NOTHING = 4  # no action frees the line

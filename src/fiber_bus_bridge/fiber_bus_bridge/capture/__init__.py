@@ -1,4 +1,4 @@
-"""What went over the buses, as files that other tools open: VCD waveforms and pcap packets."""
+"""Bus traffic as files for other tools: VCD waveforms and pcap packets."""
 
 from fiber_bus_bridge.capture.pcap import write_pcap
 from fiber_bus_bridge.capture.tap import Tap

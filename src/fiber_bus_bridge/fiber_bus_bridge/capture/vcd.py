@@ -1,25 +1,26 @@
-"""Waveforms as VCD, which PulseView, GTKWave and sigrok open."""
+"""Waveforms as VCD for PulseView, GTKWave and sigrok."""
 
+from collections.abc import Iterable
 from typing import TextIO
 
 import numpy as np
 
-from fiber_bus_bridge.bus import BusTiming
+from fiber_bus_bridge.bus import BusTiming, Exchange
 from fiber_bus_bridge.capture.waveform import waveform
 
 __all__ = ["write_vcd"]
 
-_FAST_HZ = 1.2e6  # above it, 10 ns are too coarse for the least times
+_FAST_HZ = 1.2e6  # above this clock, 10 ns are too coarse for the minimum times
 
 
-def write_vcd(file: TextIO, exchanges, timing: BusTiming) -> int:
-    """Write SDA and SCL of every bus, from the first message on; returns the number of edges.
+def write_vcd(file: TextIO, exchanges: Iterable[Exchange], timing: BusTiming) -> int:
+    """Write SDA and SCL of every bus from the first message on; return the number of edges.
 
     Signals are `SDAn` and `SCLn` of bus n, in steps of 10 ns, in High-speed mode of 1 ns.
 
     Args:
-        file: open for text.
-        exchanges: what went over the buses.
+        file: file opened for text.
+        exchanges: the traffic on the buses.
         timing: clock and times of every bus.
 
     Raises:

@@ -1,36 +1,40 @@
-"""SDA and SCL of messages, edge by edge, with the least times of the standard kept."""
+"""Edges of SDA and SCL for each message, with the minimum times of the standard."""
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from fiber_bus_bridge.bus import Ack, BusTiming, Exchange
+from fiber_core.array_types import Floats, Ints
 
 __all__ = ["Waveform", "waveform", "wire_bytes"]
 
 SDA, SCL = 0, 1
+_Edges: TypeAlias = tuple[Floats, Ints, Ints, Ints]
 
 
 class Waveform(NamedTuple):
-    """Edges of the two lines of each bus, in order of time; lines are high before.
+    """Edges of the two lines of each bus, in order of time; before them the lines are high.
 
     Args:
-        time_s: when [s], shape (e,).
-        bus: on which bus, shape (e,).
+        time_s: time of each edge [s], shape (e,).
+        bus: bus number, shape (e,).
         line: 0 for SDA, 1 for SCL, shape (e,).
-        level: 0 or 1 from then on, shape (e,).
+        level: level after the edge, 0 or 1, shape (e,).
     """
 
-    time_s: np.ndarray
-    bus: np.ndarray
-    line: np.ndarray
-    level: np.ndarray
+    time_s: Floats
+    bus: Ints
+    line: Ints
+    level: Ints
 
 
 def wire_bytes(exchange: Exchange, row: int) -> list[list[tuple[int, bool]]]:
     """Return the bytes of a message and their acknowledges, one list for each START.
 
-    A message that was not acknowledged ends there. What failed for its lines has no bytes.
+    A message ends at a byte that is not acknowledged. A message that failed because of its
+    lines has no bytes.
     """
     frames, replies = exchange.frames, exchange.replies
     ack = replies.ack[row]
@@ -43,46 +47,50 @@ def wire_bytes(exchange: Exchange, row: int) -> list[list[tuple[int, bool]]]:
     low = [address & 0xFF] if ten_bit else []
     if ack == Ack.NO_ADDRESS:
         only_read = bool(read) and not written and not ten_bit
-        there = [(byte, True) for byte in [head | only_read, *low]]
-        return [[*there[:-1], (there[-1][0], False)]]
-    turns = []
+        address_bytes = [(byte, True) for byte in [head | only_read, *low]]
+        return [[*address_bytes[:-1], (address_bytes[-1][0], False)]]
+    parts = []
     if written or ten_bit or not read:
         part = [(byte, True) for byte in [head, *low, *written]]
         if ack == Ack.REFUSED:
             return [[*part[:-1], (part[-1][0], False)]]
-        turns.append(part)
+        parts.append(part)
     if read:
         # the controller acknowledges all but the last byte
         acks = [True] * (len(read) - 1) + [False]
-        turns.append([(head | 1, True), *zip(read, acks)])
-    return turns
+        parts.append([(head | 1, True), *zip(read, acks)])
+    return parts
 
 
-def waveform(exchanges, timing: BusTiming) -> Waveform:
-    """Return the edges of all messages that had bytes.
+def waveform(exchanges: Iterable[Exchange], timing: BusTiming) -> Waveform:
+    """Return the edges of all messages that have bytes on the wire.
 
-    From START a message takes what BusTiming.message_s says. A slow clock and the
-    master code of High-speed mode are time in which the lines rest, and bits read wrong are
-    shown as what came of them. A bit is low for tLOW and high for the rest of its time; SDA
-    changes a quarter into the low.
+    From its START a message lasts as long as BusTiming.message_s returns. During a stretched
+    clock and the master code of High-speed mode the lines rest; bits read wrong are shown as
+    received. The clock is low for tLOW and high for the rest of a bit; SDA changes after a
+    quarter of the low time.
     """
-    parts = [_message(e, row, timing) for e in exchanges for row in range(len(e.frames))]
+    parts = [_edges(e, row, timing) for e in exchanges for row in range(len(e.frames))]
     parts = [part for part in parts if part is not None]
     if not parts:
         nothing = np.zeros(0)
-        return Waveform(nothing, *(nothing.astype(np.int64),) * 3)
+        none = nothing.astype(np.int64)
+        return Waveform(nothing, none, none, none)
     time_s, bus, line, level = (np.concatenate(column) for column in zip(*parts))
     order = np.argsort(time_s, kind="stable")
     return Waveform(time_s[order], bus[order], line[order], level[order])
 
 
-def _message(exchange, row, timing):
-    turns = wire_bytes(exchange, row)
-    if not turns:
+def _edges(exchange: Exchange, row: int, timing: BusTiming) -> _Edges | None:
+    """Times, buses, lines and levels of the edges of one message, None without bytes."""
+    parts = wire_bytes(exchange, row)
+    if not parts:
         return None
-    times, lines, levels = [], [], []
+    times: list[float] = []
+    lines: list[int] = []
+    levels: list[int] = []
 
-    def edge(at, line, level):
+    def edge(at: float, line: int, level: int) -> None:
         times.append(at)
         lines.append(line)
         levels.append(level)
@@ -90,8 +98,8 @@ def _message(exchange, row, timing):
     bit_s, low_s = 1.0 / timing.clock_hz, timing.low_s
     t = float(exchange.replies.start_s[row])
     sda = 1
-    for turn, part in enumerate(turns):
-        if turn:  # repeated START: both lines up, then SDA down
+    for number, part in enumerate(parts):
+        if number:  # repeated START: both lines up, then SDA down
             if not sda:
                 edge(t + low_s / 4, SDA, 1)
             edge(t + low_s, SCL, 1)

@@ -1,25 +1,31 @@
-"""The bus bridge as a node: segments in, bytes on the buses, outcomes out."""
+"""The bus bridge as a node: segments in, frames on the buses, outcomes out."""
 
 import threading
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
 
-from fiber_bus_bridge.bus import bus_timing
 from fiber_bus_bridge.capture import Tap
 from fiber_bus_bridge.errors import SessionError
-from fiber_bus_bridge.node.disabled_parameter import declare_availability, follow_operators
-from fiber_bus_bridge.node.hardware import device_hardware, simulated_hardware
+from fiber_bus_bridge.node.disabled_parameter import (
+    declare_availability,
+    follow_disabled_parameter,
+)
+from fiber_bus_bridge.node.hardware import declare_hardware
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
 from fiber_bus_bridge.node.publishers import Publishers
+from fiber_bus_bridge.plan_result import PlanResult
 from fiber_bus_bridge.replanning import Replanning
-from fiber_bus_bridge.session import Session, SessionState
+from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.session_config import SessionConfig
-from fiber_bus_bridge.simulation.config import SimulationConfig
+from fiber_bus_bridge.session_state import SessionState
+from fiber_core.array_types import Mask
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Outcome
@@ -28,61 +34,59 @@ from fiber_node import Reporter, declare_parameters, run
 
 __all__ = ["BridgeNode", "main"]
 
-_TICK_S = 0.1  # time of the buses between two looks at moving robots
+_TICK_S = 0.1  # time of the buses between two publications while robots move
 _SOON_S = 1e-3
-_LOOK_S = 0.5  # how often it is seen whether orders planned again have been waited for too long
+_TIMEOUT_CHECK_S = 0.5
+_Response: TypeAlias = Trigger.Response
 
 
 class BridgeNode(Node):
-    """Carries plans to positioners and says what became of every robot.
+    """Executes plans on positioners and publishes the outcome of every robot.
 
-    The time of simulated buses goes on only while robots move, `time_scale` seconds a second.
+    The time of simulated buses advances only while robots move, `time_scale` seconds a second.
 
     Args:
         options: keyword arguments of rclpy.node.Node.
     """
 
-    def __init__(self, **options):
+    def __init__(self, **options: Any):
         super().__init__("bridge", **options)
-        simulation = declare_parameters(self, SimulationConfig)
+        hardware = declare_hardware(self)
         safety = declare_parameters(self, Safety, "safety")
-        scale = self._positive("time_scale", 1.0)
-        self._most = self._positive("attempts", 2, "is less than one", least=1)
-        self._patience_s = self._positive("attempt_timeout_s", 60.0)
-        self.declare_parameter("devices", Parameter.Type.STRING_ARRAY)
-        none = Parameter("devices", Parameter.Type.STRING_ARRAY, [])
-        devices = self.get_parameter_or("devices", none).value
-        if devices:
-            hardware = device_hardware(simulation, devices)
-        else:
-            hardware = simulated_hardware(simulation)
-        plane, buses = hardware.plane, hardware.buses
-        self._units, self._bus_clock, self._slice_s = (
-            hardware.units,
-            hardware.clock,
-            hardware.slice_s,
-        )
-        self._capture = self.declare_parameter("capture", "").value
-        if self._capture:
-            buses = Tap(buses, bus_timing(simulation.clock))
-        self._buses = buses
+        scale = self._number("time_scale", 1.0)
+        self._max_attempts = int(self._number("attempts", 2, "is less than one", least=1))
+        self._attempt_timeout_s = self._number("attempt_timeout_s", 60.0)
+        plane, self._hardware, self._units = hardware.plane, hardware, hardware.units
+        self._capture = str(self.declare_parameter("capture", "").value)
+        self._tap = Tap(hardware.buses, hardware.timing) if self._capture else None
         config = declare_parameters(self, SessionConfig, "session")
-        self._session = Session(plane, self._units, safety, buses, hardware.start, config)
-        self._lock, self._halt = threading.Lock(), threading.Event()
+        self._session = Session(
+            plane, self._units, safety, self._tap or hardware.buses, hardware.start, config
+        )
+        self._lock, self._stop_requested = threading.Lock(), threading.Event()
         self._time_s = self._due_s = 0.0
-        self._current: Attempt | None = None  # the attempt whose orders the session has
-        self._announced = AttemptTable()  # later attempts that this node has asked for
-        self._notes = PlanInputs(plane)
-        self._attempts = Replanning(np.full((plane.n, 2), np.nan), 1)
-        self._ordered = np.zeros(plane.n, dtype=bool)  # robots with orders in this attempt
-        self._again: Attempt | None = None  # the attempt whose orders are waited for
-        self._again_until_s = 0.0
-        self._roster = declare_availability(self, plane)
-        self._session.enable(self._roster.enabled)
+        self._current: Attempt | None = None  # the attempt with the orders of the session
+        self._announced = AttemptTable()  # later attempts that this node has requested
+        self._plan_inputs = PlanInputs(plane)
+        self._replanning = Replanning(self._no_targets(), 1)
+        self._ordered: Mask = np.zeros(plane.n, dtype=bool)  # robots with orders in this attempt
+        self._awaited: Attempt | None = None  # next attempt, whose orders have not come yet
+        self._awaited_until_s = 0.0
+        self._availability = declare_availability(self, plane)
+        self._session.enable(self._availability.enabled)
 
-        self._tell = Publishers(self, self._session, self._roster)
-        self._report = Reporter(self, "bridge", self._tell.statuses)
+        self._outgoing = Publishers(self, self._session, self._availability)
+        self._reporter = Reporter(self, "bridge", self._outgoing.statuses)
         self._targets = topics.TARGETS.publisher(self)
+        self._subscribe()
+        pause_s = _SOON_S if hardware.in_real_time or not scale else _TICK_S / scale
+        self._timer = self.create_timer(pause_s, self._on_tick)
+        self._timer.cancel()
+        self.create_timer(_TIMEOUT_CHECK_S, self._check_timeout)
+        self._configure()
+        self.get_logger().info(f"{plane.n} robots on {len(self._session.transactions.buses)} buses")
+
+    def _subscribe(self) -> None:
         topics.TARGETS.subscription(self, self._on_targets)
         topics.HELD_BY_PLANNER.subscription(self, self._on_held)
         topics.HELD_BY_DISCRETIZER.subscription(self, self._on_held)
@@ -95,256 +99,267 @@ class BridgeNode(Node):
         ):
             service.server(self, self._served(call))
         # stop is served while another call is at work
-        alone = MutuallyExclusiveCallbackGroup()
-        topics.STOP.server(self, self._on_stop, callback_group=alone)
-        follow_operators(self, self._disable, self._report.refuse)
-        pause_s = _TICK_S / scale if scale and not devices else _SOON_S
-        self._timer = self.create_timer(pause_s, self._tick)
-        self._timer.cancel()
-        self.create_timer(_LOOK_S, self._look_at_clock)
-        self._configure()
-        self.get_logger().info(f"{plane.n} robots on {len(self._session.link.buses)} buses")
+        own_group = MutuallyExclusiveCallbackGroup()
+        topics.STOP.server(self, self._on_stop, callback_group=own_group)
+        follow_disabled_parameter(self, self._disable, self._reporter.refuse)
 
-    def _positive(self, name, default, problem="is negative", least=0):
+    def _number(
+        self, name: str, default: float, problem: str = "is negative", least: float = 0
+    ) -> float:
         value = self.declare_parameter(name, default).value
-        if not value >= least:
+        if not isinstance(value, (int, float)) or not value >= least:
             raise MessageError("parameters", problem, field=name, value=value)
         return value
 
+    def _no_targets(self) -> np.ndarray:
+        return np.full((self._hardware.plane.n, 2), np.nan)
+
     # --- plans ---------------------------------------------------------------
 
-    def _on_targets(self, message):
+    def _on_targets(self, message: Any) -> None:
         try:
-            self._notes.hear_targets(message)
+            self._plan_inputs.add_targets(message)
             with self._lock:
-                if self._again is not None and PlanStamp.of(message) > self._again.stamp:
+                if self._awaited is not None and PlanStamp.of(message) > self._awaited.stamp:
                     self._give_up_attempt("there are new targets")
         except FiberError:
-            pass  # the planner says so
+            pass  # the planner reports the error
 
-    def _on_held(self, message):
+    def _on_held(self, message: Any) -> None:
         try:
-            self._notes.hear_held(message)
+            self._plan_inputs.add_held(message)
         except FiberError as error:
-            self._report.refuse(f"held refused: {error}")
+            self._reporter.refuse(f"held refused: {error}")
 
-    def _on_segments(self, message):
+    def _on_segments(self, message: Any) -> None:
         with self._lock:
-            again = False
+            is_awaited = False
             try:
                 stamp = PlanStamp.of(message)
                 attempt = self._announced.find(stamp) or Attempt.first(stamp)
-                again = attempt == self._again
-                if attempt.number > 1 and not again:
-                    self._report.drop(f"segments {attempt} dropped: this attempt has ended")
+                is_awaited = attempt == self._awaited
+                if attempt.number > 1 and not is_awaited:
+                    self._reporter.drop(f"segments {attempt} dropped: this attempt has ended")
                 elif self._current is not None and stamp <= self._current.stamp:
-                    dropped = f"segments {attempt} dropped: plan {self._current} is not older"
-                    self._report.drop(dropped)
+                    self._reporter.drop(
+                        f"segments {attempt} dropped: plan {self._current} is not older"
+                    )
                 else:
-                    self._take_orders(attempt, message)
+                    self._accept_orders(attempt, message)
             except FiberError as error:
-                self._report.refuse(f"segments refused: {error}")
-                if again:
+                self._reporter.refuse(f"segments refused: {error}")
+                if is_awaited:
                     self._give_up_attempt("its orders were refused")
 
-    def _take_orders(self, attempt, message):
-        motion = self._notes.motion(message, self._units, self._session.counts)
-        asked, again = self._notes.asked(attempt.stamp), attempt == self._again
-        if not again:
+    def _accept_orders(self, attempt: Attempt, message: Any) -> None:
+        motion = self._plan_inputs.motion(message, self._units, self._session.counts)
+        asked, is_awaited = self._plan_inputs.targets(attempt.stamp), attempt == self._awaited
+        if not is_awaited:
             self._give_up_attempt("there are new orders")
         replaced = self._session.submit(motion, asked)
-        if replaced is not None:
-            self._attempt_ends(replaced, last=True)
-        if not again:
-            unasked = np.full((self._session.plane.n, 2), np.nan)
-            self._attempts = Replanning(*((unasked, 1) if asked is None else (asked, self._most)))
-        self._current, self._again = attempt, None
-        self._ordered = np.diff(motion.offsets).reshape(-1, 2).any(axis=1)
-        self._report.done(attempt, f"ready: orders for {self._ordered.sum()} robots")
-        if again:  # start was asked for this plan
+        if replaced is not None and self._current is not None:
+            self._finish_attempt(self._current, replaced, last=True)
+        if not is_awaited:
+            unknown = asked is None
+            self._replanning = Replanning(
+                self._no_targets() if unknown else asked, 1 if unknown else self._max_attempts
+            )
+        self._current, self._awaited = attempt, None
+        self._ordered = np.any(np.diff(motion.offsets).reshape(-1, 2), axis=1)
+        self._reporter.done(attempt, f"ready: orders for {self._ordered.sum()} robots")
+        if is_awaited:  # start was requested for this plan
             self.get_logger().info(self._start())
 
-    def _attempt_ends(self, result, last):
-        """Take what came of an attempt; ask for another, or tell the outcome of the plan."""
-        result = result.explained_by(self._notes.reasons(self._current.stamp))
-        self._roster.leave_out(result, self._session.known)
-        asked = self._notes.asked(self._current.stamp)
-        asked = False if asked is None else np.isfinite(asked).all(axis=1)
-        self._attempts.add(self._roster.explain(result), asked)
-        again = self._attempts.again(self._ordered, self._roster.commandable(self._session.known))
-        stamp = self._notes.free_stamp_after(self._current.stamp)
-        if last or self._halt.is_set() or not again.any() or stamp is None:
-            self._tell.plane()
-            self._publish_outcome()
+    def _finish_attempt(self, attempt: Attempt, result: PlanResult, last: bool) -> None:
+        """Add the result of an attempt; request the next attempt, or publish the outcome."""
+        result = result.explained_by(self._plan_inputs.reasons(attempt.stamp))
+        known = self._session.known
+        self._availability.exclude_failed(result, known)
+        xy_mm = self._plan_inputs.targets(attempt.stamp)
+        asked = False if xy_mm is None else np.all(np.isfinite(xy_mm), axis=1)
+        combined = self._replanning.add_attempt(self._availability.explain(result), asked)
+        robots = self._replanning.next_robots(self._ordered, self._availability.commandable(known))
+        stamp = self._plan_inputs.free_stamp_after(attempt.stamp)
+        if last or self._stop_requested.is_set() or not robots.any() or stamp is None:
+            self._outgoing.publish_layout()
+            self._publish_outcome(attempt.plan, combined)
         else:
-            self._ask_again(again, stamp)
+            self._replan(attempt, stamp, robots, combined)
 
-    def _ask_again(self, robots, stamp):
-        """Have a plan planned again for some robots, with all others as obstacles."""
-        self._session.clear(self._now_s())  # reads where all stand, the failed too if they answer
-        now_ns = self._tell.now_ns()
-        self._again = self._current.next(stamp, since_ns=now_ns)
-        self._announced.add(self._again)
-        self._again_until_s = time.monotonic() + self._patience_s
-        self._tell.plane(always=True, now_ns=now_ns)
-        ids, goals = self._session.plane.ids[robots], self._attempts.goals[robots]
-        message = targets.encode_attempt(ids, goals, self._again)
-        self._notes.hear_targets(message)
+    def _replan(
+        self, last_attempt: Attempt, stamp: PlanStamp, robots: Mask, result: PlanResult
+    ) -> None:
+        """Request the next attempt of a plan for some robots; all others are obstacles."""
+        # reads the positions of all robots, of failed robots too if they answer
+        self._session.clear(self._now_s())
+        now_ns = self._outgoing.now_ns()
+        attempt = self._awaited = last_attempt.next(stamp, since_ns=now_ns)
+        self._announced.add(attempt)
+        self._awaited_until_s = time.monotonic() + self._attempt_timeout_s
+        self._outgoing.publish_layout(always=True, now_ns=now_ns)
+        ids, goals = self._session.plane.ids[robots], self._replanning.goals[robots]
+        message = targets.encode_attempt(ids, goals, attempt)
+        self._plan_inputs.add_targets(message)
         self._targets.publish(message)
-        held = int((robots & (self._attempts.result.outcome == Outcome.HELD)).sum())
-        said = f"planned again: {held} robots were held for others that cannot be commanded"
-        self.get_logger().info(f"plan {self._again}: {said}")
-        self._report.progress(self._again, 0.0, said)
+        held = int((robots & (result.outcome == Outcome.HELD)).sum())
+        text = f"replanning: {held} robots were held because of robots that cannot be commanded"
+        self.get_logger().info(f"plan {attempt}: {text}")
+        self._reporter.progress(attempt, 0.0, text)
 
-    def _give_up_attempt(self, why):
-        """End a plan whose next attempt is waited for, with what there is."""
-        if self._again is not None:
-            self.get_logger().warning(f"plan {self._again} given up: {why}")
-            self._again = None
-            self._publish_outcome()
+    def _give_up_attempt(self, reason: str) -> None:
+        """End a plan whose next attempt is awaited, with the result so far."""
+        result = self._replanning.result
+        if self._awaited is not None and result is not None:
+            self.get_logger().warning(f"plan {self._awaited} given up: {reason}")
+            plan, self._awaited = self._awaited.plan, None
+            self._publish_outcome(plan, result)
 
-    def _look_at_clock(self):
+    def _check_timeout(self) -> None:
         with self._lock:
-            if self._again is not None and time.monotonic() > self._again_until_s:
-                self._report.drop(
-                    f"plan {self._again}: no orders within {self._patience_s:g} s, it ends without"
+            if self._awaited is not None and time.monotonic() > self._awaited_until_s:
+                self._reporter.drop(
+                    f"plan {self._awaited}: no orders within {self._attempt_timeout_s:g} s, "
+                    "the plan ends without this attempt"
                 )
                 self._give_up_attempt("no orders came")
 
-    def _publish_outcome(self):
-        result, plan = self._attempts.result, Attempt.first(self._current.plan)
-        self._tell.outcome(result, plan.stamp)
+    def _publish_outcome(self, plan: PlanStamp, result: PlanResult) -> None:
+        attempts = self._replanning.attempts
+        self._outgoing.publish_outcome(result, plan)
         counts = np.bincount(result.outcome, minlength=len(Outcome))
-        said = ", ".join(f"{counts[o]} {o.name.lower()}" for o in Outcome)
-        made = self._attempts.made
-        self._report.counters |= {"plan": plan, "outcome": said, "attempts": made}
-        self._report.done(plan, said if made == 1 else f"{said}, in {made} attempts")
-        if self._capture:
-            self._buses.write(Path(self._capture) / str(plan))
+        summary = ", ".join(f"{counts[o]} {o.name.lower()}" for o in Outcome)
+        self._reporter.counters |= {"plan": plan, "outcome": summary, "attempts": attempts}
+        text = summary if attempts == 1 else f"{summary}, in {attempts} attempts"
+        self._reporter.done(Attempt.first(plan), text)
+        if self._tap is not None:
+            self._tap.write(Path(self._capture) / str(plan))
 
     # --- services ------------------------------------------------------------
 
-    def _served(self, call):
-        """A Trigger service: the core's refusal is the answer, and the node lives on."""
+    def _served(self, call: Callable[[], str]) -> Callable[[Any, _Response], _Response]:
+        """Make a Trigger service of a call; a refusal of the core becomes the response."""
 
-        def serve(_, response):
+        def serve(_: Any, response: _Response) -> _Response:
             try:
                 with self._lock:
                     response.message = call()
                 response.success = True
             except FiberError as error:
                 response.success, response.message = False, str(error)
-                self._report.refuse(str(error))
+                self._reporter.refuse(str(error))
             return response
 
         return serve
 
-    def _start(self):
+    def _start(self) -> str:
         self._session.start(self._now_s(), self._may_go)
-        return self._under_way()
+        return self._report_started()
 
-    def _home(self):
+    def _home(self) -> str:
         self._give_up_attempt("the robots go home")
         self._session.home(self._now_s(), self._may_go)
-        self._current = Attempt.first(PlanStamp(self._tell.now_ns()))
-        self._attempts = Replanning(np.full((self._session.plane.n, 2), np.nan), 1)
-        return self._under_way()
+        self._current = Attempt.first(PlanStamp(self._outgoing.now_ns()))
+        self._replanning = Replanning(self._no_targets(), 1)
+        return self._report_started()
 
-    def _may_go(self):
-        return not self._halt.is_set()
+    def _may_go(self) -> bool:
+        return not self._stop_requested.is_set()
 
-    def _under_way(self):
-        started = int(self._session.upload.started.sum())
-        current = self._current
-        self._after()
+    def _report_started(self) -> str:
+        loaded_plan, current = self._session.loaded_plan, self._current
+        started = 0 if loaded_plan is None else int(loaded_plan.started.sum())
+        self._publish_changes()
         if self._session.state is SessionState.MOVING:
             self._due_s = self._time_s
             self._timer.reset()
         return f"plan {current}: {started} robots started"
 
-    def _on_stop(self, request, response):
-        self._halt.set()  # a start that is not through its checks yet will not go
+    def _on_stop(self, request: Any, response: _Response) -> _Response:
+        self._stop_requested.set()  # a start that is still checking will not send GO
         try:
             return self._served(self._stop)(request, response)
         finally:
-            self._halt.clear()
+            self._stop_requested.clear()
 
-    def _stop(self):
+    def _stop(self) -> str:
         self._session.stop(self._now_s())
-        self._after(last=True)
+        self._publish_changes(last=True)
         self._give_up_attempt("stopped")
         return f"stopped: {SessionState.STOPPED.value}"
 
-    def _clear(self):
+    def _clear(self) -> str:
         self._session.clear(self._now_s())
-        self._roster.take_back()
-        self._after(last=True)
+        self._availability.restore()
+        self._publish_changes(last=True)
         self._give_up_attempt("cleared")
-        self._tell.plane()
+        self._outgoing.publish_layout()
         return self._session.state.value
 
-    def _configure(self):
+    def _configure(self) -> str:
         self._session.configure(self._now_s())
-        self._roster.take_back()
+        self._availability.restore()
         self._give_up_attempt("configured")
-        self._tell.plane(always=True)
-        self._after()
+        self._outgoing.publish_layout(always=True)
+        self._publish_changes()
         return f"{self._session.known.sum()} of {self._session.plane.n} robots configured"
 
-    def _disable(self, ids, why):
+    def _disable(self, ids: Sequence[int], reason: str) -> None:
         with self._lock:
-            changed = sorted(set(ids) ^ set(self._roster.disabled))
-            under_way = self._session.state is SessionState.MOVING or self._again is not None
-            if changed and under_way:
-                what = f"{changed[0]}: cannot be {'dis' if changed[0] in ids else 'en'}abled"
-                raise SessionError(f"robot {what} while a plan is under way")
-            self._roster.disable(ids, why)
-            self._session.enable(self._roster.enabled)
-            self._tell.plane()
-        self._report.publish()
-        self.get_logger().info(f"disabled by operators: {sorted(ids) or 'nobody'}")
+            changed = sorted(set(ids) ^ set(self._availability.disabled))
+            moving = self._session.state is SessionState.MOVING
+            if changed and (moving or self._awaited is not None):
+                verb = "disabled" if changed[0] in ids else "enabled"
+                raise SessionError(f"robot {changed[0]} cannot be {verb} while a plan is under way")
+            self._availability.disable(ids, reason)
+            self._session.enable(self._availability.enabled)
+            self._outgoing.publish_layout()
+        self._reporter.publish()
+        self.get_logger().info(f"disabled by operators: {sorted(ids) or 'no robot'}")
 
-    # --- what the robots do --------------------------------------------------
+    # --- motion --------------------------------------------------------------
 
-    def _now_s(self):
+    def _now_s(self) -> float:
         """The time of the buses [s]."""
-        self._time_s = max(self._time_s, self._session.link.now_s, self._bus_clock())
+        free_s = self._session.transactions.now_s
+        self._time_s = max(self._time_s, free_s, self._hardware.clock())
         return self._time_s
 
-    def _tick(self):
+    def _on_tick(self) -> None:
         with self._lock:
             if self._session.state is SessionState.MOVING:
-                self._watch()
-                self._after()
+                self._advance()
+                self._publish_changes()
             else:
-                # here, and never from the thread that serves stop: a timer cancelled when it is
-                # due fails in rclpy as it is taken, and its whole callback group with it
+                # in this thread and never in the one that serves stop: a timer that is cancelled
+                # when it is due fails in rclpy as it is taken, with its whole callback group
                 self._timer.cancel()
 
-    def _watch(self):
-        # from tick to tick, whatever time the polling takes on the buses
-        until_s = max(self._due_s, self._bus_clock()) + _TICK_S
+    def _advance(self) -> None:
+        # from tick to tick, independent of the time that the polls take on the buses
+        clock, slice_s = self._hardware.clock, self._hardware.slice_s
+        until_s = max(self._due_s, clock()) + _TICK_S
         while self._due_s < until_s and self._session.state is SessionState.MOVING:
-            self._due_s = min(max(self._due_s, self._bus_clock()) + self._slice_s, until_s)
+            self._due_s = min(max(self._due_s, clock()) + slice_s, until_s)
             self._session.advance(self._due_s)
-            if self._halt.is_set():
+            if self._stop_requested.is_set():
                 return
 
-    def _after(self, last=False):
-        """Tell everybody what a call has changed; after the last a plan is not tried again."""
+    def _publish_changes(self, last: bool = False) -> None:
+        """Publish the changes of a call; after a last call a plan gets no further attempt."""
         self._now_s()
-        self._tell.frames(None if self._current is None else self._current.stamp)
-        self._tell.state()
-        if self._session.state is SessionState.MOVING:
-            motion = self._session.upload
-            lasts = max(motion.motion.decoded().makespan_s, _TICK_S)
-            gone = np.clip((self._time_s - motion.start_s) / lasts, 0.0, 1.0)
-            self._report.progress(self._current, gone, "robots are moving")
+        self._outgoing.publish_frames(None if self._current is None else self._current.stamp)
+        self._outgoing.publish_encoders()
+        if self._current is None:
             return
-        if self._session.result is not None and self._current is not None:
-            self._attempt_ends(self._session.take_result(), last)
+        loaded_plan = self._session.loaded_plan
+        if self._session.state is SessionState.MOVING and loaded_plan is not None:
+            makespan_s = max(loaded_plan.motion.decoded().makespan_s, _TICK_S)
+            fraction = np.clip((self._time_s - loaded_plan.start_s) / makespan_s, 0.0, 1.0)
+            self._reporter.progress(self._current, float(fraction), "robots are moving")
+        elif (result := self._session.take_result()) is not None:
+            self._finish_attempt(self._current, result, last)
 
 
-def main(args=None) -> int:
+def main(args: list[str] | None = None) -> int:
     """Run the bridge until it is interrupted."""
     return run(BridgeNode, args)

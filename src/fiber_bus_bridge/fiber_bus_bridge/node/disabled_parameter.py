@@ -1,6 +1,6 @@
-"""The parameters by which operators take robots out of use, and put them back."""
+"""The parameters by which operators disable and enable robots."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -12,49 +12,49 @@ from fiber_bus_bridge.errors import BridgeError
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 
-__all__ = ["declare_availability", "follow_operators"]
+__all__ = ["declare_availability", "follow_disabled_parameter"]
 
 
 def declare_availability(node: Node, plane: FocalPlane) -> Availability:
-    """Declare `disabled`, `disabled_why` and `disabled_file`; return the roster they make.
+    """Declare `disabled`, `disabled_why` and `disabled_file`; return the availability of robots.
 
-    The file of the list stands before the parameter `disabled`, which shows it.
+    With a file the list comes from the file; the parameter `disabled` then shows the list.
 
     Raises:
         BridgeError: the list cannot be read, or names a robot that the plane does not have.
     """
-    file = node.declare_parameter("disabled_file", "").value
-    why = node.declare_parameter("disabled_why", "").value
-    # of any type: a list without members has none of its own
-    about = ParameterDescriptor(description="ids of robots taken out", dynamic_typing=True)
+    file = str(node.declare_parameter("disabled_file", "").value)
+    reason = str(node.declare_parameter("disabled_why", "").value)
+    # dynamic typing: an empty list has no element type
+    about = ParameterDescriptor(description="ids of disabled robots", dynamic_typing=True)
     given = node.declare_parameter("disabled", None, about).value
-    roster = Availability(plane, Path(file) if file else None)
+    availability = Availability(plane, Path(file) if file else None)
     if not file:
-        roster.disable(_ids(given), why)
-    shown = Parameter("disabled", Parameter.Type.INTEGER_ARRAY, sorted(roster.disabled))
+        availability.disable(_ids(given), reason)
+    shown = Parameter("disabled", Parameter.Type.INTEGER_ARRAY, sorted(availability.disabled))
     node.set_parameters([shown])
-    return roster
+    return availability
 
 
-def follow_operators(
+def follow_disabled_parameter(
     node: Node, change: Callable[[list[int], str], None], refuse: Callable[[str], None]
 ) -> None:
-    """Pass on what is set from now on; what is refused stays as it was.
+    """Apply later changes of the parameter; a refused change leaves the parameter as it was.
 
     Args:
         node: the node with the parameters.
-        change: called with the whole list and the reason for who is new on it; refuses by raising
-            a FiberError.
-        refuse: told why something was refused.
+        change: called with the complete list and the reason of the robots that are new on the
+            list; refuses by raising a FiberError.
+        refuse: called with the text of a refusal.
     """
 
-    def on_set(parameters):
+    def on_set(parameters: Iterable[Parameter]) -> SetParametersResult:
         named = {parameter.name: parameter.value for parameter in parameters}
         if "disabled" not in named:
             return SetParametersResult(successful=True)
-        why = named.get("disabled_why", node.get_parameter("disabled_why").value)
+        reason = named.get("disabled_why", node.get_parameter("disabled_why").value)
         try:
-            change(_ids(named["disabled"]), why)
+            change(_ids(named["disabled"]), str(reason))
         except FiberError as error:
             refuse(str(error))
             return SetParametersResult(successful=False, reason=str(error))
@@ -63,11 +63,12 @@ def follow_operators(
     node.add_on_set_parameters_callback(on_set)
 
 
-def _ids(value) -> list[int]:
+def _ids(value: object) -> list[int]:
     value = [] if value is None else value
-    if isinstance(value, (str, bytes)) or not hasattr(value, "__iter__"):
+    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
         raise BridgeError(f"disabled is {value!r}, expected robot ids")
-    for entry in value:
+    ids = list(value)
+    for entry in ids:
         if type(entry) is not int:
             raise BridgeError(f"disabled holds {entry!r}, expected robot ids")
-    return list(value)
+    return ids

@@ -1,21 +1,24 @@
-"""What the bridge's buses are made of, simulation or devices of this machine, and their clock."""
+"""The hardware of the bridge: simulated buses or I2C adapters of this machine, and their clock."""
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 
-from fiber_bus_bridge.bus import BusBackend
-from fiber_bus_bridge.bus.linux import LinuxBuses
+from fiber_bus_bridge.bus import BusBackend, BusTiming, LinuxBuses, bus_timing
 from fiber_bus_bridge.errors import BridgeError
-from fiber_bus_bridge.simulation.config import SimulationConfig, simulated_buses, simulated_plane
+from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
+from fiber_core.array_types import Angles
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
+from fiber_node import declare_parameters
 
-__all__ = ["Hardware", "device_hardware", "simulated_hardware"]
+__all__ = ["Hardware", "declare_hardware", "device_hardware", "simulated_hardware"]
 
-_SLICE_S = 0.01  # of real time after which a stop gets its turn
+_SLICE_S = 0.01  # real time after which a waiting stop is served
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,51 +28,76 @@ class Hardware:
     Args:
         plane: the focal plane.
         units: tick, quantum and widths of its wire format.
-        start: where robots that do not answer are believed to be [rad], shape (n, 2).
-        buses: what carries frames.
-        clock: tells the time of the buses [s]; of simulated ones it tells nothing, because
-            their time goes on with what is done on them.
-        slice_s: longest time robots are watched in one go [s].
+        start: assumed angles of robots that do not answer [rad], shape (n, 2).
+        buses: the buses.
+        timing: nominal clock and times of the buses.
+        clock: returns the time of the buses [s], or -inf for simulated buses, whose time advances
+            only with their traffic.
+        slice_s: longest time for which moving robots are supervised in one call [s].
     """
 
     plane: FocalPlane
     units: WireUnits
-    start: np.ndarray
+    start: Angles
     buses: BusBackend
+    timing: BusTiming
     clock: Callable[[], float] = lambda: -np.inf
     slice_s: float = np.inf
 
+    @property
+    def in_real_time(self) -> bool:
+        """Whether the time of the buses is the time of this machine."""
+        return bool(np.isfinite(self.slice_s))
 
-def simulated_hardware(config: SimulationConfig) -> Hardware:
-    """Return a simulated plane.
+
+def declare_hardware(node: Node) -> Hardware:
+    """Declare the parameters of the hardware on a node; return the hardware they describe.
+
+    The parameters are those of SimulationConfig, and `devices`: paths of the I2C adapters, which
+    replace the simulated buses.
 
     Raises:
-        FiberError: there is no such plane.
+        FiberError: the parameters describe no hardware.
+    """
+    config = declare_parameters(node, SimulationConfig)
+    node.declare_parameter("devices", Parameter.Type.STRING_ARRAY)
+    none = Parameter("devices", Parameter.Type.STRING_ARRAY, [])
+    devices = node.get_parameter_or("devices", none).value
+    return device_hardware(config, devices) if devices else simulated_hardware(config)
+
+
+def simulated_hardware(config: SimulationConfig) -> Hardware:
+    """Return a simulated plane with simulated buses.
+
+    Raises:
+        FiberError: the plane does not exist.
     """
     plane, start = simulated_plane(config)
     units = WireUnits.for_plane(plane)
-    return Hardware(plane, units, start, simulated_buses(plane, units, start, config))
+    buses = simulated_buses(plane, units, start, config)
+    return Hardware(plane, units, start, buses, bus_timing(config.clock))
 
 
 def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardware:
     """Return a plane on I2C adapters of this machine, in the order of its bus numbers.
 
     Args:
-        config: which plane, and by a problem where its robots are believed to be.
+        config: the plane, and by its problem the assumed angles of the robots.
         devices: path of the adapter of each bus, as "/dev/i2c-1".
 
     Raises:
-        BridgeError: no problem is given, devices do not fit its buses, or cannot be opened.
-        FiberError: there is no such plane.
+        BridgeError: there is no problem, or the devices do not fit the buses, or cannot be opened.
+        FiberError: the plane does not exist.
     """
     if not config.problem:
-        raise BridgeError("devices need problem: it tells where robots stand that do not answer")
+        raise BridgeError("devices need the parameter problem: it holds the robots' assumed angles")
     plane, start = simulated_plane(config)
-    numbers = np.unique(plane.bus).tolist()
+    numbers = np.unique(np.asarray(plane.bus)).tolist()
     if len(devices) != len(numbers):
         raise BridgeError(f"devices are {list(devices)} for the {len(numbers)} buses {numbers}")
     try:
         buses = LinuxBuses(dict(zip(numbers, devices)))
     except (OSError, ModuleNotFoundError) as error:
         raise BridgeError(f"devices {list(devices)}: {error}") from error
-    return Hardware(plane, WireUnits.for_plane(plane), start, buses, time.monotonic, _SLICE_S)
+    units, timing = WireUnits.for_plane(plane), bus_timing(config.clock)
+    return Hardware(plane, units, start, buses, timing, time.monotonic, _SLICE_S)

@@ -1,9 +1,12 @@
-"""What the other stages said of a plan: what was asked, whom they hold and why."""
+"""Messages of other stages about a plan: its targets, and the robots that the stages hold."""
+
+from typing import Any
 
 import numpy as np
 
+from fiber_core.array_types import Codes, Counts, Ids, Points, Rows
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import Reason
+from fiber_core.outcomes import Reason, first_reason
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import MessageError, PlanStamp, SegmentTable, held, segments, targets
 
@@ -13,66 +16,66 @@ _PLANS_KEPT = 8
 
 
 class PlanInputs:
-    """Reads what is said of plans, each by its stamp, and keeps the last few.
+    """Decodes messages about plans and keeps the content of the last few plans by stamp.
 
     Args:
-        plane: the focal plane, whose rows everything is put in.
+        plane: the focal plane, in the order of whose rows the content is kept.
     """
 
     def __init__(self, plane: FocalPlane):
         self._plane = plane
-        self._asked: dict[PlanStamp, np.ndarray] = {}
-        self._reasons: dict[PlanStamp, np.ndarray] = {}
+        self._targets: dict[PlanStamp, Points] = {}
+        self._reasons: dict[PlanStamp, Codes] = {}
 
-    def asked(self, stamp: PlanStamp) -> np.ndarray | None:
-        """Return the targets of a plan [mm], shape (n, 2), nan = nothing asked; None if unheard."""
-        return self._asked.get(stamp)
+    def targets(self, stamp: PlanStamp) -> Points | None:
+        """Return the targets of a plan [mm], shape (n, 2), nan = no target; None if unknown."""
+        return self._targets.get(stamp)
 
     def free_stamp_after(self, stamp: PlanStamp) -> PlanStamp | None:
-        """Return the earliest stamp after another that no targets received have, None at the end.
+        """Return the earliest stamp after another that no received targets have, None at the end.
 
         An attempt with this stamp sorts before every plan that is newer than its own plan.
         """
         ns = stamp.ns + 1
-        while PlanStamp.fits(ns) and PlanStamp(ns) in self._asked:
+        while PlanStamp.fits(ns) and PlanStamp(ns) in self._targets:
             ns += 1
         return PlanStamp(ns) if PlanStamp.fits(ns) else None
 
-    def reasons(self, stamp: PlanStamp) -> np.ndarray:
-        """Return the first reason given to hold each robot of a plan, else OK, shape (n,)."""
+    def reasons(self, stamp: PlanStamp) -> Codes:
+        """Return the first reason to hold each robot of a plan, OK without a reason, shape (n,)."""
         return self._reasons.get(stamp, np.full(self._plane.n, Reason.OK, dtype=np.int64))
 
-    def hear_targets(self, message) -> None:
-        """Note what is asked; robots that do not exist are the planner's to refuse.
+    def add_targets(self, message: Any) -> None:
+        """Add the targets of a plan; the planner refuses robots that do not exist.
 
         Raises:
             MessageError: the table is malformed.
         """
         ids, xy_mm = targets.decode(message)
         rows = self._plane.index_of(ids)
-        asked = np.full((self._plane.n, 2), np.nan)
-        asked[rows[rows >= 0]] = xy_mm[rows >= 0]
-        _keep(self._asked, PlanStamp.of(message), asked)
+        xy = np.full((self._plane.n, 2), np.nan)
+        xy[rows[rows >= 0]] = xy_mm[rows >= 0]
+        _keep(self._targets, PlanStamp.of(message), xy)
 
-    def hear_held(self, message) -> None:
-        """Note whom a stage holds; whoever spoke first is believed.
+    def add_held(self, message: Any) -> None:
+        """Add the robots that a stage holds; the first reason received for a robot is kept.
 
         Raises:
             MessageError: the table is malformed, or names a robot that does not exist.
         """
         ids, reason, _ = held.decode(message)
         stamp, rows = PlanStamp.of(message), self._rows(ids, "held")
-        known = self.reasons(stamp)
-        known[rows] = np.where(known[rows] == Reason.OK, reason, known[rows])
-        _keep(self._reasons, stamp, known)
+        new = np.full(self._plane.n, Reason.OK, dtype=np.int64)
+        new[rows] = reason
+        _keep(self._reasons, stamp, first_reason(self.reasons(stamp), new))
 
-    def motion(self, message, units: WireUnits, counts) -> WireMotion:
-        """Return the orders in a segments message; robots it does not mention rest.
+    def motion(self, message: Any, units: WireUnits, counts: Counts) -> WireMotion:
+        """Return the orders in a segments message; robots without segments rest.
 
         Args:
             message: the segments.
             units: tick, quantum and widths.
-            counts: where the encoders are [quanta], shape (n, 2).
+            counts: encoders now [quanta], shape (n, 2).
 
         Raises:
             MessageError: the table is malformed, or names a robot that does not exist.
@@ -82,17 +85,17 @@ class PlanInputs:
         lengths = np.zeros((self._plane.n, 2), dtype=np.int64)
         lengths[self._rows(table.ids, "segments")] = np.diff(table.offsets).reshape(-1, 2)
         offsets = np.concatenate([[0], np.cumsum(lengths)])
-        whole = SegmentTable(self._plane.ids, offsets, table.ticks, table.velocity)
-        return whole.motion(units, counts)
+        all_robots = SegmentTable(self._plane.ids, offsets, table.ticks, table.velocity)
+        return all_robots.motion(units, counts)
 
-    def _rows(self, ids, name):
+    def _rows(self, ids: Ids, name: str) -> Rows:
         rows = self._plane.index_of(ids)
         if (rows < 0).any():
             raise MessageError(name, "is not of this plane", robot=int(ids[rows < 0][0]))
         return rows
 
 
-def _keep(table, stamp, value):
+def _keep(table: dict[PlanStamp, Any], stamp: PlanStamp, value: Any) -> None:
     table[stamp] = value
     for old in sorted(table)[:-_PLANS_KEPT]:
         del table[old]

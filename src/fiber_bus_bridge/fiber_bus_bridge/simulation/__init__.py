@@ -1,6 +1,6 @@
 """The simulated plant: positioners, their buses, noise and faults.
 
-It speaks the wire format and nothing else; nothing that drives real buses imports it.
+The plant speaks the wire format and nothing else. Code that drives real buses does not import it.
 """
 
 from fiber_bus_bridge.simulation.buses import SimulatedBuses
@@ -10,18 +10,18 @@ from fiber_bus_bridge.simulation.config import (
     simulated_plane,
 )
 from fiber_bus_bridge.simulation.events import EVENT, Event
-from fiber_bus_bridge.simulation.faults import FaultKind, Faults, Line, draw_faults
+from fiber_bus_bridge.simulation.faults import FaultKind, Faults, LineFault, draw_faults
 from fiber_bus_bridge.simulation.positioners import Positioners
-from fiber_bus_bridge.simulation.true_motion import Runs, TrueMotion
+from fiber_bus_bridge.simulation.true_motion import Movements, TrueMotion
 
 __all__ = [
     "EVENT",
     "Event",
     "FaultKind",
     "Faults",
-    "Line",
+    "LineFault",
     "Positioners",
-    "Runs",
+    "Movements",
     "SimulatedBuses",
     "SimulationConfig",
     "TrueMotion",

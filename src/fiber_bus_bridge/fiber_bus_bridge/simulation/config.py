@@ -1,14 +1,16 @@
-"""A simulated focal plane to put a session on: robots, their clocks, their buses, their faults."""
+"""Settings of a simulated focal plane: robots, clocks, buses and faults."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.bus import addresses_of, bus_timing
 from fiber_bus_bridge.errors import BridgeError
 from fiber_bus_bridge.simulation.buses import SimulatedBuses
 from fiber_bus_bridge.simulation.faults import FaultKind, Faults, draw_faults
 from fiber_bus_bridge.simulation.positioners import Positioners
+from fiber_core.array_types import Angles
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem_sources import problem_from
 from fiber_core.wire_units import WireUnits
@@ -18,20 +20,21 @@ __all__ = ["SimulationConfig", "simulated_buses", "simulated_plane"]
 
 @dataclass(frozen=True)
 class SimulationConfig:
-    """Which plane is simulated, and how well its hardware keeps time.
+    """The simulated plane, the errors of its clocks, and its faults.
 
     Args:
-        problem: problem.npz to take plane and starts from; stands before the others.
-        layout: table of robots (CSV, ECSV, FITS); the preset fills what it lacks.
-        preset: name of an instrument; empty for what the layout's arms tell, else desi.
-        robots: how many robots of the preset, 0 for its own number.
-        seed: of random starts and of the clocks' errors.
+        problem: problem.npz with plane and starts; takes precedence over the next four.
+        layout: table of robots (CSV, ECSV, FITS); the preset supplies missing columns.
+        preset: name of an instrument; empty to derive it from the arms of the layout, else desi.
+        robots: number of robots of the preset, 0 for all of them.
+        seed: seed of random starts and of the clock errors.
         clock: bus clock, as 100k, 400k, 1M, 1.7M or 3.4M.
-        clock_ppm: robots' clocks are off by up to this much, either way [1e-6].
-        start_skew_s: robots start up to this late after a GO [s].
-        faults: what shall go wrong, as "stall:2,scl_stuck": names of FaultKind, how many of each.
-        faults_from_s: they begin at random times from here on, simulated time [s],
-        faults_until_s: until here [s]. The first plan of 5000 robots moves from 0.6 s on.
+        clock_ppm: largest error of a robot's clock, in both directions [1e-6].
+        start_skew_s: largest delay of a robot's start after a GO [s].
+        faults: names of FaultKind with their numbers, as "stall:2,scl_stuck".
+        faults_from_s: earliest begin of a fault, simulated time [s].
+        faults_until_s: latest begin of a fault [s]. The first plan of 5000 robots moves from
+            0.6 s on.
     """
 
     problem: str = ""
@@ -46,17 +49,17 @@ class SimulationConfig:
     faults_from_s: float = 0.8
     faults_until_s: float = 2.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.fault_kinds()
         for name in ("robots", "seed", "clock_ppm", "start_skew_s"):
             if getattr(self, name) < 0:
                 raise BridgeError(f"{name} is {getattr(self, name)}, expected zero or more")
 
     def fault_kinds(self) -> list[FaultKind]:
-        """Return the faults asked for, repeated for more of one.
+        """Return the requested kinds of faults, each as often as requested.
 
         Raises:
-            BridgeError: one of them does not exist; names those that do.
+            BridgeError: a kind does not exist; names the kinds that exist.
         """
         kinds = []
         for part in filter(None, self.faults.split(",")):
@@ -64,31 +67,31 @@ class SimulationConfig:
             if name.upper() not in FaultKind.__members__ or not (count or "1").isdigit():
                 names = ", ".join(kind.name.lower() for kind in FaultKind)
                 raise BridgeError(
-                    f"fault {part.strip()!r}: expected {names}, with :2 for two of it"
+                    f"fault {part.strip()!r}: expected one of {names}, with :2 for two of them"
                 )
             kinds += [FaultKind[name.upper()]] * int(count or 1)
         return kinds
 
 
-def simulated_plane(config: SimulationConfig) -> tuple[FocalPlane, np.ndarray]:
-    """Return the plane asked for and where its robots stand [rad], shape (n, 2).
+def simulated_plane(config: SimulationConfig) -> tuple[FocalPlane, Angles]:
+    """Return the simulated plane and the starts of its robots [rad], shape (n, 2).
 
     Raises:
-        FiberError: no such preset, or a file is not what it should be.
+        FiberError: the preset does not exist, or a file is malformed.
     """
     problem = problem_from(config.problem, config.layout, config.preset, config.robots, config.seed)
     return problem.plane, problem.start
 
 
 def simulated_buses(
-    plane: FocalPlane, units: WireUnits, start, config: SimulationConfig
+    plane: FocalPlane, units: WireUnits, start: ArrayLike, config: SimulationConfig
 ) -> SimulatedBuses:
-    """Return buses with a simulated positioner for every robot of a plane.
+    """Return simulated buses with a simulated positioner for each robot of a plane.
 
     Args:
         plane: the focal plane.
-        units: what one count of their encoders is.
-        start: where they stand [rad], shape (n, 2).
+        units: units of the encoders.
+        start: joint angles of the robots [rad], shape (n, 2).
         config: bus clock, errors of the robots' clocks, faults.
     """
     rng = np.random.default_rng(config.seed)

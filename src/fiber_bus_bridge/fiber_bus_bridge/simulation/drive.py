@@ -1,14 +1,23 @@
-"""How a positioner runs its stored order: whole numbers on its own clock."""
+"""Execution of a stored order by a positioner: whole numbers on its own clock."""
 
 import numpy as np
 from numba import njit
 
-from fiber_bus_bridge.simulation.memory import NOTHING
+from fiber_bus_bridge.simulation.memory import NOTHING, Robot
 from fiber_bus_bridge.wire.codes import Alert, Fault, RobotState
+from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import frame_crc
 from fiber_bus_bridge.wire.orders import order_fault, read_segment, segment_counts
 
-__all__ = ["encoder", "halt", "order_refusal", "reboot", "settle", "start_order", "stored_crc"]
+__all__ = [
+    "advance_robot",
+    "encoder",
+    "halt",
+    "order_refusal",
+    "reboot",
+    "start_order",
+    "stored_crc",
+]
 
 _UNCONFIGURED = int(RobotState.UNCONFIGURED)
 _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
@@ -23,13 +32,13 @@ _STALLED, _SILENT = int(Alert.STALLED), int(Alert.SILENT)
 
 @njit(cache=True)
 def _ticks_run(r, t):
-    """Ticks of its own clock since the motion began, with the fraction."""
+    """Ticks of the robot's own clock since the motion began, with the fraction."""
     return (t - r.started_s) * (1e6 + r.clock_ppm) / r.tick_us
 
 
 @njit(cache=True)
 def _length(r, joint):
-    """Ticks the order of one joint takes."""
+    """Duration of the order of one joint [ticks]."""
     total = 0
     for k in range(r.counts[joint]):
         total += r.ticks[joint, k]
@@ -37,8 +46,8 @@ def _length(r, joint):
 
 
 @njit(cache=True)
-def encoder(r, joint, t):
-    """Return where a joint is at time t [quanta]: exact at whole ticks, nearest in between."""
+def encoder(r: Robot, joint: int, t: float) -> Whole:
+    """Return the position of a joint at time t [quanta]: exact at ticks, else rounded."""
     position = r.position[joint]
     run = _ticks_run(r, t) if r.state == _MOVING else 0.0
     if run <= 0.0:
@@ -55,8 +64,8 @@ def encoder(r, joint, t):
 
 
 @njit(cache=True)
-def halt(r, t):
-    """Freeze a robot where it is at time t and forget the order; the caller sets its state."""
+def halt(r: Robot, t: float) -> None:
+    """Stop a robot at time t [s] and delete its order; the caller sets its state."""
     theta, phi = encoder(r, 0, t), encoder(r, 1, t)
     r.position[0], r.position[1] = theta, phi
     r.order_length = 0
@@ -66,7 +75,7 @@ def halt(r, t):
 
 @njit(cache=True)
 def _stall_s(r):
-    """When a jammed joint is first told to turn [s]."""
+    """Return the time at which a jammed joint is first ordered to turn [s], inf if never."""
     first = np.inf
     for joint in range(2):
         begin = r.started_s
@@ -80,16 +89,16 @@ def _stall_s(r):
 
 
 @njit(cache=True)
-def settle(r, t):
-    """Bring a robot up to time t: motions end or are broken off, orders nobody starts lapse."""
+def advance_robot(r: Robot, t: float) -> None:
+    """Advance a robot to time t [s]: motions end or are broken off, unstarted orders lapse."""
     if r.state == _MOVING:
         ticks = max(_length(r, 0), _length(r, 1))
         done = r.started_s + ticks * r.tick_us / (1e6 + r.clock_ppm)
-        silent = r.beat_s + r.silence_s if r.silence_s > 0.0 else np.inf
+        silent = r.heartbeat_s + r.silence_s if r.silence_s > 0.0 else np.inf
         stall = _stall_s(r)
-        # whichever comes first ends the motion
+        # the earliest of the three events ends the motion
         if done <= min(t, silent, stall):
-            # exactly where the order ends: no time is rounded
+            # exactly the end of the order: no time is rounded
             for joint in range(2):
                 for k in range(r.counts[joint]):
                     r.position[joint] += r.ticks[joint, k] * r.velocity[joint, k]
@@ -97,7 +106,7 @@ def settle(r, t):
             r.halted_s = done
             r.state = _DONE
         elif stall <= min(t, silent):
-            # the drive checks that its joints follow, and stops both at once
+            # the drive checks that its joints follow, and stops both at the same time
             halt(r, stall)
             r.state, r.fault = _FAULT, _STALL
             r.alerts |= _STALLED
@@ -115,8 +124,8 @@ def settle(r, t):
 
 
 @njit(cache=True)
-def order_refusal(r, data, first, last):
-    """Return why the robot will not take an order, by the order's bytes, its limits and speed."""
+def order_refusal(r: Robot, data: Bytes, first: Whole, last: Whole) -> int:
+    """Return the Fault for which a robot refuses an order: bytes, limits, speeds; or NONE."""
     widths = r.velocity_bits, r.duration_bits
     fault = order_fault(r.address, r.ten_bit, data, first, last, widths[0], widths[1])
     if fault != _NONE:
@@ -126,7 +135,7 @@ def order_refusal(r, data, first, last):
     counts = segment_counts(data, first)
     for joint in range(2):
         position = r.position[joint]
-        # whoever stands outside may come back in, and never go further out
+        # a robot outside its limits may return, and may not move further out
         low = min(position, r.limits[joint, 0])
         high = max(position, r.limits[joint, 1])
         for _ in range(counts[joint]):
@@ -141,16 +150,16 @@ def order_refusal(r, data, first, last):
 
 
 @njit(cache=True)
-def stored_crc(r):
-    """Return the checksum of the stored order as it is in memory now; 0 without one."""
+def stored_crc(r: Robot) -> Whole:
+    """Return the checksum over the stored order as it is in memory now, 0 without an order."""
     if r.order_length == 0:
         return 0
     return frame_crc(r.address, r.ten_bit, r.order, 0, r.order_length - 2)
 
 
 @njit(cache=True)
-def start_order(r, t, countdown_s):
-    """Decode the stored order and run it after a countdown, if it is still what was accepted."""
+def start_order(r: Robot, t: float, countdown_s: float) -> None:
+    """Decode the stored order and run it after a countdown, unless its checksum has changed."""
     order, widths = r.order, (r.velocity_bits, r.duration_bits)
     last = r.order_length - 2
     crc = (np.int64(order[last]) << 8) | np.int64(order[last + 1])
@@ -168,20 +177,20 @@ def start_order(r, t, countdown_s):
             r.ticks[joint, k], r.velocity[joint, k] = ticks, velocity
             at += size
     r.started_s = t + countdown_s * 1e6 / (1e6 + r.clock_ppm) + r.start_skew_s
-    r.beat_s = t
+    r.heartbeat_s = t
     r.executed = r.sequence
     r.state = _MOVING
 
 
 @njit(cache=True)
-def reboot(r, t):
-    """Stop, lose order and configuration (no tick, no orders taken), and count one more boot."""
+def reboot(r: Robot, t: float) -> None:
+    """Stop a robot, delete order and configuration, and count one more boot."""
     halt(r, t)
     r.state = _UNCONFIGURED
     r.fault = _NONE
     r.alerts = _REBOOTED
     r.alert_s = t
-    r.asked_identity = False
+    r.identity_requested = False
     r.tick_us = 0
     r.watchdog_s = r.silence_s = 0.0
     r.sequence = 0

@@ -1,28 +1,31 @@
-"""What goes wrong on buses and with robots, and when: a schedule drawn from a seed."""
+"""Faults of buses and robots over time: a schedule drawn from a seed."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TypeAlias
 
 import numpy as np
 
 from fiber_bus_bridge.bus.recovery import Recovery
-from fiber_bus_bridge.simulation.events import EVENT, Event
+from fiber_bus_bridge.simulation.events import EVENT, Event, Events
+from fiber_core.array_types import Ints
 
-__all__ = ["FaultKind", "Faults", "Line", "draw_faults"]
+__all__ = ["FaultKind", "Faults", "LineFault", "LineTrouble", "Noise", "Stretch", "draw_faults"]
 
 FOREVER = np.inf
 
 
-class Line(IntEnum):
-    """What is wrong with the lines of a bus for a while."""
+class LineFault(IntEnum):
+    """A fault of the lines of a bus, for a period of time."""
 
     SDA_LOW = 1  # no START can be made
     SCL_LOW = 2  # no clock can be made
-    BABBLE = 3  # somebody talks all the time: every arbitration is lost
+    BABBLE = 3  # another talker never stops: every arbitration is lost
 
 
 class FaultKind(IntEnum):
-    """The faults a campaign draws from."""
+    """The kinds of faults from which a campaign is drawn."""
 
     SDA_STUCK = 1
     SCL_STUCK = 2
@@ -41,47 +44,63 @@ class FaultKind(IntEnum):
     ARBITRATION = 15
 
 
+LineTrouble: TypeAlias = tuple[LineFault, int, float, float, Recovery]
+Noise: TypeAlias = tuple[int, float, float, float]
+Stretch: TypeAlias = tuple[int, float, float, float]
+
+
 @dataclass(frozen=True)
 class Faults:
-    """Everything that will go wrong.
+    """A schedule of faults.
 
     Args:
-        lines: (Line, bus, from [s], until [s], Recovery) of each trouble with a line.
-        noise: (bus, from [s], until [s], chance that a bit is read wrong) of each noisy time.
-        stretches: (row, from [s], until [s], longer [s]): how long a robot holds the clock.
-        events: what befalls robots, records of EVENT.
+        lines: (LineFault, bus, from [s], until [s], Recovery) of each fault of a line; the
+            recovery is the weakest that frees the line.
+        noise: (bus, from [s], until [s], probability of a wrong bit) of each noisy period.
+        stretches: (row, from [s], until [s], longer [s]) of each period in which a robot stretches
+            the clock of every message by a time.
+        events: events of robots, records of EVENT.
     """
 
-    lines: tuple = ()
-    noise: tuple = ()
-    stretches: tuple = ()
-    events: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=EVENT))
+    lines: tuple[LineTrouble, ...] = ()
+    noise: tuple[Noise, ...] = ()
+    stretches: tuple[Stretch, ...] = ()
+    events: Events = field(default_factory=lambda: np.zeros(0, dtype=EVENT))
 
 
 def draw_faults(
-    kinds, bus, address, until_s: float, rng: np.random.Generator, from_s: float = 0.0
+    kinds: Iterable[FaultKind],
+    bus: Ints,
+    address: Ints,
+    until_s: float,
+    rng: np.random.Generator,
+    from_s: float = 0.0,
 ) -> Faults:
-    """Draw one fault of each kind given, at a random time, bus and robot.
+    """Draw one fault of each given kind, at a random time, bus and robot.
 
     Args:
-        kinds: FaultKinds, repeated for more of one.
+        kinds: kinds of faults; a kind may be repeated.
         bus: bus of each robot, shape (n,).
-        address: its address, shape (n,).
-        until_s: they begin before this time [s].
-        rng: where chance comes from.
-        from_s: and from this time on [s].
+        address: address of each robot, shape (n,).
+        until_s: every fault begins before this time [s].
+        rng: source of randomness.
+        from_s: no fault begins before this time [s].
     """
-    lines, noise, stretches, events = [], [], [], []
+    lines: list[LineTrouble] = []
+    noise: list[Noise] = []
+    stretches: list[Stretch] = []
+    events: list[tuple[int, float, int, int]] = []
     for kind in kinds:
-        # early ones are more frequent: they meet configuration, LOAD, VERIFY and GO
+        # early faults are more frequent: they meet configuration, LOAD, VERIFY and GO
         at, lasts = from_s + (until_s - from_s) * rng.random() ** 3, 10 ** rng.uniform(-4, 1)
         row = int(rng.integers(len(bus)))
         until = at + lasts if rng.random() < 0.7 else FOREVER
         if kind in _LINES:
-            cure = Recovery(rng.choice(_LINES[kind]))
-            lines.append((Line(_LINE_OF[kind]), int(bus[row]), at, until, cure))
+            recovery = Recovery(rng.choice(_LINES[kind]))
+            lines.append((LineFault(_LINE_OF[kind]), int(bus[row]), at, until, recovery))
         elif kind == FaultKind.ARBITRATION:
-            lines.append((Line.BABBLE, int(bus[row]), at, at + min(lasts, 3e-3), Recovery.NOTHING))
+            end = at + min(lasts, 3e-3)
+            lines.append((LineFault.BABBLE, int(bus[row]), at, end, Recovery.NOTHING))
         elif kind == FaultKind.NOISE:
             noise.append((int(bus[row]), at, until, 10 ** rng.uniform(-5, -2)))
         elif kind == FaultKind.STRETCH:
@@ -94,7 +113,7 @@ def draw_faults(
         elif kind == FaultKind.MEMORY:
             events.append((row, at, Event.FLIP, int(rng.integers(1000))))
         elif kind == FaultKind.ADDRESS:
-            # to a free address, or to that of another robot, which it then talks over
+            # to a free address, or to that of another robot, whose replies it then disturbs
             same = np.flatnonzero(bus == bus[row])
             new = address[rng.choice(same)] if rng.random() < 0.5 else address[same].max() + 1
             events.append((row, at, Event.MOVE_ADDRESS, int(new)))
@@ -110,9 +129,9 @@ _LINES = {
     FaultKind.BABBLE: (Recovery.POWER, Recovery.NOTHING),
 }
 _LINE_OF = {
-    FaultKind.SDA_STUCK: Line.SDA_LOW,
-    FaultKind.SCL_STUCK: Line.SCL_LOW,
-    FaultKind.BABBLE: Line.BABBLE,
+    FaultKind.SDA_STUCK: LineFault.SDA_LOW,
+    FaultKind.SCL_STUCK: LineFault.SCL_LOW,
+    FaultKind.BABBLE: LineFault.BABBLE,
 }
 _SWITCHES = {
     FaultKind.ABSENT: Event.DEAF,

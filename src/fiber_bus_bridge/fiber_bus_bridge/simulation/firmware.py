@@ -1,18 +1,18 @@
-"""What a positioner does with the bytes it hears: check, then act or refuse."""
+"""Firmware of a simulated positioner: check the received bytes, then act or refuse."""
 
 import numpy as np
 from numba import njit
 
 from fiber_bus_bridge.simulation.drive import (
+    advance_robot,
     encoder,
     halt,
     order_refusal,
     reboot,
-    settle,
     start_order,
     stored_crc,
 )
-from fiber_bus_bridge.simulation.memory import NOTHING
+from fiber_bus_bridge.simulation.memory import NOTHING, Robot
 from fiber_bus_bridge.wire.codes import COUNTDOWN_S, VERSION, Alert, Fault, Opcode, RobotState
 from fiber_bus_bridge.wire.commands import (
     ADDRESS_BYTES,
@@ -23,6 +23,7 @@ from fiber_bus_bridge.wire.commands import (
     GO_FIELDS,
     command_fault,
 )
+from fiber_bus_bridge.wire.fields import Bytes, field_offset
 from fiber_bus_bridge.wire.replies import (
     IDENTITY_BYTES,
     STATUS_BYTES,
@@ -30,12 +31,12 @@ from fiber_bus_bridge.wire.replies import (
     write_status,
 )
 
-__all__ = ["answer", "hear"]
+__all__ = ["receive", "reply"]
 
 _LOAD, _GO, _STOP = int(Opcode.LOAD), int(Opcode.GO), int(Opcode.STOP)
 _CLEAR, _RESET = int(Opcode.CLEAR), int(Opcode.RESET)
 _CONFIG, _IDENTIFY = int(Opcode.CONFIG), int(Opcode.IDENTIFY)
-_BEAT, _ADDRESS = int(Opcode.HEARTBEAT), int(Opcode.ADDRESS)
+_HEARTBEAT, _ADDRESS = int(Opcode.HEARTBEAT), int(Opcode.ADDRESS)
 
 _UNCONFIGURED, _IDLE = int(RobotState.UNCONFIGURED), int(RobotState.IDLE)
 _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
@@ -47,26 +48,28 @@ _NOT_CONFIGURED, _WRONG_STATE = int(Fault.NOT_CONFIGURED), int(Fault.WRONG_STATE
 _STALE_SEQUENCE, _OTHER_QUANTUM = int(Fault.STALE_SEQUENCE), int(Fault.OTHER_QUANTUM)
 _REFUSED = int(Alert.REFUSED)
 
-_TICK = CONFIG_FIELDS.fields["tick_us"][1]
-_QUANTUM = CONFIG_FIELDS.fields["quantum_prad"][1]
-_LIMITS = CONFIG_FIELDS.fields["limits"][1]
-_SPEED = CONFIG_FIELDS.fields["speed"][1]
-_WATCHDOG = CONFIG_FIELDS.fields["watchdog_ms"][1]
-_SILENCE = CONFIG_FIELDS.fields["silence_ms"][1]
-_COUNTDOWN = GO_FIELDS.fields["countdown"][1]
-_SERIAL = ADDRESS_FIELDS.fields["serial"][1]
-_FORM_ADDRESS = ADDRESS_FIELDS.fields["form_address"][1]
+_TICK = field_offset(CONFIG_FIELDS, "tick_us")
+_QUANTUM = field_offset(CONFIG_FIELDS, "quantum_prad")
+_LIMITS = field_offset(CONFIG_FIELDS, "limits")
+_SPEED = field_offset(CONFIG_FIELDS, "speed")
+_WATCHDOG = field_offset(CONFIG_FIELDS, "watchdog_ms")
+_SILENCE = field_offset(CONFIG_FIELDS, "silence_ms")
+_COUNTDOWN = field_offset(GO_FIELDS, "countdown")
+_SERIAL = field_offset(ADDRESS_FIELDS, "serial")
+_FORM_ADDRESS = field_offset(ADDRESS_FIELDS, "form_address")
 
 
 @njit(cache=True)
-def hear(r, address, ten_bit, data, first, last, t):
-    """Let a robot hear data[first:last], sent to it or to all, complete at time t.
+def receive(
+    r: Robot, address: int, ten_bit: bool, data: Bytes, first: int, last: int, t: float
+) -> bool:
+    """Let a robot receive data[first:last], sent to it or to all, complete at time t [s].
 
     Returns:
-        Whether it acknowledges the last byte. A frame it refuses changes nothing but its
-        fault and alerts.
+        Whether the robot acknowledges the last byte. A refused frame changes nothing but the
+        robot's fault and alerts.
     """
-    settle(r, t)
+    advance_robot(r, t)
     if r.busy:
         return False
     called = address == 0 and not ten_bit
@@ -85,11 +88,11 @@ def hear(r, address, ten_bit, data, first, last, t):
             elif opcode == _RESET:
                 reboot(r, t)
             elif opcode == _IDENTIFY:
-                r.asked_identity = True
-            elif opcode == _BEAT:
-                r.beat_s = t
+                r.identity_requested = True
+            elif opcode == _HEARTBEAT:
+                r.heartbeat_s = t
             elif opcode == _ADDRESS:
-                fault = _move(r, data, last - ADDRESS_BYTES)
+                fault = _change_address(r, data, last - ADDRESS_BYTES)
             elif opcode == _CONFIG:
                 fault = _configure(r, low, data, last - CONFIG_BYTES)
     if fault != _NONE:
@@ -99,25 +102,25 @@ def hear(r, address, ten_bit, data, first, last, t):
 
 
 @njit(cache=True)
-def answer(r, t, out):
-    """Write what a robot answers to a read at time t over `out`, as wired AND."""
-    settle(r, t)
-    reply = np.empty(STATUS_BYTES, dtype=np.uint8)
+def reply(r: Robot, t: float, out: Bytes) -> None:
+    """Combine a robot's reply to a read at time t [s] with `out`, as wired AND."""
+    advance_robot(r, t)
+    data = np.empty(STATUS_BYTES, dtype=np.uint8)
     size = STATUS_BYTES
-    if r.asked_identity:
-        r.asked_identity = False
-        write_identity(r.address, r.ten_bit, r.serial, r.boot, reply)
+    if r.identity_requested:
+        r.identity_requested = False
+        write_identity(r.address, r.ten_bit, r.serial, r.boot, data)
         size = IDENTITY_BYTES
     else:
         position = (encoder(r, 0, t), encoder(r, 1, t))
         write_status(
             r.address, r.ten_bit, r.state, r.sequence, stored_crc(r),
-            r.boot, r.fault, r.alerts, position, reply,
+            r.boot, r.fault, r.alerts, position, data,
         )  # fmt: skip
         if len(out) >= STATUS_BYTES:
             r.alert_s = np.inf
     for i in range(min(size, len(out))):
-        out[i] &= reply[i]
+        out[i] &= data[i]
 
 
 @njit(cache=True)
@@ -148,7 +151,7 @@ def _go(r, sequence, countdown, t):
     if r.state == _LOADED and r.sequence == sequence:
         start_order(r, t, countdown * COUNTDOWN_S)
     elif r.executed != sequence:
-        r.executed = NOTHING  # another plan began: sequence numbers come round again
+        r.executed = NOTHING  # another plan began: sequence numbers are reused
 
 
 @njit(cache=True)
@@ -201,9 +204,9 @@ def _configure(r, version, data, at):
 
 
 @njit(cache=True)
-def _move(r, data, at):
+def _change_address(r, data, at):
     if _number(data, at + _SERIAL, 4) != r.serial:
-        return _NONE  # meant for another
+        return _NONE  # meant for another robot
     if r.state == _MOVING or r.state == _LOADED:
         return _WRONG_STATE
     form = _number(data, at + _FORM_ADDRESS, 2)

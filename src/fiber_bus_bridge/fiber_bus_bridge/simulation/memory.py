@@ -1,56 +1,63 @@
-"""What positioners remember: a table with one record per robot."""
+"""Memory of the simulated positioners: a table with one record for each robot."""
+
+from typing import Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from fiber_bus_bridge.wire import MAX_SEGMENTS, Addresses, RobotState
+from fiber_bus_bridge.wire import MAX_SEGMENTS, Addresses, Bytes, RobotState
+from fiber_bus_bridge.wire.fields import Whole
+from fiber_core.array_types import Floats, Ints
 
-__all__ = ["MEMORY", "NOTHING", "ORDER_BYTES", "new_memory"]
+__all__ = ["MEMORY", "NOTHING", "ORDER_BYTES", "Memory", "Robot", "new_memory"]
 
-NOTHING = 255  # no sequence number
+Memory: TypeAlias = NDArray[np.void]
+
+NOTHING = 255  # stands for no sequence number
 ORDER_BYTES = 4 + 2 * MAX_SEGMENTS * 4  # longest LOAD frame: 32-bit segments
 
-# Orders are kept as the bytes that came, so that the checksum in a status is one of what
-# is stored; they are decoded when they are started.
+# An order is stored as the received bytes, so that the checksum in a status is computed over
+# the stored order; it is decoded when it is started.
 MEMORY = np.dtype(
     [
-        # how it is built
+        # construction
         ("address", "i8"),
         ("ten_bit", "?"),
         ("serial", "i8"),
         ("quantum_prad", "i8"),
         ("clock_ppm", "f8"),
         ("start_skew_s", "f8"),
-        # what is wrong with it
-        ("jam_s", "f8", (2,)),  # from when on a joint does not turn any more [s]
-        ("deaf", "?"),  # hears nothing
-        ("call_deaf", "?"),  # hears no general call
-        ("busy", "?"),  # takes nothing
+        # defects
+        ("jam_s", "f8", (2,)),  # a joint is jammed from this time on [s]
+        ("deaf", "?"),  # receives no frame
+        ("call_deaf", "?"),  # receives no general call
+        ("busy", "?"),  # refuses every frame
         ("powered", "?"),
-        ("boots_until_s", "f8"),  # it hears nothing before [s]
-        # what survives a power cut
+        ("boots_until_s", "f8"),  # the robot receives nothing before this time [s]
+        # kept without power
         ("position", "i8", (2,)),  # encoders at rest, or where the motion began [quanta]
         ("boot", "i8"),
-        # what does not
+        # lost without power
         ("state", "i8"),
         ("fault", "i8"),
         ("alerts", "i8"),
-        ("alert_s", "f8"),  # from when on it pulls the alert line, until it is read or cleared [s]
-        ("asked_identity", "?"),
+        ("alert_s", "f8"),  # pulls the alert line from this time on, until read or cleared [s]
+        ("identity_requested", "?"),
         ("tick_us", "i8"),
         ("velocity_bits", "i8"),
         ("duration_bits", "i8"),
         ("limits", "i8", (2, 2)),  # [quanta]
         ("speed", "i8", (2,)),  # [velocity units]
         ("watchdog_s", "f8"),
-        ("silence_s", "f8"),  # longest time between two beats while moving, 0 for ever [s]
+        ("silence_s", "f8"),  # longest time between two heartbeats while moving, 0 = no limit [s]
         ("sequence", "i8"),
-        ("executed", "i8"),  # sequence of the order started last, or NOTHING
+        ("executed", "i8"),  # sequence number of the order started last, or NOTHING
         ("order", "u1", (ORDER_BYTES,)),
         ("order_length", "i8"),
-        ("loaded_s", "f8"),  # when the order was stored [s]
-        ("started_s", "f8"),  # when its motion began, or will after the countdown [s]
-        ("beat_s", "f8"),  # when it heard the last beat [s]
-        ("halted_s", "f8"),  # when its last motion ended [s]
+        ("loaded_s", "f8"),  # time at which the order was stored [s]
+        ("started_s", "f8"),  # start of the motion, at the end of the countdown [s]
+        ("heartbeat_s", "f8"),  # time of the last heartbeat [s]
+        ("halted_s", "f8"),  # end of the last motion [s]
         ("counts", "i8", (2,)),  # segments of the running order
         ("ticks", "i8", (2, MAX_SEGMENTS)),
         ("velocity", "i8", (2, MAX_SEGMENTS)),
@@ -59,10 +66,57 @@ MEMORY = np.dtype(
 )
 
 
+class Robot(Protocol):
+    """One record of MEMORY, as compiled functions read it: fields are attributes."""
+
+    address: int
+    ten_bit: bool
+    serial: int
+    quantum_prad: int
+    clock_ppm: float
+    start_skew_s: float
+    jam_s: Floats
+    deaf: bool
+    call_deaf: bool
+    busy: bool
+    powered: bool
+    boots_until_s: float
+    position: Ints
+    boot: int
+    state: int
+    fault: int
+    alerts: int
+    alert_s: float
+    identity_requested: bool
+    tick_us: Whole
+    velocity_bits: Whole
+    duration_bits: Whole
+    limits: Ints
+    speed: Ints
+    watchdog_s: float
+    silence_s: float
+    sequence: Whole
+    executed: Whole
+    order: Bytes
+    order_length: Whole
+    loaded_s: float
+    started_s: float
+    heartbeat_s: float
+    halted_s: float
+    counts: Ints
+    ticks: Ints
+    velocity: Ints
+
+
 def new_memory(
-    addresses: Addresses, serial, quantum_prad: int, position, clock_ppm, start_skew_s
-) -> np.ndarray:
-    """Return the memory of robots that have just been switched on for the first time."""
+    addresses: Addresses,
+    serial: ArrayLike,
+    quantum_prad: int,
+    position: ArrayLike,
+    clock_ppm: ArrayLike,
+    start_skew_s: ArrayLike,
+) -> Memory:
+    """Return the memory of robots in their first boot; arguments as in Positioners."""
     memory = np.zeros(len(addresses), dtype=MEMORY)
     memory["address"] = addresses.address
     memory["ten_bit"] = addresses.ten_bit

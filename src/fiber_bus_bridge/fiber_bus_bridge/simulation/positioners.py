@@ -1,46 +1,71 @@
-"""All simulated positioners of a focal plane; they understand the wire format and nothing else."""
+"""The simulated positioners of a focal plane; they know only the bytes they receive."""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.simulation.drive import encoder
-from fiber_bus_bridge.simulation.events import EVENT, bring_up, events_in_order, switch
-from fiber_bus_bridge.simulation.firmware import answer, hear
+from fiber_bus_bridge.simulation.events import EVENT, apply_events, events_in_order, set_power
+from fiber_bus_bridge.simulation.firmware import receive, reply
 from fiber_bus_bridge.simulation.memory import new_memory
-from fiber_bus_bridge.wire import Addresses
+from fiber_bus_bridge.simulation.noise import Received
+from fiber_bus_bridge.wire import Addresses, Bytes
+from fiber_core.array_types import Bools, Codes, Counts, Floats, Ints, Mask, Offsets
 
-__all__ = ["Positioners"]
+__all__ = ["Positioners", "Responses"]
 
 _ENCODER_RANGE = 2**31
+
+
+class Responses(NamedTuple):
+    """Responses of the robots to a batch of frames.
+
+    Args:
+        acknowledged: whether a robot acknowledged the address of each frame, shape (f,).
+        accepted: whether a robot acknowledged the last byte written, shape (f,).
+        data: bytes read, shape (offsets[-1],), 0xFF where no robot answers.
+    """
+
+    acknowledged: Bools
+    accepted: Bools
+    data: Bytes
 
 
 class Positioners:
     """Simulated positioners: they store orders, check them, and run them on their own clocks.
 
-    A joint moves by the decoded whole numbers and nothing is ever rounded at a tick.
-    Nothing is known to them but the bytes they heard and when.
+    A joint moves by the decoded whole numbers; nothing is rounded at a tick. A positioner knows
+    nothing but the bytes that it received and their times.
 
-    Not modelled: acceleration, backlash, and contact between arms: whoever should touch goes
-    through, which a TrueMotion shows. A joint that jams is noticed by its drive at once, and
-    both joints stop. What befalls robots is a table of events, each at its time.
+    Not modelled: acceleration, backlash, and contact between arms: arms pass through each other,
+    which a TrueMotion shows. The drive notices a jammed joint at once and stops both joints.
+    Faults of robots are a table of events, each with its time.
 
     Args:
-        addresses: where each robot listens, n rows.
-        serial: number each was built with, shape (n,), 0..2^32 - 1.
-        quantum_prad: what one count of their encoders is [1e-12 rad].
+        addresses: address of each robot, n rows.
+        serial: serial number of each robot, shape (n,), 0..2^32 - 1.
+        quantum_prad: size of one encoder count [1e-12 rad].
         position: encoders at the beginning [quanta], shape (n, 2).
-        clock_ppm: how much faster than true time each clock runs [1e-6], one number or (n,).
-        start_skew_s: how long after a GO each begins to move [s], one number or (n,).
+        clock_ppm: rate error of each clock, positive when fast [1e-6], one number or (n,).
+        start_skew_s: delay of each robot's start after a GO [s], one number or (n,).
 
     Raises:
         WireError: a serial number or an encoder value does not fit its field.
     """
 
     def __init__(
-        self, addresses: Addresses, serial, quantum_prad: int, position,
-        clock_ppm=0.0, start_skew_s=0.0,
-    ):  # fmt: skip
+        self,
+        addresses: Addresses,
+        serial: ArrayLike,
+        quantum_prad: int,
+        position: ArrayLike,
+        clock_ppm: ArrayLike = 0.0,
+        start_skew_s: ArrayLike = 0.0,
+    ):
         serial, position = np.asarray(serial), np.asarray(position)
         for name, wrong, value in (
             ("serial number", (serial < 0) | (serial >= 2**32), serial),
@@ -60,105 +85,109 @@ class Positioners:
 
     @property
     def addresses(self) -> Addresses:
-        """Where each robot listens, n rows."""
+        """Present address of each robot, n rows."""
         return Addresses(self.bus, self.memory["address"], self.memory["ten_bit"])
 
     @property
-    def powered(self) -> np.ndarray:
+    def powered(self) -> Mask:
         """Whether each robot has power, shape (n,), writable."""
         return self.memory["powered"]
 
-    def schedule(self, events) -> None:
-        """Let other events befall the robots than those given before, records of EVENT."""
-        self._events, first = events_in_order(np.array(list(events), dtype=EVENT), self.n)
-        self._next, self._last = first[:-1].copy(), first[1:]
-        self._fate = self._events, self._next, self._last
+    def schedule(self, events: Iterable[Any]) -> None:
+        """Replace the events of the robots, records of EVENT."""
+        table, first = events_in_order(np.array(list(events), dtype=EVENT), self.n)
+        self._event_queue = table, first[:-1].copy(), first[1:]
 
-    def bring_up(self, t: float) -> None:
-        """Let everything happen that has happened until time t [s]."""
-        _bring_up_all(self.memory, *self._fate, t)
+    def advance(self, t: float) -> None:
+        """Apply all events until time t [s] and advance every robot to that time."""
+        _advance_all(self.memory, *self._event_queue, t)
 
-    def positions(self, t: float) -> np.ndarray:
-        """True joint positions at time t [s], not earlier than anything heard: [quanta], (n, 2)."""
-        self.bring_up(t)
+    def positions(self, t: float) -> Counts:
+        """Return the true joint positions at time t [s] [quanta], shape (n, 2).
+
+        The time must not be earlier than any frame that a robot has received.
+        """
+        self.advance(t)
         out = np.empty((self.n, 2), dtype=np.int64)
         _positions(self.memory, t, out)
         return out
 
-    def states(self, t: float) -> np.ndarray:
-        """RobotState of each robot at time t [s], shape (n,)."""
-        self.bring_up(t)
+    def states(self, t: float) -> Codes:
+        """Return the RobotState of each robot at time t [s], shape (n,)."""
+        self.advance(t)
         return self.memory["state"].copy()
 
-    def alerting(self, t: float) -> np.ndarray:
-        """Return who pulls the alert line of its bus at time t [s], shape (n,).
+    def alerting(self, t: float) -> Mask:
+        """Return the robots that pull the alert line of their bus at time t [s], shape (n,).
 
-        A robot pulls it from when it stops by itself or boots until its whole status is read.
+        A robot pulls the line from its stop or boot until its complete status is read.
         """
-        self.bring_up(t)
+        self.advance(t)
         return self.powered & (self.memory["alert_s"] <= t)
 
-    def power(self, rows, on: bool, t: float) -> None:
-        """Cut or give power to some robots at time t [s]; with power they boot unconfigured."""
-        self.bring_up(t)
-        _power(self.memory, np.atleast_1d(rows), on, t)
+    def power(self, rows: ArrayLike, on: bool, t: float) -> None:
+        """Switch the power of some robots at time t [s]; with power they boot unconfigured."""
+        self.advance(t)
+        _set_power_of(self.memory, np.atleast_1d(np.asarray(rows)), on, t)
 
     def exchange(
-        self, order, low, high, heard, offsets, start_s, end_s
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Let robots hear frames in turn and answer reads.
+        self,
+        order: Ints,
+        low: Ints,
+        high: Ints,
+        received: Received,
+        offsets: Offsets,
+        start_s: Floats,
+        end_s: Floats,
+    ) -> Responses:
+        """Let robots receive frames in turn and answer reads.
 
         Args:
-            order: rows of robots; those listening to frame i are order[low[i] : high[i]].
+            order: rows of robots; the targets of frame i are order[low[i] : high[i]].
             low: shape (f,).
             high: shape (f,).
-            heard: what arrives at the robots, f rows; a frame without data is a plain read.
-            offsets: bytes to answer, shape (f + 1,), as in Replies.
-            start_s: when each frame begins [s], shape (f,); a plain read is of that instant.
-            end_s: when each is complete [s], shape (f,); writes take effect then.
-
-        Returns:
-            Whether anybody acknowledged the address, whether anybody acknowledged the last
-            byte written, both shape (f,), and the bytes read, shape (offsets[-1],), 0xFF where
-            nobody answers.
+            received: the frames as they arrive, f rows; a frame without data is a plain read.
+            offsets: first byte of each reply, shape (f + 1,), as in Replies.
+            start_s: start of each frame [s], shape (f,); a plain read takes place at this time.
+            end_s: end of each frame [s], shape (f,); a write takes effect at this time.
         """
-        there, accepted = np.zeros((2, len(low)), dtype=np.bool_)
+        acknowledged, accepted = np.zeros((2, len(low)), dtype=np.bool_)
         data = np.full(offsets[-1], 0xFF, dtype=np.uint8)
         _exchange(
-            self.memory, *self._fate, order, low, high, heard.address, heard.ten_bit,
-            heard.first, heard.last, heard.data, heard.reads, offsets, start_s, end_s,
-            there, accepted, data,
+            self.memory, *self._event_queue, order, low, high, received.address, received.ten_bit,
+            received.first, received.last, received.data, received.reads, offsets, start_s, end_s,
+            acknowledged, accepted, data,
         )  # fmt: skip
-        return there, accepted, data
+        return Responses(acknowledged, accepted, data)
 
 
 @njit(cache=True)
 def _exchange(
     m, events, next_event, last_event, order, low, high, address, ten_bit, firsts, lasts, sent,
-    reads, offsets, start_s, end_s, there, accepted, data,
+    reads, offsets, start_s, end_s, acknowledged, accepted, data,
 ):  # fmt: skip
     for f in range(len(low)):
         first, last = firsts[f], lasts[f]
         called = address[f] == 0 and not ten_bit[f]
         for k in range(low[f], high[f]):
             row = order[k]
-            bring_up(m, events, next_event, last_event, row, start_s[f])
+            apply_events(m, events, next_event, last_event, row, start_s[f])
             r = m[row]
             off = not r.powered or start_s[f] < r.boots_until_s
             if off or r.deaf or (called and r.call_deaf):
                 continue
             if last > first:
-                # it may break down before the frame is complete
-                bring_up(m, events, next_event, last_event, row, end_s[f])
+                # the robot may lose power before the frame is complete
+                apply_events(m, events, next_event, last_event, row, end_s[f])
                 if not r.powered:
                     continue
-            there[f] = True
+            acknowledged[f] = True
             ok = True
             if last > first:
-                ok = hear(r, address[f], ten_bit[f], sent, first, last, end_s[f])
+                ok = receive(r, address[f], ten_bit[f], sent, first, last, end_s[f])
             if ok and reads[f]:
                 at = end_s[f] if last > first else start_s[f]
-                answer(r, at, data[offsets[f] : offsets[f + 1]])
+                reply(r, at, data[offsets[f] : offsets[f + 1]])
             accepted[f] |= ok
 
 
@@ -170,12 +199,12 @@ def _positions(m, t, out):
 
 
 @njit(cache=True)
-def _bring_up_all(m, events, next_event, last_event, t):
+def _advance_all(m, events, next_event, last_event, t):
     for row in range(len(m)):
-        bring_up(m, events, next_event, last_event, row, t)
+        apply_events(m, events, next_event, last_event, row, t)
 
 
 @njit(cache=True)
-def _power(m, rows, on, t):
+def _set_power_of(m, rows, on, t):
     for row in rows:
-        switch(m[row], on, t)
+        set_power(m[row], on, t)

@@ -1,4 +1,4 @@
-"""The bytes on the bus: pure functions between tables and frames."""
+"""The wire format: pure functions that encode tables as frames and decode frames."""
 
 from fiber_bus_bridge.wire.codes import (
     CALL_PREFIX,
@@ -24,6 +24,7 @@ from fiber_bus_bridge.wire.commands import (
     encode_command,
     encode_config,
 )
+from fiber_bus_bridge.wire.fields import Bytes
 from fiber_bus_bridge.wire.frames import Addresses, Frames, general_call
 from fiber_bus_bridge.wire.orders import Orders, decode_load, encode_load
 from fiber_bus_bridge.wire.replies import (
@@ -58,6 +59,7 @@ __all__ = [
     "VERSION",
     "Addresses",
     "Alert",
+    "Bytes",
     "Configuration",
     "Fault",
     "Frames",

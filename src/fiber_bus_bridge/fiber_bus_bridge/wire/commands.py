@@ -1,13 +1,18 @@
-"""Commands and configuration as bytes: everything sent that is not a placement order."""
+"""Commands and configuration as bytes: every frame to a robot except LOAD."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike, NDArray
 
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire.codes import CALL_PREFIX, VERSION, Fault, Opcode
+from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc, frame_pec
+from fiber_core.array_types import Ints
 from fiber_core.wire_units import WireUnits
 
 __all__ = [
@@ -65,25 +70,27 @@ ADDRESS_BYTES = ADDRESS_FIELDS.itemsize
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """What robots must know before they take orders.
+    """The values that robots need before they take orders.
 
     Args:
         units: tick, quantum and widths of the segment fields.
         limits: joint ranges [quanta], shape (f, 2, 2): robot, joint, (low, high).
         speed: highest joint speeds [velocity units], shape (f, 2).
-        watchdog_ms: how long an order may wait for its GO [ms], 0 for ever.
-        silence_ms: how long a moving robot goes on without a HEARTBEAT [ms], 0 for ever.
+        watchdog_ms: longest time that an order may wait for its GO [ms], 0 = no limit.
+        silence_ms: longest time that a robot moves without a HEARTBEAT [ms], 0 = no limit.
     """
 
     units: WireUnits
-    limits: np.ndarray
-    speed: np.ndarray
+    limits: Ints
+    speed: Ints
     watchdog_ms: int
     silence_ms: int = 0
 
 
-def encode_command(opcode: Opcode, to: Addresses, sequence=0, countdown=0) -> Frames:
-    """Write the same command to each target: GO, STOP, CLEAR, RESET, IDENTIFY or HEARTBEAT.
+def encode_command(
+    opcode: Opcode, to: Addresses, sequence: ArrayLike = 0, countdown: ArrayLike = 0
+) -> Frames:
+    """Encode the same command for each target: GO, STOP, CLEAR, RESET, IDENTIFY or HEARTBEAT.
 
     GO makes robots move and ends with a CRC-16, the others with a packet error code.
     To address 0, the general call, the frame begins with CALL_PREFIX.
@@ -91,14 +98,14 @@ def encode_command(opcode: Opcode, to: Addresses, sequence=0, countdown=0) -> Fr
     Args:
         opcode: the command.
         to: the robots or general calls addressed, f rows.
-        sequence: order to start [0..15], one number or shape (f,); GO only.
-        countdown: how long after a GO the motion begins [units of COUNTDOWN_S], likewise.
+        sequence: sequence number of the order to start, 0..15, one number or shape (f,); GO only.
+        countdown: time from GO to the start of the motion [units of COUNTDOWN_S]; likewise.
 
     Raises:
-        WireError: not such a command, or a number it cannot carry.
+        WireError: not one of these commands, or a number that does not fit its field.
     """
     if opcode != Opcode.GO and opcode not in _SHORT:
-        raise WireError(f"{opcode!r} is not a short command")
+        raise WireError(f"{opcode!r} is neither GO nor a short command")
     sequence, countdown = (np.asarray(x, dtype=np.int64) for x in (sequence, countdown))
     if opcode != Opcode.GO:
         if sequence.any() or countdown.any():
@@ -111,13 +118,14 @@ def encode_command(opcode: Opcode, to: Addresses, sequence=0, countdown=0) -> Fr
     return _sealed(to, table)
 
 
-def encode_address(to: Addresses, serial, new: Addresses) -> Frames:
-    """Write ADDRESS to robots or general calls, f rows: who has this serial number moves.
+def encode_address(to: Addresses, serial: ArrayLike, new: Addresses) -> Frames:
+    """Encode ADDRESS, f rows: the robot with this serial number takes another address.
 
     Args:
-        to: where they listen now, or the general call, which reaches one of two at one address.
-        serial: number each was built with, shape (f,).
-        new: where they shall listen.
+        to: present address of each robot, or the general call, which can single out one of two
+            robots at the same address.
+        serial: serial number of each robot, shape (f,).
+        new: new address of each robot, f rows.
 
     Raises:
         WireError: a serial number does not fit its field.
@@ -129,10 +137,10 @@ def encode_address(to: Addresses, serial, new: Addresses) -> Frames:
 
 
 def encode_config(config: Configuration, to: Addresses) -> Frames:
-    """Write one CONFIG frame per robot, f rows.
+    """Encode one CONFIG frame for each robot, f rows.
 
     Raises:
-        WireError: a value does not fit its field; names field and value.
+        WireError: a value does not fit its field; names the field and the value.
     """
     table = np.zeros(len(to), dtype=CONFIG_FIELDS)
     units = config.units
@@ -152,7 +160,7 @@ def encode_config(config: Configuration, to: Addresses) -> Frames:
 
 
 def decode_command(payload: bytes, address: int, ten_bit: bool) -> tuple[Opcode, int]:
-    """Return opcode and low four bits of a single frame that is not a LOAD.
+    """Return the opcode and the low four bits of a single frame that is not a LOAD.
 
     Raises:
         WireError: length, opcode or checksum is wrong; carries the Fault.
@@ -161,11 +169,11 @@ def decode_command(payload: bytes, address: int, ten_bit: bool) -> tuple[Opcode,
     fault, head = command_fault(address, ten_bit, data, 0, len(data))
     if fault != _NONE:
         raise WireError(f"{payload.hex()} to {address}: {Fault(fault).name}", Fault(fault))
-    return Opcode(head >> 4), int(head & 15)
+    return Opcode(int(head >> 4)), int(head & 15)
 
 
 def decode_config(payload: bytes, address: int, ten_bit: bool) -> Configuration:
-    """Return what a single CONFIG frame says, arrays with one row.
+    """Return the configuration in a single CONFIG frame, arrays with one row.
 
     Raises:
         WireError: the frame is malformed, another command, or another version.
@@ -185,8 +193,10 @@ def decode_config(payload: bytes, address: int, ten_bit: bool) -> Configuration:
 
 
 @njit(cache=True)
-def command_fault(address, ten_bit, data, first, last):
-    """Return what is wrong with a frame other than LOAD, and its opcode byte."""
+def command_fault(
+    address: Whole, ten_bit: bool, data: Bytes, first: Whole, last: Whole
+) -> tuple[int, Whole]:
+    """Return the Fault of a frame other than LOAD, and its opcode byte."""
     at = first
     if address == 0 and not ten_bit:
         if last == first or data[first] != CALL_PREFIX:
@@ -200,7 +210,7 @@ def command_fault(address, ten_bit, data, first, last):
             return _BAD_LENGTH, head
         if frame_pec(address, ten_bit, data, first, last - 1) != data[last - 1]:
             return _BAD_CRC, head
-        # the low bits of a short command mean nothing and must be zero
+        # the low bits of a short command are unused and must be zero
         return (_NONE if head & 15 == 0 else _BAD_OPCODE), head
     if head >> 4 == _GO:
         length = GO_BYTES
@@ -220,22 +230,22 @@ def command_fault(address, ten_bit, data, first, last):
     return _NONE, head
 
 
-def _fill(table, values):
+def _fill(table: NDArray[np.void], values: Mapping[str, ArrayLike]) -> None:
     for name, value in values.items():
         value = np.asarray(value, dtype=np.int64)
-        room = np.iinfo(table.dtype[name].base)
-        wrong = (value < room.min) | (value > room.max)
+        field = np.iinfo(table.dtype[name].base)
+        wrong = (value < field.min) | (value > field.max)
         if wrong.any():
-            raise WireError(f"{name} {value[wrong].flat[0]} is outside {room.min}..{room.max}")
+            raise WireError(f"{name} {value[wrong].flat[0]} is outside {field.min}..{field.max}")
         table[name] = value
 
 
-def _sealed(to, table, check=2):
-    """Frames of the rows of a table, with prefix where called and checksum at the end.
+def _sealed(to: Addresses, table: NDArray[Any], check: int = 2) -> Frames:
+    """Return the rows of a table as frames, with prefix for a general call and checksum.
 
     Args:
         to: the targets.
-        table: one record or byte each; a CRC-16 at its end is overwritten.
+        table: one record or byte for each frame; the CRC-16 at its end is overwritten.
         check: bytes of the checksum, 2 for the CRC-16, 1 for a packet error code, appended.
     """
     body = table.view(np.uint8).reshape(len(to), table.itemsize)

@@ -1,35 +1,49 @@
-"""Frames on the bus as one table: to whom each goes, and its bytes end to end."""
+"""Frames as one table: the target of each frame, and the bytes of all frames end to end."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire.crc import CRC8_INIT, CRC16_INIT, crc8, crc16
+from fiber_bus_bridge.wire.fields import Bytes, Whole
+from fiber_core.array_types import Bools, Ints, Offsets
 
-__all__ = ["Addresses", "Frames", "frame_crc", "frame_pec", "general_call", "read_address"]
+__all__ = [
+    "Addresses",
+    "Frames",
+    "frame_crc",
+    "frame_pec",
+    "general_call",
+    "read_address",
+]
+
+_Table = TypeVar("_Table")
 
 
 @dataclass(frozen=True, eq=False)
 class Addresses:
-    """I2C targets, one row each: on which bus, at which address.
+    """I2C targets, one row each: bus and address.
 
     Args:
         bus: bus number, shape (f,).
         address: I2C address, 0..127, or 0..1023 in ten-bit form, shape (f,).
-        ten_bit: whether the ten-bit form is used, shape (f,).
+        ten_bit: whether the address has the ten-bit form, shape (f,).
 
     Raises:
         WireError: shapes differ or an address does not fit its form.
     """
 
-    bus: np.ndarray
-    address: np.ndarray
-    ten_bit: np.ndarray
+    bus: Ints
+    address: Ints
+    ten_bit: Bools
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         shape = np.shape(self.bus)
         for name, dtype in (("bus", np.int64), ("address", np.int64), ("ten_bit", bool)):
             value = np.array(getattr(self, name), dtype=dtype)
@@ -46,15 +60,20 @@ class Addresses:
     def __len__(self) -> int:
         return len(self.bus)
 
-    def __getitem__(self, rows) -> "Addresses":
+    def __getitem__(self, rows: Ints | Bools | slice) -> "Addresses":
         """Return the rows chosen by an index or mask array, in that order."""
-        return _made(Addresses, self.bus[rows], self.address[rows], self.ten_bit[rows])
+        return Addresses.unchecked(self.bus[rows], self.address[rows], self.ten_bit[rows])
+
+    @classmethod
+    def unchecked(cls, bus: Ints, address: Ints, ten_bit: Bools) -> "Addresses":
+        """Make a table of columns that are known to be valid: parts of a checked table."""
+        return _assemble(cls, bus=bus, address=address, ten_bit=ten_bit)
 
 
-def general_call(buses) -> Addresses:
-    """Address everybody on each of some buses, shape (b,)."""
+def general_call(buses: ArrayLike) -> Addresses:
+    """Return the address of all robots of each of some buses, shape (b,)."""
     buses = np.array(buses, dtype=np.int64, ndmin=1)
-    return _made(Addresses, buses, np.zeros_like(buses), np.zeros(buses.shape, dtype=bool))
+    return Addresses.unchecked(buses, np.zeros_like(buses), np.zeros(buses.shape, dtype=bool))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +83,7 @@ class Frames:
     The address bytes are not among the data: the bus puts them in front.
 
     Args:
-        to: whom each frame is for, f rows.
+        to: target of each frame, f rows.
         offsets: first byte of each frame, shape (f + 1,), rising from 0.
         data: all bytes, shape (offsets[-1],), uint8.
 
@@ -73,10 +92,10 @@ class Frames:
     """
 
     to: Addresses
-    offsets: np.ndarray
-    data: np.ndarray
+    offsets: Offsets
+    data: Bytes
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         offsets = np.array(self.offsets, dtype=np.int64)
         data = np.array(self.data, dtype=np.uint8)
         if (
@@ -93,7 +112,7 @@ class Frames:
     def __len__(self) -> int:
         return len(self.to)
 
-    def __getitem__(self, rows) -> "Frames":
+    def __getitem__(self, rows: Ints | Bools | slice) -> "Frames":
         """Return the frames chosen by an index or mask array, in that order."""
         rows = np.arange(len(self))[rows]
         lengths = self.lengths[rows]
@@ -102,14 +121,19 @@ class Frames:
         return Frames(self.to[rows], offsets, self.data[source])
 
     def then(self, more: "Frames") -> "Frames":
-        """Return these frames and after them some more."""
-        pairs = zip(vars(self.to).values(), vars(more.to).values())
-        both = _made(Addresses, *(np.concatenate(pair) for pair in pairs))
+        """Return these frames, followed by more frames."""
+        mine, others = self.to, more.to
+        both = Addresses.unchecked(
+            np.concatenate([mine.bus, others.bus]),
+            np.concatenate([mine.address, others.address]),
+            np.concatenate([mine.ten_bit, others.ten_bit]),
+        )
         offsets = np.concatenate([self.offsets, self.offsets[-1] + more.offsets[1:]])
-        return _made(Frames, both, offsets, np.concatenate([self.data, more.data]))
+        data = np.concatenate([self.data, more.data])
+        return _assemble(Frames, to=both, offsets=offsets, data=data)
 
     @cached_property
-    def lengths(self) -> np.ndarray:
+    def lengths(self) -> Ints:
         """Data bytes of each frame, shape (f,)."""
         return np.diff(self.offsets)
 
@@ -119,48 +143,49 @@ class Frames:
 
     @classmethod
     def empty(cls, to: Addresses) -> "Frames":
-        """Make frames without data, which only read, or ask whether somebody is there."""
-        return _made(cls, to, np.zeros(len(to) + 1, dtype=np.int64), np.zeros(0, dtype=np.uint8))
+        """Make frames without data: plain reads, or tests for the presence of a robot."""
+        offsets = np.zeros(len(to) + 1, dtype=np.int64)
+        return _assemble(cls, to=to, offsets=offsets, data=np.zeros(0, dtype=np.uint8))
 
     @classmethod
-    def equal_length(cls, to: Addresses, data) -> "Frames":
+    def equal_length(cls, to: Addresses, data: ArrayLike) -> "Frames":
         """Make frames of equal length from a byte table, shape (f, k)."""
         data = np.asarray(data, dtype=np.uint8)
         offsets = data.shape[1] * np.arange(len(to) + 1)
         return cls(to, offsets, data.reshape(-1))
 
     @classmethod
-    def from_bytes(cls, to: Addresses, payloads) -> "Frames":
+    def from_bytes(cls, to: Addresses, payloads: Sequence[bytes]) -> "Frames":
         """Make frames from a sequence of bytes objects, one per target."""
         offsets = np.concatenate([[0], np.cumsum([len(p) for p in payloads])])
         return cls(to, offsets, np.frombuffer(b"".join(payloads), dtype=np.uint8))
 
 
-def _made(cls, *columns):
-    """A table of columns that are known to be sound: parts of one that was checked."""
-    made = object.__new__(cls)
-    for column in columns:
+def _assemble(cls: type[_Table], **columns: object) -> _Table:
+    """Make a table without the checks of its constructor, of columns known to be valid."""
+    table = object.__new__(cls)
+    for column in columns.values():
         if isinstance(column, np.ndarray):
             column.setflags(write=False)
-    vars(made).update(zip(cls.__dataclass_fields__, columns))
-    return made
+    vars(table).update(columns)
+    return table
 
 
 @njit(cache=True)
-def _write_address(address, ten_bit):
+def _write_address(address: Whole, ten_bit: bool) -> Whole:
     """First address byte of a write; ten-bit addresses are 11110 A9 A8 0, then A7..A0."""
     return 0xF0 | ((address >> 8) << 1) if ten_bit else address << 1
 
 
 @njit(cache=True)
-def read_address(address, ten_bit):
-    """Return the address byte in front of bytes that are read."""
+def read_address(address: Whole, ten_bit: bool) -> Whole:
+    """Return the address byte that precedes the bytes of a read."""
     return _write_address(address, ten_bit) | 1
 
 
 @njit(cache=True)
-def frame_crc(address, ten_bit, data, first, last):
-    """CRC-16 over the address bytes of a write and data[first:last]."""
+def frame_crc(address: Whole, ten_bit: bool, data: Bytes, first: Whole, last: Whole) -> Whole:
+    """Return the CRC-16 over the address bytes of a write and data[first:last]."""
     crc = crc16(CRC16_INIT, _write_address(address, ten_bit))
     if ten_bit:
         crc = crc16(crc, address & 0xFF)
@@ -170,8 +195,8 @@ def frame_crc(address, ten_bit, data, first, last):
 
 
 @njit(cache=True)
-def frame_pec(address, ten_bit, data, first, last):
-    """Packet error code over the address bytes of a write and data[first:last]."""
+def frame_pec(address: Whole, ten_bit: bool, data: Bytes, first: Whole, last: Whole) -> Whole:
+    """Return the packet error code over the address bytes of a write and data[first:last]."""
     pec = crc8(CRC8_INIT, _write_address(address, ten_bit))
     if ten_bit:
         pec = crc8(pec, address & 0xFF)

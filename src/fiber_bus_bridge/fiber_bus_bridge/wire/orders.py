@@ -1,8 +1,8 @@
-"""Placement orders as bytes: what a robot shall do once it is told to go.
+"""Orders as bytes: the motion of one robot, stored until a GO starts it.
 
 A LOAD frame is ``opcode 4 bits | sequence 4 | theta segments 4 | phi segments 4``,
 the segments of theta, those of phi, and a CRC-16 over the address bytes and all
-that. A segment is a big-endian whole number of bytes that holds the signed velocity
+bytes before it. A segment is a big-endian whole number of bytes that holds the signed velocity
 above the unsigned duration; with 14 + 10 bits it is three bytes.
 """
 
@@ -10,10 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire.codes import MAX_SEGMENTS, Fault, Opcode
+from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc
+from fiber_core.array_types import Bools, Codes, Ints, Offsets
 from fiber_core.wire_units import WireUnits
 
 __all__ = ["Orders", "decode_load", "encode_load", "order_fault", "read_segment", "segment_counts"]
@@ -30,32 +33,39 @@ _BAD_PADDING = int(Fault.BAD_PADDING)
 
 @dataclass(frozen=True, eq=False)
 class Orders:
-    """Placement orders decoded from bytes; a frame with a fault gives no segments.
+    """Orders decoded from bytes; a frame with a fault gives no segments.
 
     Args:
         fault: Fault of each frame, shape (f,).
         sequence: sequence number of each order, shape (f,).
-        crc: checksum each frame ends with, shape (f,).
+        crc: checksum at the end of each frame, shape (f,).
         offsets: first segment of each profile, shape (2 f + 1,), as in WireMotion.
         ticks: duration of each segment [ticks], shape (m,).
         velocity: joint speed in each segment [velocity units], shape (m,).
     """
 
-    fault: np.ndarray
-    sequence: np.ndarray
-    crc: np.ndarray
-    offsets: np.ndarray
-    ticks: np.ndarray
-    velocity: np.ndarray
+    fault: Codes
+    sequence: Ints
+    crc: Ints
+    offsets: Offsets
+    ticks: Ints
+    velocity: Ints
 
     @property
-    def ok(self) -> np.ndarray:
+    def ok(self) -> Bools:
         """Frames that are valid orders, shape (f,)."""
         return self.fault == Fault.NONE
 
 
-def encode_load(units: WireUnits, to: Addresses, sequence, offsets, ticks, velocity) -> Frames:
-    """Write placement orders as LOAD frames, one per target.
+def encode_load(
+    units: WireUnits,
+    to: Addresses,
+    sequence: ArrayLike,
+    offsets: ArrayLike,
+    ticks: ArrayLike,
+    velocity: ArrayLike,
+) -> Frames:
+    """Encode orders as LOAD frames, one for each target.
 
     Args:
         units: widths of the two fields of a segment.
@@ -103,14 +113,14 @@ def encode_load(units: WireUnits, to: Addresses, sequence, offsets, ticks, veloc
 
 
 def decode_load(units: WireUnits, frames: Frames) -> Orders:
-    """Read placement orders back from LOAD frames; malformed frames get a fault, never an error.
+    """Decode LOAD frames; a malformed frame gets a fault, never an error.
 
     Args:
         units: widths of the two fields of a segment.
         frames: any bytes.
 
     Raises:
-        WireError: the widths of the units are not ones a frame can have.
+        WireError: a frame cannot carry fields of these widths.
     """
     _check_widths(units)
     f = len(frames)
@@ -127,24 +137,26 @@ def decode_load(units: WireUnits, frames: Frames) -> Orders:
     return Orders(fault, sequence, crc, offsets, ticks, velocity)
 
 
-def _check_widths(units):
+def _check_widths(units: WireUnits) -> None:
     if not (2 <= units.velocity_bits <= 16 and 1 <= units.duration_bits <= 16):
         raise WireError(
-            f"{units.velocity_bits} velocity and {units.duration_bits} duration bits: "
-            "a segment carries 2..16 and 1..16"
+            f"{units.velocity_bits} velocity bits and {units.duration_bits} duration bits: "
+            "a segment carries 2..16 velocity bits and 1..16 duration bits"
         )
 
 
 @njit(cache=True)
-def segment_counts(data, first):
+def segment_counts(data: Bytes, first: Whole) -> tuple[Whole, Whole]:
     """Return the numbers of theta and phi segments of the LOAD frame at data[first]."""
     both = np.int64(data[first + 1])
     return both >> 4, both & 15
 
 
 @njit(cache=True)
-def read_segment(data, at, velocity_bits, duration_bits):
-    """Return ticks, velocity and padding bits of the segment that begins at a byte."""
+def read_segment(
+    data: Bytes, at: Whole, velocity_bits: Whole, duration_bits: Whole
+) -> tuple[Whole, Whole, Whole]:
+    """Return ticks, velocity and padding bits of the segment that begins at data[at]."""
     bits = velocity_bits + duration_bits
     raw = 0
     for i in range((bits + 7) // 8):
@@ -157,8 +169,16 @@ def read_segment(data, at, velocity_bits, duration_bits):
 
 
 @njit(cache=True)
-def order_fault(address, ten_bit, data, first, last, velocity_bits, duration_bits):
-    """Return what is wrong with data[first:last] as a LOAD frame to this address."""
+def order_fault(
+    address: Whole,
+    ten_bit: bool,
+    data: Bytes,
+    first: Whole,
+    last: Whole,
+    velocity_bits: Whole,
+    duration_bits: Whole,
+) -> int:
+    """Return the Fault of data[first:last] as a LOAD frame to this address, NONE without."""
     if last - first < 4:
         return _BAD_LENGTH
     if data[first] >> 4 != _LOAD:

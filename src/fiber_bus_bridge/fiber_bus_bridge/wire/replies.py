@@ -1,7 +1,7 @@
-"""What robots answer as bytes: their status and their identity.
+"""Replies of robots as bytes: the status and the identity.
 
-A plain read is answered with the status. Its first five bytes, closed by a packet
-error code, say all that VERIFY needs, so a controller that only verifies stops
+A robot answers a plain read with its status. The first five bytes, closed by a packet
+error code, hold all that VERIFY needs, so a controller that only verifies stops
 reading there; the rest holds fault, alerts and encoders and is closed by a CRC-16.
 """
 
@@ -9,11 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire.codes import VERSION, Opcode, RobotState
 from fiber_bus_bridge.wire.crc import CRC8_INIT, CRC16_INIT, crc8, crc16
+from fiber_bus_bridge.wire.fields import Bytes, Whole, field_offset
 from fiber_bus_bridge.wire.frames import Addresses, frame_crc, frame_pec, read_address
+from fiber_core.array_types import Bools, Codes, Counts, Ints
 
 __all__ = [
     "IDENTITY_BYTES",
@@ -44,7 +47,7 @@ STATUS_FIELDS = np.dtype(
     ]
 )
 STATUS_BYTES = STATUS_FIELDS.itemsize
-VERIFY_BYTES = STATUS_FIELDS.fields["fault"][1]
+VERIFY_BYTES = field_offset(STATUS_FIELDS, "fault")
 
 IDENTITY_FIELDS = np.dtype(
     [
@@ -63,54 +66,64 @@ _IDENTITY_HEAD = (_IDENTIFY << 4) | VERSION
 
 @dataclass(frozen=True, eq=False)
 class Statuses:
-    """Status replies decoded, one row each; rows that are not ok hold zeros.
+    """Decoded status replies, one row each; rows that are not ok hold zeros.
 
     Args:
         ok: whether checksums and state are valid, shape (f,).
         state: RobotState, shape (f,).
-        sequence: sequence number of the last order accepted, shape (f,).
-        order_crc: CRC-16 the robot computes over its stored order, 0 without one, shape (f,).
-        boot: how often the robot has started, modulo 256, shape (f,).
+        sequence: sequence number of the last accepted order, shape (f,).
+        order_crc: CRC-16 that the robot computes over its stored order, 0 without one, shape (f,).
+        boot: number of boots, modulo 256, shape (f,).
         fault: Fault, shape (f,); zero when only the first five bytes were read.
-        alerts: Alert flags, shape (f,); likewise.
-        position: encoders theta, phi [quanta], shape (f, 2); likewise.
+        alerts: Alert flags, shape (f,); zero when only the first five bytes were read.
+        position: encoders theta, phi [quanta], shape (f, 2); zero when only the first five bytes
+            were read.
     """
 
-    ok: np.ndarray
-    state: np.ndarray
-    sequence: np.ndarray
-    order_crc: np.ndarray
-    boot: np.ndarray
-    fault: np.ndarray
-    alerts: np.ndarray
-    position: np.ndarray
+    ok: Bools
+    state: Codes
+    sequence: Ints
+    order_crc: Ints
+    boot: Ints
+    fault: Codes
+    alerts: Ints
+    position: Counts
 
-    def only(self, rows) -> "Statuses":
+    def select(self, rows: Ints | Bools) -> "Statuses":
         """Return the rows chosen by an index or mask array."""
         return Statuses(*(column[rows] for column in vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)
 class Identities:
-    """Identity replies decoded, one row each; rows that are not ok hold zeros.
+    """Decoded identity replies, one row each; rows that are not ok hold zeros.
 
     Args:
         ok: whether version, checksum and address are right, shape (f,).
-        serial: number the robot was built with, shape (f,).
-        address: address it listens to, shape (f,).
-        ten_bit: whether that is the ten-bit form, shape (f,).
-        boot: how often it has started, modulo 256, shape (f,).
+        serial: serial number of the robot, shape (f,).
+        address: address of the robot, shape (f,).
+        ten_bit: whether the address has the ten-bit form, shape (f,).
+        boot: number of boots, modulo 256, shape (f,).
     """
 
-    ok: np.ndarray
-    serial: np.ndarray
-    address: np.ndarray
-    ten_bit: np.ndarray
-    boot: np.ndarray
+    ok: Bools
+    serial: Ints
+    address: Ints
+    ten_bit: Bools
+    boot: Ints
 
 
-def encode_status(to: Addresses, state, sequence, order_crc, boot, fault, alerts, position):
-    """Write status replies of robots at some addresses, fields as in Statuses.
+def encode_status(
+    to: Addresses,
+    state: ArrayLike,
+    sequence: ArrayLike,
+    order_crc: ArrayLike,
+    boot: ArrayLike,
+    fault: ArrayLike,
+    alerts: ArrayLike,
+    position: ArrayLike,
+) -> Bytes:
+    """Encode status replies of robots at some addresses, fields as in Statuses.
 
     Returns:
         The bytes, shape (f, STATUS_BYTES), uint8.
@@ -120,13 +133,13 @@ def encode_status(to: Addresses, state, sequence, order_crc, boot, fault, alerts
     columns = [np.broadcast_to(c, (len(to),)) for c in columns]
     position = np.broadcast_to(np.asarray(position, dtype=np.int64), (len(to), 2))
     for f in range(len(to)):
-        head = [int(c[f]) for c in columns]
-        write_status(to.address[f], to.ten_bit[f], *head, position[f], data[f])
+        numbers = [int(column[f]) for column in columns]
+        write_status(to.address[f], to.ten_bit[f], *numbers, position=position[f], out=data[f])
     return data
 
 
-def encode_identity(to: Addresses, serial, boot) -> np.ndarray:
-    """Write identity replies of robots at some addresses: bytes, shape (f, IDENTITY_BYTES)."""
+def encode_identity(to: Addresses, serial: ArrayLike, boot: ArrayLike) -> Bytes:
+    """Encode identity replies of robots at some addresses: bytes, shape (f, IDENTITY_BYTES)."""
     data = np.empty((len(to), IDENTITY_BYTES), dtype=np.uint8)
     serial, boot = (np.broadcast_to(c, (len(to),)) for c in (serial, boot))
     for f in range(len(to)):
@@ -134,11 +147,11 @@ def encode_identity(to: Addresses, serial, boot) -> np.ndarray:
     return data
 
 
-def decode_status(to: Addresses, data) -> Statuses:
-    """Read status replies, whole or only their first five bytes.
+def decode_status(to: Addresses, data: ArrayLike) -> Statuses:
+    """Decode status replies, complete or only their first five bytes.
 
     Args:
-        to: whom each was read from, f rows.
+        to: robot from which each reply was read, f rows.
         data: the bytes, shape (f, STATUS_BYTES) or (f, VERIFY_BYTES), uint8.
 
     Raises:
@@ -151,14 +164,15 @@ def decode_status(to: Addresses, data) -> Statuses:
     _check_status(to.address, to.ten_bit, data, ok)
     numbers = np.zeros((8, len(to)), dtype=np.int64)
     _read_status(data, ok, numbers)
-    return Statuses(ok, *numbers[:6], numbers[6:].T)
+    state, sequence, order_crc, boot, fault, alerts = numbers[:6]
+    return Statuses(ok, state, sequence, order_crc, boot, fault, alerts, numbers[6:].T)
 
 
-def decode_identity(to: Addresses, data) -> Identities:
-    """Read identity replies.
+def decode_identity(to: Addresses, data: ArrayLike) -> Identities:
+    """Decode identity replies.
 
     Args:
-        to: whom each was read from, f rows.
+        to: robot from which each reply was read, f rows.
         data: the bytes, shape (f, IDENTITY_BYTES), uint8.
 
     Raises:
@@ -175,7 +189,7 @@ def decode_identity(to: Addresses, data) -> Identities:
     return Identities(ok, serial, form & 0x7FFF, form >> 15 == 1, boot)
 
 
-# A read carries the address twice in ten-bit form: as a write, then 11110 A9 A8 1.
+# In ten-bit form a read carries the address twice: as a write, then 11110 A9 A8 1.
 
 
 @njit(cache=True)
@@ -212,8 +226,19 @@ def _identity_pec(address, ten_bit, data):
 
 
 @njit(cache=True)
-def write_status(address, ten_bit, state, sequence, order_crc, boot, fault, alerts, position, out):
-    """Write one status reply into out[:STATUS_BYTES]."""
+def write_status(
+    address: Whole,
+    ten_bit: bool,
+    state: Whole,
+    sequence: Whole,
+    order_crc: Whole,
+    boot: Whole,
+    fault: Whole,
+    alerts: Whole,
+    position: Ints | tuple[Whole, Whole],
+    out: Bytes,
+) -> None:
+    """Write one status reply into out[:STATUS_BYTES], fields as in Statuses."""
     out[0] = (state << 4) | sequence
     out[1], out[2] = order_crc >> 8, order_crc & 0xFF
     out[3] = boot
@@ -227,7 +252,7 @@ def write_status(address, ten_bit, state, sequence, order_crc, boot, fault, aler
 
 
 @njit(cache=True)
-def write_identity(address, ten_bit, serial, boot, out):
+def write_identity(address: Whole, ten_bit: bool, serial: Whole, boot: Whole, out: Bytes) -> None:
     """Write one identity reply into out[:IDENTITY_BYTES]."""
     out[0] = _IDENTITY_HEAD
     for i in range(4):
@@ -274,6 +299,6 @@ def _check_identity(address, ten_bit, data, ok):
     for f in range(len(address)):
         pec = _identity_pec(address[f], ten_bit[f], data[f])
         ok[f] = pec == data[f, IDENTITY_BYTES - 1] and data[f, 0] == _IDENTITY_HEAD
-        # it listens where it was asked, or it is not what answered
+        # a reply that names another address comes from another robot
         form = (np.int64(data[f, 5]) << 8) | np.int64(data[f, 6])
         ok[f] &= form == (address[f] | (0x8000 if ten_bit[f] else 0))

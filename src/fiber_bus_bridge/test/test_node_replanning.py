@@ -1,6 +1,6 @@
-"""A plan that is planned again around who cannot be commanded: a test plays planner and operator.
+"""Replanning around a robot that cannot be commanded; a test plays planner and operator.
 
-Robot 0 stands stretched towards robot 4, which is to pass there once robot 0 has folded.
+Robot 0 is stretched towards robot 4, which passes after robot 0 has folded.
 """
 
 import threading
@@ -39,11 +39,11 @@ FIRST = orders(
     {(0, 0): [TURN], (0, 1): [FOLD], (4, 1): [WAIT, UNFOLD], (4, 0): [WAIT, WAIT, TURN]} | OTHERS,
 )
 ENDS_MM = forward(PLANE, UNITS.to_angles(FIRST.end))[1]
-AROUND = {(4, 0): [TURN], (4, 1): [WAIT, UNFOLD]}  # the same end, clear of where robot 0 stands
+AROUND = {(4, 0): [TURN], (4, 1): [WAIT, UNFOLD]}  # the same end, clear of robot 0 where it is
 
 
 class Scene(Rest):
-    """A bridge with a plan whose first attempt robot 0 cannot take part in."""
+    """A bridge with a plan in whose first attempt robot 0 cannot be commanded."""
 
     def __init__(self, peer, path, made, **parameters):
         super().__init__(peer, path, **parameters)
@@ -57,18 +57,18 @@ class Scene(Rest):
         answer = self.call(topics.START)
         assert answer.success and "5 robots started" in answer.message
 
-    def asked_again(self):
-        """The targets of the second attempt, once they and what it needs to be known came."""
+    def second_targets(self):
+        """Wait for targets of the second attempt, layout and encoders; return the targets."""
         self.until(lambda: self.asked_in(2))
         (message,) = self.asked_in(2)
-        needed = [self.heard[topic.name] for topic in (topics.LAYOUT, topics.JOINT_STATES)]
+        needed = [self.received[topic.name] for topic in (topics.LAYOUT, topics.JOINT_STATES)]
         since_ns = targets.decode_attempt(message).since_ns
-        self.until(lambda: all(PlanStamp.of(told[-1]).ns >= since_ns for told in needed))
+        self.until(lambda: all(PlanStamp.of(messages[-1]).ns >= since_ns for messages in needed))
         return message
 
     def asked_in(self, attempt):
-        heard = self.heard[topics.TARGETS.name]
-        return [m for m in heard if targets.decode_attempt(m).number == attempt]
+        received = self.received[topics.TARGETS.name]
+        return [m for m in received if targets.decode_attempt(m).number == attempt]
 
     def second(self):
         now = FIRST.end.copy()
@@ -76,7 +76,7 @@ class Scene(Rest):
         return orders(now, AROUND)
 
     def outcomes(self):
-        return [PlanStamp.of(m) for m in self.heard[topics.OUTCOME.name]]
+        return [PlanStamp.of(m) for m in self.received[topics.OUTCOME.name]]
 
 
 @pytest.fixture
@@ -93,21 +93,21 @@ def scene(tmp_path, monkeypatch):
         yield lambda **parameters: Scene(peer, path, made, **parameters)
 
 
-def test_who_was_held_for_another_is_asked_again_and_arrives(scene):
+def test_a_robot_held_because_of_another_is_replanned_and_arrives(scene):
     rest = scene()
     rest.first_attempt()
-    message = rest.asked_again()
+    message = rest.second_targets()
     ids, xy_mm = targets.decode(message)
     assert ids.tolist() == ALL[1:]
     np.testing.assert_allclose(xy_mm, ENDS_MM[1:], atol=1e-9)
-    # what it must be planned with is told: robot 0 is out, and all stand
-    plane, _ = layout.decode(rest.heard[topics.LAYOUT.name][-1])
+    # published for the planner: robot 0 is not enabled, and all robots rest
+    plane, _ = layout.decode(rest.received[topics.LAYOUT.name][-1])
     assert plane.enabled.tolist() == [False] + [True] * 6
-    states = joint_states.decode(rest.heard[topics.JOINT_STATES.name][-1])
+    states = joint_states.decode(rest.received[topics.JOINT_STATES.name][-1])
     assert np.array_equal(UNITS.to_counts(states[1]), rest.second().start) and not states[2].any()
     assert not rest.outcomes()
 
-    rest.order(9, rest.second(), attempt=2)  # and nobody calls start
+    rest.order(9, rest.second(), attempt=2)  # without a call of start
     result, reason, error_mm = rest.end(9)
     assert result.tolist() == [Outcome.HELD] + [Outcome.REACHED] * 6
     assert reason.tolist() == [Reason.NOT_ACKNOWLEDGED] + [Reason.OK] * 6
@@ -115,27 +115,27 @@ def test_who_was_held_for_another_is_asked_again_and_arrives(scene):
     rest.until(lambda: np.array_equal(rest.counts()[1:], FIRST.end[1:]))
     assert np.array_equal(rest.counts()[0], BEGIN[0])
     assert rest.outcomes() == [PlanStamp(9)]
-    stamps = {PlanStamp.of(m) for m in rest.heard[topics.FRAMES.name]}
+    stamps = {PlanStamp.of(m) for m in rest.received[topics.FRAMES.name]}
     assert stamps == {PlanStamp(9), rest.stamp_of(9, 2)}
-    everything = [m for heard in rest.heard.values() for m in heard if hasattr(m, "header")]
-    assert {m.header.frame_id for m in everything} == {FRAME_ID}
+    with_header = [m for some in rest.received.values() for m in some if hasattr(m, "header")]
+    assert {m.header.frame_id for m in with_header} == {FRAME_ID}
     rest.until(lambda: rest.status().values.get("attempts") == "2")
 
 
-def test_one_attempt_is_all_where_that_is_set(scene):
+def test_there_is_no_second_attempt_where_one_is_allowed(scene):
     rest = scene(attempts=1)
     rest.first_attempt()
     result, reason, _ = rest.end(9)
     assert (result[4], reason[4]) == (Outcome.HELD, Reason.UNSAFE_AS_LOADED)
     rest.ask(20, ALL, ENDS_MM)
-    rest.until(lambda: PlanStamp.of(rest.heard[topics.TARGETS.name][-1]) == PlanStamp(20))
+    rest.until(lambda: PlanStamp.of(rest.received[topics.TARGETS.name][-1]) == PlanStamp(20))
     assert not rest.asked_in(2)
 
 
-def test_a_stop_while_it_is_planned_again_ends_it(scene):
+def test_a_stop_during_replanning_ends_the_plan(scene):
     rest = scene()
     rest.first_attempt()
-    rest.asked_again()
+    rest.second_targets()
     before = rest.counts()
     assert rest.call(topics.STOP).success
     result, reason, _ = rest.end(9)
@@ -151,12 +151,12 @@ def test_a_stop_while_it_is_planned_again_ends_it(scene):
     assert np.array_equal(rest.counts(), before) and rest.outcomes() == [PlanStamp(9)]
 
 
-def test_a_stop_while_it_is_started_again_ends_it(scene):
+def test_a_stop_during_the_second_start_ends_the_plan(scene):
     rest = scene(attempts=3)
     rest.first_attempt()
-    rest.asked_again()
+    rest.second_targets()
     session, stop = rest.bridge._session, None
-    certify = session._uploader._certify
+    certify = session._loader._certify
     handler = next(s for s in rest.bridge.services if s.service_name.endswith("stop"))
 
     def while_certified(loaded):
@@ -165,10 +165,10 @@ def test_a_stop_while_it_is_started_again_ends_it(scene):
             empty = handler.srv_type.Request(), handler.srv_type.Response()
             stop = threading.Thread(target=handler.callback, args=empty)
             stop.start()
-            assert rest.bridge._halt.wait(WAIT_S)
+            assert rest.bridge._stop_requested.wait(WAIT_S)
         return certify(loaded)
 
-    session._uploader._certify = while_certified
+    session._loader._certify = while_certified
     before = rest.counts()
     rest.order(9, rest.second(), attempt=2)
     result, reason, _ = rest.end(9)
@@ -178,17 +178,17 @@ def test_a_stop_while_it_is_started_again_ends_it(scene):
     assert not rest.asked_in(3) and rest.outcomes() == [PlanStamp(9)]
 
 
-def test_a_stop_while_it_moves_again_ends_it(scene):
+def test_a_stop_during_the_second_motion_ends_the_plan(scene):
     rest = scene(attempts=3, time_scale=1.0)
     rest.first_attempt()
-    rest.asked_again()
+    rest.second_targets()
     rest.order(9, rest.second(), attempt=2)
 
     def moving():
-        return joint_states.decode(rest.heard[topics.JOINT_STATES.name][-1])[2].any()
+        return joint_states.decode(rest.received[topics.JOINT_STATES.name][-1])[2].any()
 
-    again = rest.stamp_of(9, 2)
-    rest.until(lambda: again in map(PlanStamp.of, rest.heard[topics.FRAMES.name]))
+    second = rest.stamp_of(9, 2)
+    rest.until(lambda: second in map(PlanStamp.of, rest.received[topics.FRAMES.name]))
     rest.until(moving)
     assert rest.call(topics.STOP).success
     result, reason, _ = rest.end(9)
@@ -198,20 +198,20 @@ def test_a_stop_while_it_moves_again_ends_it(scene):
 
 
 @pytest.mark.parametrize("service", ["CLEAR", "HOME", "CONFIGURE"])
-def test_whatever_else_an_operator_wants_ends_it_too(scene, service):
+def test_other_services_during_replanning_end_the_plan(scene, service):
     rest = scene()
     rest.first_attempt()
-    rest.asked_again()
+    rest.second_targets()
     assert rest.call(getattr(topics, service)).success
     result, reason, _ = rest.end(9)
     assert (result[4], reason[4]) == (Outcome.HELD, Reason.UNSAFE_AS_LOADED)
     assert rest.outcomes().count(PlanStamp(9)) == 1
 
 
-def test_new_targets_end_it_and_are_carried_out(scene):
+def test_new_targets_end_the_plan_and_are_executed(scene):
     rest = scene()
     rest.first_attempt()
-    rest.asked_again()
+    rest.second_targets()
     rest.ask(20, ALL, ENDS_MM)
     _, reason, _ = rest.end(9)
     assert reason[4] == Reason.UNSAFE_AS_LOADED
@@ -219,36 +219,36 @@ def test_new_targets_end_it_and_are_carried_out(scene):
     assert rest.call(topics.START).success
     result, reason, _ = rest.end(20)
     assert result.tolist() == [Outcome.HELD] + [Outcome.REACHED] * 6
-    # it is not known to answer again, and is not tried until somebody clears
+    # a failed robot is not tried until clear or configure
     assert reason[0] == Reason.NOT_PLANNED
 
 
-def test_orders_that_do_not_come_end_it_after_a_time(scene):
+def test_a_plan_ends_when_no_orders_come_in_time(scene):
     rest = scene(attempt_timeout_s=0.2)
     rest.first_attempt()
-    rest.asked_again()
+    rest.second_targets()
     _, reason, _ = rest.end(9)
     assert reason[4] == Reason.UNSAFE_AS_LOADED
     rest.until(lambda: "no orders within 0.2 s" in rest.status().text)
 
 
-def test_orders_that_are_refused_end_it(scene):
+def test_refused_orders_of_the_second_attempt_end_the_plan(scene):
     rest = scene()
     rest.first_attempt()
-    rest.asked_again()
+    rest.second_targets()
     rest.order(9, rest.second(), ids=PLANE.ids + 90, attempt=2)
     _, reason, _ = rest.end(9)
     assert reason[4] == Reason.UNSAFE_AS_LOADED
     rest.until(lambda: "robot 90" in rest.status().text)
 
 
-def test_who_failed_is_left_out_until_somebody_clears(scene):
+def test_a_failed_robot_is_left_out_until_clear(scene):
     rest = scene(attempts=1)
     rest.first_attempt()
     rest.end(9)
 
     def enabled():
-        return layout.decode(rest.heard[topics.LAYOUT.name][-1])[0].enabled.tolist()
+        return layout.decode(rest.received[topics.LAYOUT.name][-1])[0].enabled.tolist()
 
     rest.until(lambda: enabled() == [False] + [True] * 6)
     assert rest.call(topics.CLEAR).success

@@ -1,4 +1,4 @@
-"""Operators take robots out of use and put them back, by the parameter service of the bridge."""
+"""Operators disable and enable robots through the parameters of the bridge."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.timeout(600)
 
 
 class Operator(Rest):
-    """The rest of the graph, and an operator."""
+    """The other nodes of the graph, and an operator."""
 
     def set(self, **values):
         client = self.peer.node.create_client(
@@ -35,10 +35,10 @@ class Operator(Rest):
         return list(self.bridge.get_parameter("disabled").value)
 
     def enabled(self):
-        return layout.decode(self.heard[topics.LAYOUT.name][-1])[0].enabled.tolist()
+        return layout.decode(self.received[topics.LAYOUT.name][-1])[0].enabled.tolist()
 
     def left_out(self):
-        statuses = diagnostics.decode(self.heard[topics.DIAGNOSTICS.name][-1])
+        statuses = diagnostics.decode(self.received[topics.DIAGNOSTICS.name][-1])
         return next(s for s in statuses if s.name == "bridge: left out").values
 
 
@@ -53,7 +53,7 @@ def peer():
         yield peer
 
 
-def test_the_disabled_are_obstacles_where_they_stand_and_come_back(peer, path, tmp_path):
+def test_a_disabled_robot_is_an_obstacle_where_it_is_until_it_is_enabled(peer, path, tmp_path):
     file = tmp_path / "disabled.yaml"
     rest = Operator(peer, path, disabled_file=str(file))
     assert rest.shown() == []
@@ -63,7 +63,7 @@ def test_the_disabled_are_obstacles_where_they_stand_and_come_back(peer, path, t
     rest.until(lambda: rest.left_out() == {"robot 2": "arm bent", "robot 5": "arm bent"})
 
     rest.ask(9, [2, 5], PLANE.centers[[2, 5]] + 3.0)
-    rest.ready(9)  # whatever a planner thinks of it
+    rest.ready(9)  # with orders for the disabled robots too
     assert rest.call(topics.START).success
     result, reason, _ = rest.end(9)
     assert np.all(result[[2, 5]] == Outcome.HELD) and np.all(reason[[2, 5]] == Reason.DISABLED)
@@ -78,7 +78,7 @@ def test_the_disabled_are_obstacles_where_they_stand_and_come_back(peer, path, t
     assert read_disabled(file) == {}
 
 
-def test_the_list_survives_a_restart_and_stands_before_the_parameter(peer, path, tmp_path):
+def test_the_list_survives_a_restart_and_overrides_the_parameter(peer, path, tmp_path):
     file = tmp_path / "disabled.yaml"
     write_disabled(file, {4: "dark"})
     rest = Operator(peer, path, disabled_file=str(file), disabled=[1])
@@ -92,30 +92,33 @@ def test_without_a_file_the_parameter_is_the_list(peer, path):
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
-        ([3, 99], "robot 99: no such robot"),
+        ([3, 99], "robot 99 cannot be disabled: the plane has no such robot"),
         ("3", "disabled is '3', expected robot ids"),
         ([0.5], "disabled holds 0.5"),
     ],
 )
-def test_what_names_no_robot_is_refused_and_nothing_changes(peer, path, tmp_path, value, said):
+def test_a_value_that_names_no_robot_is_refused_and_nothing_changes(
+    peer, path, tmp_path, value, message
+):
     file = tmp_path / "disabled.yaml"
     rest = Operator(peer, path, disabled_file=str(file))
     answer = rest.set(disabled=value)
-    assert not answer.successful and said in answer.reason
-    rest.until(lambda: said in rest.status().text)
+    assert not answer.successful and message in answer.reason
+    rest.until(lambda: message in rest.status().text)
     assert rest.shown() == [] and all(rest.enabled()) and not file.exists()
 
 
-def test_while_robots_move_the_list_stays(peer, path):
+def test_the_list_cannot_change_while_robots_move(peer, path):
     rest = Operator(peer, path, time_scale=0.2, disabled=[1])
     rest.ready(9, turning(ticks=200))
     assert rest.call(topics.START).success
-    for value, said in (([1, 3], "robot 3: cannot be dis"), ([], "robot 1: cannot be en")):
+    changes = ([1, 3], "robot 3 cannot be disabled"), ([], "robot 1 cannot be enabled")
+    for value, message in changes:
         answer = rest.set(disabled=value)
-        assert not answer.successful and f"{said}abled while a plan is under way" in answer.reason
-    assert rest.shown() == [1] and not rest.heard[topics.OUTCOME.name]
+        assert not answer.successful and f"{message} while a plan is under way" in answer.reason
+    assert rest.shown() == [1] and not rest.received[topics.OUTCOME.name]
     assert rest.call(topics.STOP).success
     assert rest.set(disabled=[1, 3]).successful
 
