@@ -1,4 +1,4 @@
-"""What can become of a robot in a plan, and why: the codes every stage shares."""
+"""Outcomes and reasons: the codes with which every stage reports how a robot ended a plan."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -16,45 +16,45 @@ class Outcome(IntEnum):
     """How a robot ended a plan; every robot of every plan gets exactly one."""
 
     REACHED = 0  # the fibre is within tolerance of its target
-    HELD = 1  # the robot is somewhere safe, by decision, and not on a target
-    FAILED = 2  # the robot did not do what it was ordered
+    HELD = 1  # the robot is safe, by decision, and not on a target
+    FAILED = 2  # the robot did not carry out its orders
 
 
 class Reason(IntEnum):
-    """Why a robot ended as it did; the number travels in messages and files."""
+    """The cause of an outcome; the number travels in messages and files."""
 
     OK = 0
-    NO_TARGET = 1  # nothing was asked of it
+    NO_TARGET = 1  # the robot has no target in this plan
 
     # the assignment was refused (fiber_core.assignment)
     UNKNOWN_ROBOT = 10
     DUPLICATE = 11
     NOT_FINITE = 12
     DISABLED = 13
-    UNREACHABLE = 14  # outside the annulus the two arms can span
+    UNREACHABLE = 14  # outside the annulus that the two arms span
     OUTSIDE_JOINT_RANGE = 15  # in the annulus, but every elbow and turn breaks a joint limit
-    TARGET_TOO_CLOSE = 16  # closer than the spacing to another robot's target
-    TARGET_ON_OBSTACLE = 17  # every configuration touches something that cannot move
+    TARGET_TOO_CLOSE = 16  # closer than the spacing to the target of another robot
+    TARGET_ON_OBSTACLE = 17  # every configuration is too close to a body that cannot move
     START_OUTSIDE_LIMITS = 18
 
-    # planning
-    GOAL_BLOCKED = 30  # no elbow and turn is clear of the neighbours' chosen goals
-    NOT_CONVERGED = 31  # the planner's horizon ended before the robot arrived
-    TANGLED = 32  # too close to a neighbour at the start: it waits while that one leaves
+    # the planner (fiber_planner)
+    GOAL_BLOCKED = 30  # no elbow and turn is clear of the goals chosen for the neighbours
+    NOT_CONVERGED = 31  # the horizon of the planner ended before the robot arrived
+    TANGLED = 32  # too close to a neighbour at the start: it waits while the neighbour leaves
 
-    # discretization
-    UNSAFE = 40  # no motion of it could be certified beside its neighbours
-    BAD_TRAJECTORY = 41  # jump, speed, limit, or a start that is not where the robot is
+    # the discretizer (fiber_discretizer)
+    UNSAFE = 40  # no motion of the robot could be certified among its neighbours
+    BAD_TRAJECTORY = 41  # a jump, a speed, a limit, or a start away from the robot
     TOO_MANY_SEGMENTS = 42  # more segments than one order can carry
 
-    # on the bus
-    NOT_PLANNED = 60  # asked, but no orders arrived for it
+    # the bus (fiber_bus_bridge)
+    NOT_PLANNED = 60  # the robot has a target, but no orders arrived for it
     NOT_ACKNOWLEDGED = 61
     NOT_VERIFIED = 62
     UNSAFE_AS_LOADED = 63  # the loaded bytes, decoded, could not be certified
     STOPPED = 64
-    OFF_TARGET = 65  # it ran its orders and its encoder is not where it was sent
-    REFUSED = 66  # the robot itself refused the order
+    OFF_TARGET = 65  # the orders have ended, and the encoders are not at the end of the orders
+    REFUSED = 66  # the robot refused the order
 
 
 def holds(reason: ArrayLike) -> Mask:
@@ -70,8 +70,8 @@ def first_reason(*stages: ArrayLike) -> Codes:
     """Return the reason of the first stage that held each robot, shape (n,).
 
     A plan passes its stages in order: assignment, planner, discretizer, bus. The first stage
-    that held a robot tells the cause; what later stages report for that robot follows from it.
-    A robot that no stage held keeps the reason of the last stage, OK or NO_TARGET.
+    that held a robot gives the cause; later reasons for that robot are its consequences. A
+    robot that no stage held keeps the reason of the last stage, OK or NO_TARGET.
 
     Args:
         stages: Reason of each robot by stage, in the order of the stages, each of shape (n,).

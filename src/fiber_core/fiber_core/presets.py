@@ -1,4 +1,4 @@
-"""Focal planes of known instruments, built from a table of their figures."""
+"""Presets: focal planes of known instruments, built from a table of their figures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.hexagonal_grid import hexagonal_centers
 
-__all__ = ["PRESETS", "Preset", "plane_from", "preset"]
+__all__ = ["PRESETS", "PlaneColumns", "Polygon", "Preset", "figures_of", "plane_from", "preset"]
 
 Polygon: TypeAlias = tuple[tuple[float, float], ...]  # corners x, y in the frame of a link [mm]
 
@@ -32,20 +32,20 @@ _DESI_THETA_BODY: Polygon = (
 
 @dataclass(frozen=True)
 class Preset:
-    """Figures of one instrument, as they are quoted: mm and degrees.
+    """Figures of one instrument in the units in which they are published: mm and degrees.
 
     Args:
-        robots: how many the instrument has.
-        pitch_mm: distance of neighbours on the hexagonal grid.
-        arms_mm: lengths l1, l2.
-        theta_deg: range of the first joint, about the robot's zero.
-        phi_deg: range of the second joint.
-        speeds_deg_s: highest speeds of theta and phi.
-        spacing_mm: least distance between two targets, D of the papers.
-        radius_mm: rounding of the phi outline; of an outline without polygon, its half width.
+        robots: number of robots of the instrument.
+        pitch_mm: distance between neighbouring robots on the hexagonal grid [mm].
+        arms_mm: lengths of the theta arm and the phi arm, l1 and l2 [mm].
+        theta_deg: range of theta about the zero of the robot [deg].
+        phi_deg: range of phi [deg].
+        speeds_deg_s: highest speeds of theta and phi [deg/s].
+        spacing_mm: least distance between two targets, D of the papers [mm].
+        radius_mm: rounding of the phi outline, for a capsule or a disc its radius [mm].
         phi_outline: "capsule" from elbow to tip, "tip" for a disc there, or a polygon [mm].
         theta_outline: polygon of the body that turns with theta [mm], empty for none.
-        hexagon: whether the grid ends in a hexagon; otherwise in a circle.
+        hexagon: whether the grid is a hexagon; otherwise it is a disc.
         note: which of these figures are inferred, chosen or assumed.
     """
 

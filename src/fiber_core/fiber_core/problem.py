@@ -17,6 +17,7 @@ from fiber_core.outcomes import Outcome
 from fiber_core.validation import frozen_array
 
 __all__ = [
+    "FilePath",
     "Problem",
     "load_plan",
     "load_problem",

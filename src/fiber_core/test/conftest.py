@@ -1,4 +1,4 @@
-"""What the tests of this package share: repeatable properties, and the real focal planes."""
+"""Shared by the tests of this package: repeatable properties, and the real focal planes."""
 
 import os
 import sys
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-sys.path.append(str(Path(__file__).parent))  # for what they share in modules of its own
+sys.path.append(str(Path(__file__).parent))  # for the modules that tests share
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")

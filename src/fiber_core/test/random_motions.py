@@ -1,4 +1,4 @@
-"""Random motions, where robots are by clocks of their own, and a gap that asks for all of it."""
+"""Random motions, robots with clocks that differ, and a Safety with the same gap for all pairs."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ __all__ = ["RESOLVE_ALL", "Fixed", "all_at", "angles_at", "random_motion"]
 
 
 class Fixed(Safety):
-    """Asks for the same gap of all pairs, however they start."""
+    """Requires the same gap of all pairs, for every start."""
 
     def required_mm(self, plane, motion, pairs):
         return np.full(len(pairs), self.margin_mm)
@@ -19,7 +19,7 @@ RESOLVE_ALL = Fixed(margin_mm=1e3)
 
 
 def random_motion(rng, n, most=3) -> SegmentMotion:
-    """Up to `most` segments a profile, rests and empty profiles among them."""
+    """Return a motion of up to `most` segments a profile, with rests and empty profiles."""
     counts = rng.integers(0, most + 1, 2 * n)
     m = int(counts.sum())
     return SegmentMotion(
@@ -31,7 +31,7 @@ def random_motion(rng, n, most=3) -> SegmentMotion:
 
 
 def angles_at(motion: SegmentMotion, times) -> np.ndarray:
-    """Joint angles when each robot's clock shows its own times (n, t): shape (n, 2, t)."""
+    """Return joint angles when the clock of each robot shows its own times (n, t): (n, 2, t)."""
     out = np.empty((motion.n, 2, times.shape[1]))
     for i in range(motion.n):
         for joint in range(2):
@@ -44,5 +44,5 @@ def angles_at(motion: SegmentMotion, times) -> np.ndarray:
 
 
 def all_at(motion: SegmentMotion, times) -> np.ndarray:
-    """Joint angles when all clocks show the times (t,): shape (n, 2, t)."""
+    """Return joint angles when all clocks show the times (t,): shape (n, 2, t)."""
     return angles_at(motion, np.broadcast_to(times, (motion.n, len(times))))

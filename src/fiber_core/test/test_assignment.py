@@ -1,4 +1,4 @@
-"""Every reason a target can be refused for, one by one, and what is never refused."""
+"""Every reason for which a target is refused, one by one, and targets that are accepted."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def at(plane, row, distance, direction_deg=0.0):
 
 
 def between(plane, row, other, distance):
-    """A point at a distance from one robot's centre on the way to another's."""
+    """Return a point at a distance from the centre of one robot towards that of another."""
     way = plane.centers[other] - plane.centers[row]
     return plane.centers[row] + distance * way / np.hypot(*way)
 
@@ -50,7 +50,7 @@ def test_the_whole_patrol_region_is_accepted(distance):
         assert np.array_equal(accepted.targets[0], at(plane, 0, distance, direction))
 
 
-def test_unreachable_says_how_far_and_how_long():
+def test_an_unreachable_target_is_explained_with_distance_and_reach():
     plane, start = seven()
     plane = replace(plane, arms=np.tile([3.5, 2.5], (7, 1)))
     asked = np.array([at(plane, 0, 6.5), at(plane, 1, 0.9)])
@@ -63,7 +63,7 @@ def test_unreachable_says_how_far_and_how_long():
     )
 
 
-def test_outside_the_joint_range():
+def test_a_target_outside_the_joint_range_is_refused_with_the_range():
     plane, start = seven()
     limits = np.array(plane.limits)
     limits[0] = np.deg2rad([[-90.0, 30.0], [0.0, 180.0]])
@@ -74,7 +74,7 @@ def test_outside_the_joint_range():
     assert "-90..30" in assign(plane, start, [10], tips[1:]).explain(10)
 
 
-def test_disabled_comes_before_any_other_reason():
+def test_a_disabled_robot_has_this_reason_before_any_other():
     plane, start = seven(enabled=np.arange(7) != 2)
     refused = assign(plane, start + 100.0, [12], [at(plane, 2, 99.0)])
     assert refused.reason[2] == Reason.DISABLED and "disabled" in refused.explain(12)
@@ -82,7 +82,7 @@ def test_disabled_comes_before_any_other_reason():
 
 @pytest.mark.parametrize("joint", [0, 1])
 @pytest.mark.parametrize("side", [0, 1])
-def test_start_outside_limits(joint, side):
+def test_a_start_outside_the_limits_is_the_reason(joint, side):
     plane, start = seven()
     for beyond, reason in ((1e-6, Reason.OK), (1e-3, Reason.START_OUTSIDE_LIMITS)):
         start[3, joint] = plane.limits[3, joint, side] + (beyond if side else -beyond)
@@ -102,14 +102,14 @@ def test_of_two_close_targets_the_lower_id_keeps_its_own():
 @pytest.mark.parametrize("short_mm, reason", [(0.0, Reason.OK), (1e-6, Reason.TARGET_TOO_CLOSE)])
 def test_targets_exactly_at_the_spacing_are_allowed(short_mm, reason):
     plane, start = seven()
-    for other in range(1, 7):  # whatever the rounding of the direction
+    for other in range(1, 7):  # with any rounding of the direction
         asked = [between(plane, 0, other, 3.2 + short_mm), between(plane, other, 0, 3.2)]
         assert assign(plane, start, [10, 10 + other], asked).reason[other] == reason
 
 
-def test_a_refused_target_is_in_nobodys_way():
-    # 10 is in the way of 11 and 11 of 12: with 11 refused, 12 is fine; likewise
-    # where 10 is refused for a reason of its own, 11 is fine.
+def test_a_refused_target_does_not_block_other_targets():
+    # 10 blocks 11 and 11 blocks 12: if 11 is refused, 12 is accepted; if 10 is refused for
+    # another reason, 11 is accepted.
     plane = plane_from(PRESETS["desi"], [10, 11, 12], [[0, 0], [10.4, 0], [20.8, 0]])
     start = np.tile([0.0, FOLDED], (3, 1))
     asked = np.array([[5.0, 0.0], [8.0, 0.0], [11.5, 0.0]])
@@ -160,10 +160,10 @@ def test_a_target_on_a_robot_that_cannot_move_is_refused(why):
     assert "robot 11, which cannot move" in found.explain(10)
 
 
-def test_the_margin_decides_beside_an_obstacle():
+def test_a_target_near_an_obstacle_is_refused_only_within_the_margin():
     plane, start = seven()
     limits = np.array(plane.limits)
-    limits[:, 1] = 0.0  # stretched for good: one configuration a target
+    limits[:, 1] = 0.0  # always stretched: one configuration for each target
     plane = replace(plane, limits=limits, phi_radius=np.full(7, 0.5))
     start[:, 1] = 0.0
     gap = 0.2
@@ -180,7 +180,7 @@ def test_the_margin_decides_beside_an_obstacle():
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_reasons_agree_with_a_slow_reading_of_their_definition(name):
+def test_reasons_agree_with_a_slow_implementation_of_their_definition(name):
     rng = np.random.default_rng(8)
     plane = preset(name, 120).with_enabled(rng.random(120) < 0.8)
     field = random_field(plane, rng)
@@ -229,7 +229,7 @@ def test_reasons_agree_with_a_slow_reading_of_their_definition(name):
         ([10, 11], [[np.inf, 3], [0, -np.inf]], Reason.NOT_FINITE, [10, 11]),
     ],
 )
-def test_malformed_targets_are_refused_whole_by_robot_and_value(ids, xy_mm, reason, named):
+def test_a_malformed_table_is_refused_whole_and_names_robot_and_value(ids, xy_mm, reason, named):
     plane, start = seven()
     with pytest.raises(TargetsError) as refusal:
         assign(plane, start, ids, xy_mm)
@@ -260,7 +260,7 @@ def test_wrong_shapes_are_refused(changes, words):
     assert all(word in str(refusal.value) for word in words), str(refusal.value)
 
 
-def test_a_long_list_of_strangers_is_cut_short():
+def test_a_long_list_of_unknown_robots_is_cut_short():
     plane, start = seven()
     with pytest.raises(TargetsError) as refusal:
         assign(plane, start, np.arange(100, 125), np.zeros((25, 2)))
@@ -268,7 +268,7 @@ def test_a_long_list_of_strangers_is_cut_short():
     assert len(refusal.value.ids) == 25
 
 
-def test_nothing_asked_is_fine():
+def test_no_targets_are_a_valid_assignment():
     plane, start = seven()
     found = assign(plane, start, [], np.zeros((0, 2)))
     assert np.all(found.reason == Reason.NO_TARGET) and not found.accepted.any()

@@ -1,4 +1,4 @@
-"""The certificate against dense sampling, and against what sampling misses."""
+"""The certificate against dense sampling, and against collisions that sampling misses."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ _TOLERANCE = 0.5e-3
 
 
 def _couples(rng: np.random.Generator, count: int, phi: int, theta: int) -> FocalPlane:
-    """Couples of robots with a disc beside them, each couple far from all others.
+    """Return couples of robots with a disc near each couple, far from all other couples.
 
     With some robots the first link is the longer and faster one.
 
@@ -54,7 +54,7 @@ def _couples(rng: np.random.Generator, count: int, phi: int, theta: int) -> Foca
 
 
 def _dense_minimum(plane, motion, pairs) -> np.ndarray:
-    """Smallest gap of pairs that share no robot, by sampling finer and finer."""
+    """Return the smallest gap of pairs that share no robot, by finer and finer sampling."""
     pairs = np.asarray(pairs)
     middle = np.full(len(pairs), motion.makespan_s / 2)
     half = motion.makespan_s / 2
@@ -87,7 +87,7 @@ def test_bounds_are_below_the_dense_minimum_and_within_the_tolerance(phi, theta)
         found = certify(plane, motion, RESOLVE_ALL, pairs)
         dense = _dense_minimum(plane, motion, pairs)
         assert (found.gap_mm <= dense).all()
-        # Near, because that gap is really met at the instant given.
+        # Near, because that gap really occurs at the instant given.
         own = np.zeros((plane.n, 1))
         for column in pairs.T:
             own[column[column < plane.n], 0] = found.time_s[column < plane.n]
@@ -98,7 +98,7 @@ def test_bounds_are_below_the_dense_minimum_and_within_the_tolerance(phi, theta)
 
 
 @pytest.mark.parametrize("phi, theta", [(2, 0), (7, 13)])
-def test_what_need_not_be_resolved_is_still_a_bound_and_the_smallest_gap_is_found(phi, theta):
+def test_unresolved_gaps_are_still_bounds_and_the_smallest_gap_is_found(phi, theta):
     rng = np.random.default_rng(phi)
     count = 160
     plane, motion = _couples(rng, count, phi, theta), random_motion(rng, 2 * count)
@@ -121,7 +121,7 @@ def test_what_need_not_be_resolved_is_still_a_bound_and_the_smallest_gap_is_foun
 
 
 @pytest.mark.parametrize("phi, theta", [(2, 0), (7, 13)])
-def test_a_certificate_without_figures_is_of_the_same_mind(phi, theta):
+def test_a_certificate_without_figures_gives_the_same_verdict(phi, theta):
     rng = np.random.default_rng(10 + phi)
     plane, motion = _couples(rng, 120, phi, theta), random_motion(rng, 240)
     pairs = np.stack([2 * np.arange(120), 2 * np.arange(120) + 1], axis=1)
@@ -139,7 +139,7 @@ _MARGIN_ONLY = Safety(margin_mm=0.05, clock_ppm=0.0, start_skew_s=0.0, stop_skew
 
 
 def _needles() -> FocalPlane:
-    """Two robots 8 mm apart whose phi arms are thin as wire and as fast as they like."""
+    """Return two robots 8 mm apart with phi arms as thin as wire and without speed limits."""
     return replace(
         preset("desi", 2),
         centers=[[0.0, 0.0], [8.0, 0.0]],
@@ -164,7 +164,7 @@ def test_a_crossing_between_samples_is_caught():
     assert found.min_time_s == pytest.approx(0.5039, abs=1e-5)
 
 
-def test_needles_that_turn_past_each_other_at_speed():
+def test_thin_arms_that_turn_past_each_other_fast_are_resolved():
     # Both point at the other for an instant, within 0.2 ms of each other.
     rng = np.random.default_rng(0)
     plane = _needles()
@@ -189,7 +189,7 @@ def test_needles_that_turn_past_each_other_at_speed():
 
 
 def test_rest_after_the_end_of_a_profile_is_part_of_the_motion():
-    # Robot 0 has long arrived in the way when robot 1 sweeps past it.
+    # Robot 0 has long arrived in the path of robot 1 when that sweeps past.
     plane = _needles()
     motion = SegmentMotion(
         [[np.pi, 0.0], [2.0, 0.0]], [0, 1, 1, 3, 3], [0.1, 1.0, 1.0], [10 * np.pi, 0.0, 2.0]
@@ -222,7 +222,7 @@ def test_all_pairs_that_could_need_it_are_examined():
     assert len(wide.pairs) == len(neighbour_pairs(plane, 12.0)) > len(neighbour_pairs(plane))
 
 
-def test_obstacles_are_kept_clear_of():
+def test_a_motion_must_keep_clear_of_obstacles():
     plane = replace(preset("desi", 1), obstacles=[[0.0, 6.0, 0.5]])
     sweep = SegmentMotion([[0.0, 0.0]], [0, 1, 1], [1.0], [3.0])
     found = certify(plane, sweep, Safety())
@@ -255,7 +255,7 @@ _JOINT_CASES = {
 
 @pytest.mark.parametrize("joint", [0, 1], ids=["theta", "phi"])
 @pytest.mark.parametrize("case", _JOINT_CASES)
-def test_limits_and_speeds(case, joint):
+def test_a_broken_limit_or_speed_is_found(case, joint):
     start, duration, speed, broken = _JOINT_CASES[case]
     plane = preset("desi", 2)
     plane = replace(
@@ -287,16 +287,16 @@ def test_certificates_do_not_depend_on_order_or_repetition():
     rng = np.random.default_rng(8)
     plane, motion = _couples(rng, 40, 3, 4), random_motion(rng, 80)
     pairs = np.stack([2 * np.arange(40), 2 * np.arange(40) + 1], axis=1)
-    once, again = (certify(plane, motion, Safety(), pairs) for _ in range(2))
+    first, second = (certify(plane, motion, Safety(), pairs) for _ in range(2))
     back = certify(plane, motion, Safety(), pairs[::-1])
-    np.testing.assert_array_equal(once.gap_mm, again.gap_mm)
-    np.testing.assert_array_equal(once.unsafe, back.unsafe[::-1])
-    np.testing.assert_array_equal(once.gap_mm[once.unsafe], back.gap_mm[::-1][once.unsafe])
-    assert once.min_pair == back.min_pair and once.min_gap_mm == back.min_gap_mm
+    np.testing.assert_array_equal(first.gap_mm, second.gap_mm)
+    np.testing.assert_array_equal(first.unsafe, back.unsafe[::-1])
+    np.testing.assert_array_equal(first.gap_mm[first.unsafe], back.gap_mm[::-1][first.unsafe])
+    assert first.min_pair == back.min_pair and first.min_gap_mm == back.min_gap_mm
 
 
 @pytest.mark.parametrize("tolerance_mm", [0.0, 1e-6, 0.1])
-def test_gaps_are_resolved_as_finely_as_asked(tolerance_mm):
+def test_gaps_are_resolved_to_the_tolerance(tolerance_mm):
     rng = np.random.default_rng(9)
     plane, motion = _couples(rng, 10, 2, 0), random_motion(rng, 20)
     pairs = np.stack([2 * np.arange(10), 2 * np.arange(10) + 1], axis=1)

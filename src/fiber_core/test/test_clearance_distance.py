@@ -1,4 +1,4 @@
-"""Laws of the gap between outlines, and who is whose neighbour."""
+"""Laws of the gap between outlines, and of neighbour pairs."""
 
 import gc
 from dataclasses import replace
@@ -26,7 +26,7 @@ laws = settings(max_examples=100, deadline=None)
 
 
 def _random_plane(rng: np.random.Generator, n: int = 2, discs: int = 0) -> FocalPlane:
-    """Robots of random build, close together: 1 to 7 phi vertices, 0 to 9 theta vertices."""
+    """Return robots of random build, close together: 1 to 7 phi and 0 to 9 theta vertices."""
     return FocalPlane(
         ids=np.arange(n),
         centers=rng.uniform(-8, 8, (n, 2)),
@@ -57,7 +57,7 @@ def _turned(points, angle):
 
 
 def _links(plane: FocalPlane, row: int, angles) -> list:
-    """Placed vertices and radius of each link of a body, straight from the definition."""
+    """Return the placed vertices and radius of each link of a body, by the definition."""
     if row >= plane.n:
         x, y, radius = plane.obstacles[row - plane.n]
         return [(np.array([[x, y]]), radius)]
@@ -71,7 +71,7 @@ def _links(plane: FocalPlane, row: int, angles) -> list:
 
 
 def _reference_separation(p, q) -> float:
-    """max over u of min u.q - max u.p, over every direction that can be the best one.
+    """Return max over u of min u.q - max u.p, over every direction that can be the best.
 
     That is a line between a vertex of each, or a normal of a line between two of one.
     """
@@ -106,7 +106,7 @@ def test_gap_is_the_separation_along_the_best_direction():
 
 
 def _boundary(points, radius, count=4000):
-    """Points along the rounded outline of a convex polygon given counter-clockwise."""
+    """Return points on the rounded outline of a convex polygon given counter-clockwise."""
     ends = np.roll(points, -1, axis=0)
     edge = ends - points
     length = np.hypot(*edge.T)
@@ -184,7 +184,7 @@ def test_gap_changes_no_more_than_the_points_move(seed, size):
 
 @laws
 @given(seeds, st.floats(0.0, 3.0))
-def test_gap_shrinks_by_what_the_outlines_grow(seed, more):
+def test_gap_shrinks_as_much_as_the_outlines_grow(seed, more):
     rng = np.random.default_rng(seed)
     plane, angles = _random_plane(rng), _random_angles(rng, 2)
     grown = replace(
@@ -208,7 +208,7 @@ def test_gap_below_is_exact_below_the_cutoff_and_a_lower_bound_above(seed, cutof
         assert cutoff - 1e-9 <= below <= gap + 1e-9
 
 
-def test_crossed_capsules_overlap_by_what_it_takes_to_part_them():
+def test_crossed_capsules_overlap_by_the_shortest_push_that_parts_them():
     # The second arm lies across the first, its tip 0.5 mm beyond.
     plane = replace(preset("desi", 2), centers=[[0.0, 0.0], [5.0, -5.5]])
     angles = [[0.0, 0.0], [np.pi / 2, 0.0]]
@@ -226,7 +226,7 @@ def test_only_the_hull_of_the_vertices_counts(seed):
     assert gaps(same, [(0, 1)], angles) == pytest.approx(gaps(plane, [(0, 1)], angles), abs=1e-9)
 
 
-def test_outlines_are_made_once_for_a_plane_and_kept_as_long_as_it_lives():
+def test_bodies_are_built_once_for_a_plane_and_kept_as_long_as_the_plane():
     plane = preset("desi_outlines", 7)
     kept = ref(bodies_of(plane).table)
     assert bodies_of(plane).table is kept()
@@ -251,7 +251,7 @@ def test_sampled_gaps_are_the_gaps_of_each_instant():
 
 
 @pytest.mark.parametrize("name, neighbours", [("desi", 6), ("desi_outlines", 6), ("moons", 18)])
-def test_interior_robots_have_the_neighbours_their_reach_gives_them(name, neighbours):
+def test_interior_robots_have_all_neighbours_within_reach(name, neighbours):
     plane = preset(name, 300)
     counts = np.bincount(neighbour_pairs(plane).ravel(), minlength=plane.n)
     inner = np.hypot(*plane.centers.T) < 0.6 * np.hypot(*plane.centers.T).max()
@@ -288,7 +288,7 @@ def test_pairs_left_out_keep_the_slack():
 
 
 def test_planes_without_robots_or_obstacles_have_no_pairs():
-    nobody = preset("desi", 3).permuted([])
-    assert neighbour_pairs(nobody).shape == (0, 2)
+    empty = preset("desi", 3).permuted([])
+    assert neighbour_pairs(empty).shape == (0, 2)
     assert neighbour_pairs(preset("desi", 1)).shape == (0, 2)
-    assert gaps(nobody, np.zeros((0, 2)), np.zeros((0, 2))).shape == (0,)
+    assert gaps(empty, np.zeros((0, 2)), np.zeros((0, 2))).shape == (0,)

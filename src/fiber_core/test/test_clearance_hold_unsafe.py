@@ -14,7 +14,7 @@ _MARGIN_ONLY = Safety(margin_mm=0.05, clock_ppm=0.0, start_skew_s=0.0, stop_skew
 
 
 def _direct(start, goal, speed=1.0) -> SegmentMotion:
-    """Every joint straight to its goal at one speed; nothing for those already there."""
+    """Return the motion of every joint straight to its goal at one speed; none for joints there."""
     way = (np.asarray(goal) - start).ravel()
     moves = way != 0.0
     offsets = np.concatenate([[0], np.cumsum(moves)])
@@ -22,7 +22,7 @@ def _direct(start, goal, speed=1.0) -> SegmentMotion:
 
 
 def _crowd(seed, robots=150, name="desi", disabled=0.1):
-    """A plane with some robots disabled, and a direct motion in which many of the rest meet."""
+    """Return a plane with some robots disabled, and a direct motion with many collisions."""
     rng = np.random.default_rng(seed)
     plane = preset(name, robots)
     plane = plane.with_enabled(rng.random(robots) >= disabled)
@@ -42,15 +42,15 @@ def _moving(motion) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["desi", "desi_outlines", "sdss_v"])
 @pytest.mark.parametrize("seed", range(3))
-def test_what_remains_is_certified_and_nothing_else_changed(name, seed):
+def test_the_remaining_motion_is_certified_and_otherwise_unchanged(name, seed):
     plane, wished = _crowd(seed, name=name)
     assert certify(plane, wished, Safety()).unsafe.sum() > 5
     motion, held, certificate = hold_until_safe(plane, wished, Safety())
     assert certificate.ok
-    again = certify(plane, motion, Safety())
-    assert again.ok
-    np.testing.assert_array_equal(certificate.required_mm, again.required_mm)
-    assert certificate.min_gap_mm == pytest.approx(again.min_gap_mm, abs=0.6e-3)
+    repeated = certify(plane, motion, Safety())
+    assert repeated.ok
+    np.testing.assert_array_equal(certificate.required_mm, repeated.required_mm)
+    assert certificate.min_gap_mm == pytest.approx(repeated.min_gap_mm, abs=0.6e-3)
     assert held.sum() > 3 and not _moving(motion)[held].any()
     np.testing.assert_array_equal(_moving(motion), _moving(wished) & ~held)
     for i in np.flatnonzero(~held):
@@ -62,7 +62,7 @@ def test_what_remains_is_certified_and_nothing_else_changed(name, seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_nobody_is_held_more_than_needed(seed):
+def test_no_held_robot_could_be_released(seed):
     plane, wished = _crowd(seed)
     motion, held, certificate = hold_until_safe(plane, wished, _MARGIN_ONLY)
     assert certificate.ok
@@ -74,7 +74,7 @@ def test_nobody_is_held_more_than_needed(seed):
         assert not certify(plane, wished.without(released), _MARGIN_ONLY).ok
 
 
-def test_nothing_is_held_when_everything_is_safe():
+def test_no_robot_is_held_in_a_safe_motion():
     plane, wished = _crowd(0)
     motion, _, _ = hold_until_safe(plane, wished, Safety())
     same, held, certificate = hold_until_safe(plane, motion, Safety())
@@ -85,13 +85,14 @@ def test_nothing_is_held_when_everything_is_safe():
 
 def test_holding_is_repeatable():
     plane, wished = _crowd(5)
-    (_, held, one), (_, again, two) = (hold_until_safe(plane, wished, Safety()) for _ in range(2))
-    np.testing.assert_array_equal(held, again)
+    runs = [hold_until_safe(plane, wished, Safety()) for _ in range(2)]
+    (_, held, one), (_, held_too, two) = runs
+    np.testing.assert_array_equal(held, held_too)
     np.testing.assert_array_equal(one.gap_mm, two.gap_mm)
 
 
 def _sweeps(centers, start, turn, **columns):
-    """Robots with stretched arms that turn theta by `turn` [rad] in one second."""
+    """Return robots with stretched arms that turn theta by `turn` [rad] in one second."""
     n = len(centers)
     plane = replace(
         preset("desi", n), centers=centers, limits=np.tile([-9.0, 9.0], (n, 2, 1)), **columns
@@ -100,7 +101,7 @@ def _sweeps(centers, start, turn, **columns):
     return plane, _direct(start, start + np.stack([turn, np.zeros(n)], axis=1))
 
 
-def test_one_robot_in_the_way_of_three_is_held_alone():
+def test_one_robot_in_the_path_of_three_is_held_alone():
     # Robot 3, in the middle, would turn past the three others, each on its own side.
     around = np.deg2rad([90.0, 210.0, 330.0])
     centers = 13.0 * np.stack([np.cos(around), np.sin(around)], axis=1)
@@ -115,7 +116,7 @@ def test_one_robot_in_the_way_of_three_is_held_alone():
     assert certificate.ok
 
 
-def test_of_two_equals_the_first_is_held_unless_it_rests():
+def test_of_two_equal_robots_the_first_is_held_unless_it_rests():
     centers, start = [[0.0, 0.0], [12.0, 0.0]], [-0.8, np.pi + 0.8]
     plane, wished = _sweeps(centers, start, [1.6, 0.0])
     assert hold_until_safe(plane, wished, Safety())[1].tolist() == [False, False]
@@ -125,7 +126,7 @@ def test_of_two_equals_the_first_is_held_unless_it_rests():
     assert hold_until_safe(plane, wished, Safety())[1].tolist() == [False, True]
 
 
-def test_a_held_robot_can_be_in_the_way_of_another():
+def test_a_held_robot_can_make_another_one_unsafe():
     # 0 would leave before 1 arrives, but also meets the disc: once held, 1 must be held too.
     plane, wished = _sweeps(
         [[0.0, 0.0], [12.0, 0.0]], [0.0, np.pi + 2.0], [3.0, -2.0], obstacles=[[-4.0, 4.0, 0.5]]

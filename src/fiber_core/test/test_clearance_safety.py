@@ -1,4 +1,4 @@
-"""The gap that is asked for: enough for wrong clocks and late starts and stops, and no more."""
+"""The required gap is enough for wrong clocks and late starts and stops, and no more."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def test_no_motion_requires_more_than_at_full_speed(name):
 
 
 def _gap_lost(plane, motion, safety, pairs, clocks):
-    """What clock errors and late starts take from each pair's gap, in shares of its allowance.
+    """Return the loss of gap of each pair by clock errors and late starts, over its allowance.
 
     Args:
         plane, motion, safety, pairs: as for certify; the margin plays no role.
@@ -60,7 +60,7 @@ def test_allowance_is_needed_and_enough_for_one_robot_close_behind_another(
     ppm, skew_s, least_share
 ):
     # Arms at full stretch meet between their centres and sweep the same way, 0 ahead of 1
-    # by 3 mm; the last instants before both arrive are where a wrong clock hurts most.
+    # by 3 mm; the last instants before both arrive are where a wrong clock matters most.
     plane = replace(preset("desi", 2), centers=[[0.0, 0.0], [13.0, 0.0]])
     plane = replace(plane, limits=np.tile([-9.0, 9.0], (2, 2, 1)))
     start = [[0.25 - 4.5, 0.0], [np.pi + 0.25 + 4.5, 0.0]]
@@ -127,7 +127,7 @@ def test_one_of_a_pair_that_starts_too_close_may_leave_but_not_come_closer(gap_m
     for alone in (turned(0.2, 0.0), turned(0.0, -0.2)):
         assert alone.ok
         assert alone.required_mm[0] == pytest.approx(gap_mm - 1e-3, abs=1e-9)
-    assert not turned(0.2, 0.2).ok  # timing errors of two that move could let them touch
+    assert not turned(0.2, 0.2).ok  # with timing errors, two moving robots could touch
     assert not turned(0.0, 0.0).ok
-    beside = np.array([[0.1, 0.0], [np.pi, 0.0]])
-    assert not turned(-0.1, 0.0, beside).ok  # through the other
+    beyond = np.array([[0.1, 0.0], [np.pi, 0.0]])
+    assert not turned(-0.1, 0.0, beyond).ok  # through the other robot

@@ -1,4 +1,4 @@
-"""A made-up instrument on a hexagonal grid, from a few figures."""
+"""The focal plane of a made-up instrument is built from a few figures."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from fiber_core import PRESETS, LayoutError, hexagonal, preset, random_field
 
 
-def test_a_plane_has_the_figures_given():
+def test_a_hexagonal_plane_has_the_figures_given():
     plane = hexagonal(
         19,
         pitch_mm=12.0,
@@ -82,7 +82,7 @@ def test_disabled_robots_are_drawn_with_a_seed():
     assert drawn(0, 0).all() and not drawn(0, 1).any()
 
 
-def test_a_random_field_can_be_drawn_on_it():
+def test_a_random_field_can_be_drawn_on_a_hexagonal_plane():
     plane = hexagonal(61, 25.0, (8.0, 7.0), disabled=0.05, obstacles=[[12.5, 7.2, 1.0]])
     field = random_field(plane, np.random.default_rng(0))
     assert np.array_equal(field.problem.asked, plane.enabled)

@@ -48,11 +48,11 @@ def test_a_field_is_valid_at_both_ends(name, seed):
     plane = preset(name, 150)
     field = random_field(plane, np.random.default_rng(seed))
     check(plane, field, DEFAULT_GAP_MM, np.ones(150, dtype=bool))
-    assert np.abs(field.goal - field.problem.start).max(axis=1).min() > 0  # everybody moves
+    assert np.abs(field.goal - field.problem.start).max(axis=1).min() > 0  # every robot moves
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_the_disabled_and_the_idle_stay_where_they_touch_nobody(name):
+def test_disabled_and_idle_robots_stay_clear_of_all_others(name):
     rng = np.random.default_rng(5)
     plane = preset(name, 150).with_enabled(rng.random(150) < 0.8)
     discs = plane.centers[:-1:20] + 0.5 * np.diff(plane.centers[:2], axis=0)
@@ -62,7 +62,7 @@ def test_the_disabled_and_the_idle_stay_where_they_touch_nobody(name):
     check(plane, field, 0.3, plane.enabled & ~idle)
 
 
-def test_targets_from_where_the_robots_are():
+def test_targets_are_drawn_for_a_given_start():
     plane = preset("desi", 200).with_enabled(np.arange(200) % 7 != 0)
     first = random_field(plane, np.random.default_rng(1))
     second = random_field(plane, np.random.default_rng(2), start=first.goal)
@@ -75,7 +75,7 @@ def test_targets_from_where_the_robots_are():
     assert caught.value.ids.tolist() == [9]
 
 
-def test_real_planes(real_planes):
+def test_fields_on_real_planes_are_valid(real_planes):
     for plane in (
         read_layout(real_planes / "desi_2021-06-25.csv"),
         read_layout(
@@ -86,7 +86,7 @@ def test_real_planes(real_planes):
         check(plane, field, DEFAULT_GAP_MM, plane.enabled)
 
 
-def test_a_field_from_where_the_robots_are():
+def test_a_field_is_drawn_from_a_given_start():
     rng = np.random.default_rng(3)
     plane = preset("sdss_v", 100).with_enabled(rng.random(100) < 0.9)
     first = random_field(plane, rng)
@@ -98,7 +98,7 @@ def test_a_field_from_where_the_robots_are():
         random_field(plane, rng, start=first.goal[1:])
 
 
-def test_same_seed_same_bytes():
+def test_the_same_seed_gives_the_same_bytes():
     plane = preset("moons", 100)
     first, second = (random_field(plane, np.random.default_rng(11)) for _ in range(2))
     assert first.problem.start.tobytes() == second.problem.start.tobytes()
@@ -107,17 +107,17 @@ def test_same_seed_same_bytes():
     other = random_field(plane, np.random.default_rng(12))
     assert np.all(other.problem.start != first.problem.start)
     assert np.all(other.problem.targets != first.problem.targets)
-    again = random_problem(plane, np.random.default_rng(11))
-    assert again.targets.tobytes() == first.problem.targets.tobytes()
+    repeated = random_problem(plane, np.random.default_rng(11))
+    assert repeated.targets.tobytes() == first.problem.targets.tobytes()
 
 
-def test_a_source_of_randomness_goes_on():
+def test_a_generator_gives_another_field_each_time():
     plane, rng = preset("desi", 30), np.random.default_rng(1)
     assert np.all(random_problem(plane, rng).start != random_problem(plane, rng).start)
 
 
-def test_tips_are_uniform_and_elbows_and_turns_alike():
-    n = 4000  # nobody near: what is drawn is what is meant
+def test_tips_elbows_and_turns_are_uniform():
+    n = 4000  # without neighbours, no draw is refused
     limits = np.tile(np.deg2rad([[-360.0, 360.0], [-180.0, 180.0]]), (n, 1, 1))
     centers = np.stack([100.0 * np.arange(n), np.zeros(n)], axis=1)
     plane = plane_from(
@@ -142,14 +142,14 @@ def test_narrow_joint_ranges_are_kept():
     check(plane, field, DEFAULT_GAP_MM, np.ones(40, dtype=bool))
 
 
-def test_what_does_not_fit_is_refused_with_the_robots_left():
+def test_a_plane_without_space_is_refused_with_the_robots_left():
     plane = preset("desi", 19)
     with pytest.raises(FieldError, match="of 19 robots found no start 9.0 mm apart") as refusal:
         random_field(plane, np.random.default_rng(0), gap_mm=9.0)
     assert 0 < len(refusal.value.ids) < 19
     assert str(refusal.value.ids[0]) in str(refusal.value)
     locked = np.array(plane.limits)
-    locked[7] = 0.5  # no area of the patrol region is left to it
+    locked[7] = 0.5  # no area of its patrol region is left
     with pytest.raises(FieldError) as refusal:
         random_field(replace(plane, limits=locked), np.random.default_rng(0))
     assert refusal.value.ids.tolist() == [7]

@@ -1,4 +1,4 @@
-"""What a focal plane refuses, and what holds of every plane."""
+"""A focal plane refuses bad columns, and every plane obeys some laws."""
 
 from dataclasses import FrozenInstanceError, fields
 
@@ -71,10 +71,10 @@ def test_a_plane_cannot_be_changed():
         plane.arms = None
 
 
-def test_what_nobody_can_write_to_is_shared_and_all_else_copied():
+def test_arrays_that_cannot_be_written_to_are_shared_and_all_others_copied():
     plane = preset("desi_outlines", 7)
-    again = plane.with_enabled(plane.enabled)
-    assert again.centers is plane.centers and again.enabled is plane.enabled
+    same = plane.with_enabled(plane.enabled)
+    assert same.centers is plane.centers and same.enabled is plane.enabled
     open_columns = columns()
     for name in ("centers", "arms"):
         open_columns[name].setflags(write=False)
@@ -89,7 +89,7 @@ def test_what_nobody_can_write_to_is_shared_and_all_else_copied():
     assert not np.shares_memory(copied.limits, open_columns["limits"])
 
 
-def test_index_of_inverts_ids_and_marks_strangers():
+def test_index_of_inverts_ids_and_marks_unknown_ids():
     plane = FocalPlane(**columns(ids=np.array([3, 5, 8, 13, 21, 34, 55])))
     assert np.array_equal(plane.index_of(plane.ids), np.arange(7))
     assert np.array_equal(plane.index_of([4, 55, 56, -1, 3]), [-1, 6, -1, -1, 0])
@@ -130,7 +130,7 @@ def test_no_part_of_a_robot_leaves_its_reach(name):
             far = np.hypot(x, y).max(axis=1, initial=0.0) + radius
             assert np.all(far <= plane.reach_mm + 1e-12)
             farthest = max(farthest, far.max())
-    assert farthest > 0.98 * plane.reach_mm[0]  # and the bound is no idle one
+    assert farthest > 0.98 * plane.reach_mm[0]  # and the bound is tight
 
 
 def test_an_empty_plane_is_a_plane():

@@ -1,4 +1,4 @@
-"""Laws of forward and inverse kinematics, and the places where they break easily."""
+"""Laws of forward and inverse kinematics, and their singular points."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def random_robots(rng, n):
     return plane, limits[..., 0] + rng.random((n, 2)) * (limits[..., 1] - limits[..., 0])
 
 
-def test_inverse_finds_the_configuration_the_tip_came_from():
+def test_inverse_finds_the_configuration_of_a_tip():
     plane, angles = random_robots(np.random.default_rng(1), 3000)
     found, valid = inverse(plane, forward(plane, angles)[1])
     error = np.where(valid, np.abs(found - angles[:, None]).max(axis=2), np.inf).min(axis=1)
@@ -55,7 +55,7 @@ def test_every_solution_reaches_the_tip_and_keeps_the_limits():
         assert np.all(np.abs(reached - tips)[inside] < 1e-9)
 
 
-def test_count_is_that_of_all_elbows_and_turns():
+def test_the_number_of_solutions_is_that_of_all_elbows_and_turns():
     plane, angles = random_robots(np.random.default_rng(3), 3000)
     tips = forward(plane, angles)[1]
     # an independent count: both elbows from the law of cosines, turns by division
@@ -96,7 +96,7 @@ def test_forward_is_equation_1():
 
 
 @pytest.mark.parametrize("phi, radius", [(0.0, 5.0), (np.pi, 1.0)])
-def test_both_elbows_are_one_on_the_rims(phi, radius):
+def test_both_elbows_are_the_same_on_the_rims(phi, radius):
     plane = one_robot((3.0, 2.0), theta_deg=(-170, 170), phi_deg=(-190, 190))
     found = solutions_of(plane, [radius, 0.0])
     assert np.allclose(np.unique(np.abs(found[:, 1])), phi)
@@ -115,7 +115,7 @@ def test_a_rim_is_as_wide_as_rounding(arms, rim):
 
 
 @pytest.mark.parametrize("theta_deg", [(-194, 194), (-10, 10), (200, 230)])
-def test_on_the_centre_of_equal_arms_theta_is_free(theta_deg):
+def test_at_the_centre_of_equal_arms_theta_is_free(theta_deg):
     plane = one_robot(theta_deg=theta_deg)
     found = solutions_of(plane, [0.0, 0.0])
     assert len(found) == 1 and found[0, 1] == np.pi
@@ -125,7 +125,7 @@ def test_on_the_centre_of_equal_arms_theta_is_free(theta_deg):
 @pytest.mark.parametrize("center", [(0.0, 0.0), (-409.5, 407.4)])
 @pytest.mark.parametrize("phi_low", [-23.0, -1e-4, 0.0, 1e-5, 1e-3, 0.05, 1.086, 49.5])
 @pytest.mark.parametrize("span", [90.0, 180.0, 189.4])
-def test_a_robot_on_its_stops_can_be_asked_where_it_stands(center, phi_low, span):
+def test_a_robot_on_its_stops_is_a_solution_of_its_own_tip(center, phi_low, span):
     plane = one_robot((3.0398, 3.075), (-46.5, 343.8), (phi_low, phi_low + span), center)
     for theta in plane.limits[0, 0]:
         for phi in plane.limits[0, 1]:
@@ -141,7 +141,7 @@ def test_a_closed_full_turn_has_both_ends():
 
 
 @pytest.mark.parametrize("tip", [(np.nan, np.nan), (np.nan, 1.0), (np.inf, 0.0), (7.0, 0.0)])
-def test_no_solution_is_none_and_not_an_error(tip):
+def test_a_tip_without_solution_is_not_an_error(tip):
     angles, valid = inverse(one_robot(), np.array([tip]))
     assert not valid.any() and np.isnan(angles).all() and valid.shape[1] >= 1
 
@@ -154,7 +154,7 @@ def test_joint_limits_choose_the_elbow():
     assert len(solutions_of(one_robot(phi_deg=(60, 180)), tip)) == 0
 
 
-def test_an_empty_answer_keeps_its_shape():
+def test_a_plane_without_solutions_keeps_the_shape():
     plane = preset("desi", 3)
     angles, valid = inverse(plane, np.full((3, 2), np.nan))
     assert angles.shape == (3, 1, 2) and valid.shape == (3, 1)

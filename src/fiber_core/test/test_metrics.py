@@ -1,4 +1,4 @@
-"""A report says what happened, and its lower bound is the time the slowest robot needs alone."""
+"""Metrics are the figures of a plan; the lower bound is the time of the slowest robot alone."""
 
 import json
 
@@ -8,11 +8,10 @@ import pytest
 from fiber_core import Outcome, Problem, Reason, SegmentMotion, forward, preset
 from fiber_core.clearance import Safety, certify
 from fiber_core.metrics import lower_bound_s, plan_metrics
-from fiber_core.problem_sources import problem_from
 
 
 def _turned(robots, turn=0.4):
-    """The first robot turns theta by some angle to its target; the others have none."""
+    """Return a plan: the first robot turns theta to its target; the others have no target."""
     plane = preset("desi", robots=robots)
     start = np.tile([0.3, 2.0], (robots, 1))
     lasts = turn / plane.speeds[0, 0]
@@ -30,7 +29,7 @@ def _report(problem, motion):
     return plan_metrics(problem, motion, certificate, outcome, reason)
 
 
-def test_a_robot_that_goes_straight_meets_the_bound():
+def test_a_direct_motion_meets_the_lower_bound():
     problem, motion = _turned(7)
     report = _report(problem, motion)
     assert (report["robots"], report["asked"], report["reached"], report["held"]) == (7, 1, 1, 0)
@@ -56,14 +55,7 @@ def test_disabled_robots_do_not_count_in_the_bound():
     assert lower_bound_s(off) == 0
 
 
-def test_a_robot_alone_has_nobody_near_and_the_report_is_still_json():
+def test_metrics_of_a_single_robot_are_json():
     report = _report(*_turned(1))
     assert report["min_clearance_mm"] is None and report["min_clearance_ids"] == []
     assert json.loads(json.dumps(report, allow_nan=False)) == report
-
-
-def test_a_problem_comes_from_an_instrument_with_its_seed():
-    first, again, other = (problem_from(robots=19, seed=seed) for seed in (4, 4, 5))
-    assert first.plane.name == "desi" and first.plane.n == 19
-    np.testing.assert_array_equal(first.targets, again.targets)
-    assert not np.array_equal(first.start, other.start)

@@ -39,7 +39,7 @@ SEEDS = pytest.mark.parametrize("seed", range(3))
 def test_velocity_is_the_derivative(kind, seed):
     motion = kind(seed)
     times = breaks(motion)
-    wide = np.flatnonzero(np.diff(times) > 1e-6)  # one instant on paper may be two in floats
+    wide = np.flatnonzero(np.diff(times) > 1e-6)  # equal instants may differ in floats
     for k in wide:
         a, b = times[k], times[k + 1]
         early, late = a + 0.1 * (b - a), b - 0.1 * (b - a)
@@ -90,7 +90,7 @@ def test_end_and_makespan_are_sums_of_segments(seed):
     assert motion.makespan_s == motion.durations.max()
 
 
-def test_without_holds_some_and_changes_nobody_else():
+def test_without_holds_some_robots_and_changes_no_other():
     motion = random_segments(5)
     held = np.random.default_rng(0).random(motion.n) < 0.4
     rest = motion.without(held)
@@ -100,7 +100,7 @@ def test_without_holds_some_and_changes_nobody_else():
     assert not rest.counts[held].any() and np.array_equal(rest.counts[~held], motion.counts[~held])
 
 
-def test_at_rest_nobody_moves():
+def test_at_rest_no_robot_moves():
     start = np.random.default_rng(0).normal(size=(4, 2))
     motion = SegmentMotion.at_rest(start)
     assert motion.makespan_s == 0.0 and not motion.counts.any()
@@ -108,7 +108,7 @@ def test_at_rest_nobody_moves():
     assert SegmentMotion.at_rest(np.zeros((0, 2))).makespan_s == 0.0
 
 
-def test_makespan_of_samples_is_when_the_last_robot_stops():
+def test_makespan_of_samples_ends_when_the_last_robot_stops():
     angles = np.zeros((2, 2, 4))
     angles[1, 0] = [0.0, 1.0, 2.0, 2.0]
     assert SampledMotion([0.0, 1.0, 3.0, 9.0], angles).makespan_s == 3.0

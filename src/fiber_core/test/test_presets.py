@@ -1,4 +1,4 @@
-"""The figures of the presets, and the grid they stand on."""
+"""The figures of the presets, and the grid on which their robots stand."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from fiber_core import PRESETS, LayoutError, plane_from, preset
 from fiber_core.clearance import neighbour_pairs
 
-# name: robots, pitch, neighbours from reach, theta range, phi range, speeds (field.md section 2)
+# name: robots, pitch, neighbours from reach, theta range, phi range, speeds (as published)
 FIGURES = {
     "paper": (5167, 12.0, 6, 2880.0, 2880.0, (180, 120)),
     "desi": (5000, 10.4, 6, 388.0, 180.0, (176, 176)),
@@ -24,7 +24,7 @@ def test_every_preset_is_checked_here():
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_preset_is_its_instrument(name):
+def test_a_preset_has_the_figures_of_its_instrument(name):
     robots, pitch, neighbours, theta, phi, speeds = FIGURES[name]
     plane = preset(name)
     assert plane.n == robots and plane.name == name and plane.enabled.all()
@@ -40,7 +40,7 @@ def test_a_preset_is_its_instrument(name):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_robot_keeps_its_site_whatever_the_number(name):
+def test_a_robot_keeps_its_site_for_every_number(name):
     large = preset(name, 700).centers
     for robots in (1, 2, 7, 61, 300):
         assert np.array_equal(preset(name, robots).centers, large[:robots])
@@ -90,7 +90,7 @@ def test_real_outlines_are_convex_and_hold_every_point_quoted():
     assert np.hypot(*plane.theta_vertices[0].T).max() == pytest.approx(np.hypot(5.094, 0.54))
 
 
-def test_assumed_figures_are_said_to_be():
+def test_notes_name_assumed_figures():
     for name, word in {
         "paper": "inferred",
         "pfs": "assumed",
@@ -102,6 +102,6 @@ def test_assumed_figures_are_said_to_be():
 
 
 @pytest.mark.parametrize("name, robots", [("keck", None), ("desi", 0), ("desi", -3), ("desi", 2.5)])
-def test_what_is_no_preset_is_refused(name, robots):
+def test_an_unknown_preset_or_a_bad_number_is_refused(name, robots):
     with pytest.raises(LayoutError, match="keck" if name == "keck" else str(robots)):
         preset(name, robots)

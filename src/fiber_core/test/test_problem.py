@@ -1,4 +1,4 @@
-"""The exchange files: what is written is read, by us and from others."""
+"""Exchange files are read as they were written, by this or by another program."""
 
 from dataclasses import fields, replace
 
@@ -52,7 +52,7 @@ def contract_fields(tmp_path, problem):
         return {name: file[name] for name in CONTRACT}
 
 
-def test_a_file_of_the_contract_alone_is_enough(tmp_path):
+def test_a_file_with_the_required_fields_alone_is_enough(tmp_path):
     problem = some_problem()
     np.savez(tmp_path / "minimal.npz", **contract_fields(tmp_path, problem))
     plane = load_problem(tmp_path / "minimal.npz").plane
@@ -94,7 +94,7 @@ def test_a_bad_field_is_named(name, value, words, tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"id,x,y\n", b"PK\x03\x04 torn", None])
-def test_what_is_no_exchange_file_is_refused(content, tmp_path):
+def test_another_file_is_refused(content, tmp_path):
     if content is not None:
         (tmp_path / "torn.npz").write_bytes(content)
     with pytest.raises(LayoutError, match="torn.npz is not a problem or plan file"):

@@ -1,4 +1,4 @@
-"""Planes and targets from files: the real ones, every format, every kind of damage."""
+"""Tables are read in every format, real planes among them, and every kind of damage is refused."""
 
 import numpy as np
 import pytest
@@ -105,7 +105,7 @@ def test_every_format_gives_the_same_plane(suffix, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".ecsv", ".fits"])
-def test_a_unit_beside_the_name_is_converted_or_refused(suffix, tmp_path):
+def test_the_unit_of_a_column_is_converted_or_refused(suffix, tmp_path):
     table = layout_table()
     table["x_mm"] = table["x_mm"] / 1000
     table["x_mm"].unit = "m"
@@ -116,7 +116,7 @@ def test_a_unit_beside_the_name_is_converted_or_refused(suffix, tmp_path):
         read_layout(write(table, tmp_path / f"seconds{suffix}"))
 
 
-def test_two_columns_are_a_plane_once_a_preset_is_named(tmp_path):
+def test_two_columns_and_a_preset_make_a_plane(tmp_path):
     path = write(layout_table()["x_mm", "y_mm"], tmp_path / "sites.csv")
     usual = preset("pfs", 9)
     plane = read_layout(path, "pfs")
@@ -128,7 +128,7 @@ def test_two_columns_are_a_plane_once_a_preset_is_named(tmp_path):
         read_layout(path, "keck")
 
 
-def test_a_zero_without_a_range_turns_the_limits_of_the_preset(tmp_path):
+def test_a_zero_without_a_range_shifts_the_limits_of_the_preset(tmp_path):
     table = layout_table()["x_mm", "y_mm", "theta_zero_deg"]
     plane = read_layout(write(table, tmp_path / "zeros.csv"), "sdss_v")
     low, high = np.rad2deg(plane.limits[:, 0]).T
@@ -194,7 +194,7 @@ def test_a_missing_value_of_a_fits_table_is_refused(tmp_path):
     "read, error",
     [(read_layout, LayoutError), (read_obstacles, LayoutError), (read_targets, TargetsError)],
 )
-def test_what_is_no_table_is_refused(name, read, error, tmp_path):
+def test_a_file_that_is_no_table_is_refused(name, read, error, tmp_path):
     if name != "absent.csv":
         (tmp_path / name).write_bytes(b"" if "empty" in name else bytes(range(256)) * 20)
     with pytest.raises(error, match=name):
@@ -214,7 +214,7 @@ def test_targets_keep_the_order_of_the_file(suffix, tmp_path):
     assert np.array_equal(xy_mm, [[1.5, 0.0], [-2.0, 1e-3], [3.25, 9.0]])
 
 
-def test_targets_of_a_problem(tmp_path):
+def test_targets_of_a_problem_file_are_read(tmp_path):
     asked = np.arange(20) % 4 != 0
     problem = random_problem(preset("desi", 20), np.random.default_rng(0), asked=asked)
     save_problem(tmp_path / "problem.npz", problem)
@@ -233,4 +233,4 @@ def test_bad_targets_are_refused_by_robot(tmp_path):
     with pytest.raises(TargetsError, match="column x_mm is not a number: robot 3: nan"):
         read_targets(write(table, tmp_path / "targets.csv"))
     with pytest.raises(TargetsError, match="no column id"):
-        read_targets(write(table["x_mm", "y_mm"], tmp_path / "nobody.csv"))
+        read_targets(write(table["x_mm", "y_mm"], tmp_path / "no_ids.csv"))

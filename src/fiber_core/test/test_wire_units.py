@@ -1,4 +1,4 @@
-"""Whole-number motions: what is decoded is exactly what was counted."""
+"""Motions in whole numbers: the decoded motion is exactly that of the numbers."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_the_units_of_every_instrument_carry_its_speed_and_half_a_turn(name):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_decoded_is_counted(seed):
+def test_the_decoded_motion_is_that_of_the_counts(seed):
     units = WireUnits.for_plane(preset("sdss_v", 7))
     motion = random_motion(seed, units)
     decoded = motion.decoded()
@@ -44,7 +44,7 @@ def test_decoded_is_counted(seed):
     assert decoded.makespan_s == pytest.approx(max(ticks) * units.tick_s, rel=1e-12)
 
 
-def test_robots_held_rest_and_the_others_are_as_before():
+def test_held_robots_rest_and_the_others_are_unchanged():
     motion = random_motion(8, WireUnits())
     held = np.arange(30) % 3 == 0
     rest, decoded = motion.without(held), motion.decoded().without(held)

@@ -1,4 +1,4 @@
-"""Outlines, gaps between them, and the certificate that they stay apart at every instant."""
+"""Clearance: outlines, the gaps between them, and the certificate that they stay apart."""
 
 from fiber_core.clearance.certificate import (
     Certificate,

@@ -14,7 +14,7 @@ from fiber_core.clearance.safety import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 
-__all__ = ["Certificate", "certify", "smallest_gaps", "unproven"]
+__all__ = ["Certificate", "certified_pairs", "certify", "smallest_gaps", "unproven"]
 
 _TOLERANCE_MM = 0.5e-3
 
