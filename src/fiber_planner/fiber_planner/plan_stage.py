@@ -1,6 +1,7 @@
 """The planning stage: check the targets, plan the accepted ones, give each robot a reason.
 
-The planner node and the pipeline without ROS run this same function.
+`plan_targets` is the stage as the pipeline without ROS runs it. The planner node runs its two
+halves, `fiber_core.assignment.assign` and `plan_assignment`, and logs refused targets in between.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from fiber_core.array_types import Codes, Mask
 from fiber_core.assignment import Assignment, assign
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import Reason
+from fiber_core.outcomes import Reason, first_reason, holds
 from fiber_core.problem import Problem
 from fiber_planner.errors import PlannerError
 from fiber_planner.interface import PlannedMotion, Planner, ProgressCallback
@@ -44,7 +45,7 @@ class PlanStageResult:
     @property
     def held(self) -> Mask:
         """Robots that have a target and will not arrive there, shape (n,)."""
-        return ~np.isin(self.reason, (Reason.OK, Reason.NO_TARGET))
+        return holds(self.reason)
 
 
 def plan_targets(
@@ -99,5 +100,5 @@ def plan_assignment(
             f"planner {planner.name!r} returned a motion of {planned.motion.n} robots "
             f"for a plane of {plane.n}"
         )
-    reason = np.where(assignment.refused, assignment.reason, planned.reason)
+    reason = first_reason(assignment.reason, planned.reason)
     return PlanStageResult(assignment, problem, planned, reason)

@@ -1,4 +1,4 @@
-"""Laws of the parts of the direct planner: draws, penetration, pieces, reachability."""
+"""Laws of the parts of the direct planner: draws, collision_cost, pieces, reachability."""
 
 import numpy as np
 import pytest
@@ -11,34 +11,34 @@ from fiber_core.motion import SampledMotion
 from fiber_core.presets import PRESETS, plane_from, preset
 from fiber_core.problem import Problem
 from fiber_planner.direct import DirectParameters, reachable, straight_pieces
-from fiber_planner.direct.certify_changed import missing_mm
-from fiber_planner.direct.collision_cost import _DEEPEST, penetration
-from fiber_planner.direct.initial_plan import choose_ends, straight_draft
-from fiber_planner.direct.local_search import go_straight
+from fiber_planner.direct.certify_changed import shortfall_mm
+from fiber_planner.direct.collision_cost import _DEEPEST, collision_cost
+from fiber_planner.direct.initial_plan import choose_ends, straight_plan
+from fiber_planner.direct.local_search import straighten
 from fiber_planner.direct.pieces import pieces_of
-from fiber_planner.direct.plan_state import Draft, alter, measure
+from fiber_planner.direct.plan_state import PlanState, mark_changed, measure_all
 from fiber_planner.direct.profile_sampling import (
-    fold_profile,
     next_uniform,
-    seeded,
-    via_profile,
-    window,
+    sample_fold,
+    sample_via,
+    sample_window,
+    seeded_rng,
 )
 from fiber_planner.direct.scene import place_keys, scene_of
-from fiber_planner.direct.shortcut import simplify
+from fiber_planner.direct.shortcut import shortcut_profiles
 from fiber_planner.direct.time_grid import TimeGrid, time_grid
 
 _STEPS = 24
 
 
-def _profiles(kind, s, g, per_interval, state):
+def _profiles(kind, s, g, per_interval, rng):
     row = np.full(_STEPS + 1, np.nan)
     if kind == "window":
-        window(row, s, g, per_interval, state)
+        sample_window(row, s, g, per_interval, rng)
     elif kind == "fold":
-        fold_profile(row, s, np.pi, g, per_interval, state)
+        sample_fold(row, s, np.pi, g, per_interval, rng)
     else:
-        via_profile(row, s, g, -3.0, 3.2, per_interval, 2.0, kind == "dwell", state)
+        sample_via(row, s, g, -3.0, 3.2, per_interval, 2.0, kind == "dwell", rng)
     return row
 
 
@@ -47,9 +47,9 @@ def _profiles(kind, s, g, per_interval, state):
 @given(s=st.floats(-3, 3), g=st.floats(-3, 3), slow=st.floats(1, 10), key=st.integers(0, 2**32))
 def test_drawn_profiles_keep_ends_speed_and_limits(kind, s, g, slow, key):
     per_interval = max(abs(g - s), 0.01) / _STEPS * slow
-    state = seeded(np.uint64(key), 0)
+    rng = seeded_rng(np.uint64(key), 0)
     for _ in range(10):
-        row = _profiles(kind, s, g, per_interval, state)
+        row = _profiles(kind, s, g, per_interval, rng)
         assert row[0] == s and row[-1] == g
         assert np.abs(np.diff(row)).max() <= per_interval * (1 + 1e-9)
         assert row.min() >= -3.0 - 1e-9 and row.max() <= 3.2 + 1e-9
@@ -57,12 +57,12 @@ def test_drawn_profiles_keep_ends_speed_and_limits(kind, s, g, slow, key):
 
 
 def test_draws_are_uniform_and_differ_between_keys_and_rounds():
-    state = seeded(np.uint64(5), 0)
-    draws = np.array([next_uniform(state) for _ in range(20_000)])
+    rng = seeded_rng(np.uint64(5), 0)
+    draws = np.array([next_uniform(rng) for _ in range(20_000)])
     assert 0.0 <= draws.min() and draws.max() < 1.0
     counts = np.bincount((10 * draws).astype(int), minlength=10)
     assert np.abs(counts - 2000).max() < 200
-    firsts = [next_uniform(seeded(np.uint64(k), r)) for k in range(20) for r in range(20)]
+    firsts = [next_uniform(seeded_rng(np.uint64(k), r)) for k in range(20) for r in range(20)]
     assert len(set(firsts)) == 400
 
 
@@ -80,14 +80,14 @@ def test_penetration_agrees_with_dense_sampling(name):
     rng = np.random.default_rng(1)
     facing = np.array([[0.0, 0.4], [np.pi, 0.4]])
     plane = plane_from(PRESETS[name], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
-    crowd = scene_of(Problem(plane, facing, np.full((2, 2), np.nan)))
+    scene = scene_of(Problem(plane, facing, np.full((2, 2), np.nan)))
     required, seen = 0.1, 0
     for _ in range(150):
         a, b = facing[:, :, None] + np.cumsum(rng.normal(0, 0.15, (2, 2, _STEPS + 1)), 2)
-        found = penetration(crowd.bodies, crowd.lever, 0, 1, a, b, required, 0.0, 0, np.inf)
+        found = collision_cost(scene.bodies, scene.lever, 0, 1, a, b, required, 0.0, 0, np.inf)
         fine = np.linspace(0, _STEPS, 40 * _STEPS + 1)
         ta, pa, tb, pb = (np.interp(fine, np.arange(_STEPS + 1), x) for x in (*a, *b))
-        gap = np.array([pair_gap(crowd.bodies, 0, 1, *q) for q in zip(ta, pa, tb, pb)])
+        gap = np.array([pair_gap(scene.bodies, 0, 1, *q) for q in zip(ta, pa, tb, pb)])
         deep = np.maximum(0, required - gap)
         integral = deep[:-1].sum() / 40 + deep[-1] + _DEEPEST * deep.max()
         if gap.min() > required:
@@ -97,7 +97,9 @@ def test_penetration_agrees_with_dense_sampling(name):
             assert found > 0.0
         assert found == pytest.approx(integral, rel=0.3, abs=_DEEPEST * 0.15)
         if found > 0.0:
-            part = penetration(crowd.bodies, crowd.lever, 0, 1, a, b, required, 0.0, 0, found / 3)
+            part = collision_cost(
+                scene.bodies, scene.lever, 0, 1, a, b, required, 0.0, 0, found / 3
+            )
             assert part > found / 3
     assert seen > 20
 
@@ -192,9 +194,9 @@ def test_a_grid_can_only_grow():
     assert TimeGrid(0.004, 10, 50).lasting(0.1) == TimeGrid(0.004, 10, 50)
 
 
-def _draft(crowd, q, required):
-    pairs = len(crowd.pairs)
-    return Draft(
+def _plan(scene, q, required):
+    pairs = len(scene.pairs)
+    return PlanState(
         q, np.zeros(len(q), dtype=np.int64), np.full(pairs, required), np.full(pairs, required),
         np.zeros(pairs, dtype=np.int64), np.ones(pairs), np.zeros(pairs),
         np.full((len(q), 2), 5), np.ones(len(q), dtype=bool), np.ones(len(q), dtype=bool),
@@ -204,86 +206,86 @@ def _draft(crowd, q, required):
 def test_a_detour_nobody_needs_becomes_a_line_and_one_that_is_needed_stays():
     ahead = np.array([[0.8, 0.0], [np.pi, 0.0]])
     plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
-    crowd = scene_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
+    scene = scene_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
     time = np.arange(_STEPS + 1)
     q = np.repeat(ahead[:, :, None], _STEPS + 1, axis=2)
     q[0, 0] = np.interp(time, [0, 16, _STEPS], [0.8, 0.8, -0.5])
-    draft = _draft(crowd, q.copy(), 0.1)
-    assert measure(crowd, draft) == 1  # robot 1 stands in the way
+    plan = _plan(scene, q.copy(), 0.1)
+    assert measure_all(scene, plan) == 1  # robot 1 stands in the way
 
     q[1, 0] = np.interp(time, [0, 4, 16], [0.0, 0.3, -1.0])  # it looks the other way
-    draft = _draft(crowd, q.copy(), 0.1)
-    assert measure(crowd, draft) == 0
-    assert simplify(crowd, draft) == 2
-    assert measure(crowd, draft) == 0
-    assert np.allclose(draft.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
-    assert np.allclose(draft.q[1, 0], np.linspace(0.0, -1.0, _STEPS + 1))
-    assert (draft.legs == 0).all()
+    plan = _plan(scene, q.copy(), 0.1)
+    assert measure_all(scene, plan) == 0
+    assert shortcut_profiles(scene, plan) == 2
+    assert measure_all(scene, plan) == 0
+    assert np.allclose(plan.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
+    assert np.allclose(plan.q[1, 0], np.linspace(0.0, -1.0, _STEPS + 1))
+    assert (plan.folded == 0).all()
 
     q[1, 0] = np.interp(time, [0, 8, 16], [np.pi, np.pi, np.pi + 1.5])  # it leaves first
-    draft = _draft(crowd, q.copy(), 0.1)
-    assert measure(crowd, draft) == 0
-    simplify(crowd, draft)
-    assert measure(crowd, draft) == 0
-    assert np.array_equal(draft.q[0], q[0])  # and is waited for
-    assert np.array_equal(draft.q[:, :, [0, -1]], q[:, :, [0, -1]])
+    plan = _plan(scene, q.copy(), 0.1)
+    assert measure_all(scene, plan) == 0
+    shortcut_profiles(scene, plan)
+    assert measure_all(scene, plan) == 0
+    assert np.array_equal(plan.q[0], q[0])  # and is waited for
+    assert np.array_equal(plan.q[:, :, [0, -1]], q[:, :, [0, -1]])
 
 
 def test_who_goes_straight_keeps_its_ends_and_nobody_else_changes():
     plane = plane_from(PRESETS["desi"], np.arange(3), [[0.0, 0.0], [10.4, 0.0], [40.0, 0.0]])
-    crowd = scene_of(Problem(plane, np.zeros((3, 2)), np.full((3, 2), np.nan)))
+    scene = scene_of(Problem(plane, np.zeros((3, 2)), np.full((3, 2), np.nan)))
     q = np.random.default_rng(0).uniform(0.0, 1.0, (3, 2, _STEPS + 1))
-    draft = _draft(crowd, q.copy(), 0.1)
-    draft.choice[1] = -1  # may end anywhere
-    draft.changed[:] = draft.around[:] = False
-    go_straight(crowd, draft, np.array([True, True, False]))
-    assert np.allclose(draft.q[0], np.linspace(q[0, :, 0], q[0, :, -1], _STEPS + 1).T)
-    assert np.array_equal(draft.q[1:], q[1:])
-    assert draft.legs.tolist() == [[0, 0], [5, 5], [5, 5]]
-    assert draft.changed.tolist() == [True, False, False]
-    assert draft.around.tolist() == [True, True, False]  # the second is its neighbour
+    plan = _plan(scene, q.copy(), 0.1)
+    plan.choice[1] = -1  # may end anywhere
+    plan.changed[:] = plan.shortcut_due[:] = False
+    straighten(scene, plan, np.array([True, True, False]))
+    assert np.allclose(plan.q[0], np.linspace(q[0, :, 0], q[0, :, -1], _STEPS + 1).T)
+    assert np.array_equal(plan.q[1:], q[1:])
+    assert plan.folded.tolist() == [[0, 0], [5, 5], [5, 5]]
+    assert plan.changed.tolist() == [True, False, False]
+    assert plan.shortcut_due.tolist() == [True, True, False]  # the second is its neighbour
 
 
 def test_who_had_to_wait_is_tried_again_once_the_other_has_changed():
     plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
     ahead = np.array([[0.8, 0.0], [np.pi, 0.0]])
-    crowd = scene_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
+    scene = scene_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
     time = np.arange(_STEPS + 1)
     q = np.repeat(ahead[:, :, None], _STEPS + 1, axis=2)
     q[0, 0] = np.interp(time, [0, 16, _STEPS], [0.8, 0.8, -0.5])  # waits for robot 1
     q[1, 0] = np.interp(time, [0, 8, 16], [np.pi, np.pi, np.pi + 1.5])
-    draft = _draft(crowd, q, 0.1)
-    crowd.movable[1] = False  # not for simplify to change
-    assert measure(crowd, draft) == 0
-    assert simplify(crowd, draft) == 0
-    draft.q[1, 0] = np.linspace(0.0, -1.0, _STEPS + 1)  # now it looks the other way
-    assert measure(crowd, draft) == 0
-    assert simplify(crowd, draft) == 0  # nobody was told
-    alter(crowd, draft, 1)
-    assert simplify(crowd, draft) == 1
-    assert np.allclose(draft.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
+    plan = _plan(scene, q, 0.1)
+    scene.movable[1] = False  # not for shortcut_profiles to change
+    assert measure_all(scene, plan) == 0
+    assert shortcut_profiles(scene, plan) == 0
+    plan.q[1, 0] = np.linspace(0.0, -1.0, _STEPS + 1)  # now it looks the other way
+    assert measure_all(scene, plan) == 0
+    assert shortcut_profiles(scene, plan) == 0  # nobody was told
+    mark_changed(scene, plan, 1)
+    assert shortcut_profiles(scene, plan) == 1
+    assert np.allclose(plan.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
 
 
 @pytest.mark.parametrize("name", ["desi", "desi_outlines", "sdss_v"])
 def test_what_is_missing_is_the_same_whether_all_or_only_the_changed_are_looked_at(name):
     parameters, rng = DirectParameters(), np.random.default_rng(3)
     problem = random_problem(preset(name, 200), rng)
-    crowd = scene_of(problem)
-    ends = choose_ends(problem, crowd, parameters)
+    scene = scene_of(problem)
+    ends = choose_ends(problem, scene, parameters)
     grid = time_grid(ends.alone_s, 1e-3, parameters.intervals)
-    draft, tangled = straight_draft(problem, crowd, parameters, ends, grid)
+    plan, tangled = straight_plan(problem, scene, parameters, ends, grid)
 
-    def missing(draft):
-        return missing_mm(problem.plane, crowd, parameters, draft, grid, tangled)
+    def missing(plan):
+        return shortfall_mm(problem.plane, scene, parameters, plan, grid, tangled)
 
-    before = missing(draft)
+    before = missing(plan)
     assert 0 < (before > 0.0).sum() < len(before)
-    assert np.array_equal(np.flatnonzero(draft.changed), np.unique(crowd.pairs[before > 0.0]))
+    assert np.array_equal(np.flatnonzero(plan.changed), np.unique(scene.pairs[before > 0.0]))
     for _ in range(5):
         for i in rng.choice(problem.plane.n, 20, replace=False):  # these rest where they start
-            draft.q[i] = problem.start[i][:, None]
-            alter(crowd, draft, i)
-        assert not draft.changed.all()
-        after = missing(draft)
-        draft.changed[:] = True
-        assert np.array_equal(missing(draft), after)
+            plan.q[i] = problem.start[i][:, None]
+            mark_changed(scene, plan, i)
+        assert not plan.changed.all()
+        after = missing(plan)
+        plan.changed[:] = True
+        assert np.array_equal(missing(plan), after)

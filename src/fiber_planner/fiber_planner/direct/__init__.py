@@ -1,4 +1,4 @@
-"""Straight moves at the physical limit, repaired by local search where robots would meet."""
+"""The direct planner: straight motions at full speed, and local search for robots in conflict."""
 
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.pieces import straight_pieces

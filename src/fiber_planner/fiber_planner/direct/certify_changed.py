@@ -1,75 +1,84 @@
-"""What the certificate misses in a draft; only robots that changed are looked at again."""
+"""Certificate of a plan during the search; only robots that changed are certified again."""
 
 from dataclasses import replace
 
 import numpy as np
 
+from fiber_core.array_types import Bools, Floats
 from fiber_core.clearance import gaps, profiles_of, smallest_gaps, unproven
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.pieces import pieces_of
-from fiber_planner.direct.plan_state import Draft
+from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.scene import Scene
 from fiber_planner.direct.time_grid import TimeGrid
 
-__all__ = ["missing_mm"]
+__all__ = ["shortfall_mm"]
 
-_MEASURED_MM = 1e-3  # how closely the certificate resolves a gap, and a little more
+_MEASURED_MM = 1e-3  # resolution of a gap in the certificate, and a little more
 
 
-def missing_mm(
+def shortfall_mm(
     plane: FocalPlane,
-    crowd: Scene,
+    scene: Scene,
     parameters: DirectParameters,
-    draft: Draft,
+    plan: PlanState,
     grid: TimeGrid,
-    tangled: np.ndarray,
-) -> np.ndarray:
-    """Return by how much the gap of each pair falls short of what the certificate asks [mm], (p,).
+    tangled: Bools,
+) -> Floats:
+    """Return by how much the gap of each pair falls short of the certificate's demand [mm], (p,).
 
-    Half of the allowance is asked for as well where the pair starts and ends with as much:
-    the search may overlook a graze, and rounding needs it. Pairs that start too close are
-    asked for all of their gap once they had time to get apart.
+    A pair that starts and ends with as much is required to keep half of the allowance too: the
+    search may miss a graze, and rounding uses some. Pairs that start too close are required to
+    keep the whole gap after the time in which they part.
 
     Args:
         plane: the focal plane.
-        crowd: the same as the search sees it.
-        parameters: what to keep apart.
-        draft: the plan; robots are marked as unchanged unless one of their pairs falls short.
+        scene: the same robots as the search sees them.
+        parameters: clearance to keep.
+        plan: the plan; robots are marked as unchanged unless one of their pairs falls short.
         grid: its instants.
-        tangled: pairs that start closer than they should be, shape (p,).
+        tangled: pairs that start too close, shape (p,).
     """
-    a, b = crowd.pairs.T
-    missing = np.zeros(len(crowd.pairs))
-    which = (draft.changed[a] | draft.changed[b]) & (crowd.movable[a] | crowd.movable[b])
-    missing[which] = _missing(plane, crowd, parameters, draft, grid, which, 0)
+    a, b = scene.pairs.T
+    shortfall = np.zeros(len(scene.pairs))
+    which = (plan.changed[a] | plan.changed[b]) & (scene.movable[a] | scene.movable[b])
+    shortfall[which] = _shortfall(plane, scene, parameters, plan, grid, which, 0)
     if tangled.any():
-        apart = draft.release[tangled].max()
-        later = _missing(plane, crowd, parameters, draft, grid, tangled, apart)
-        missing[tangled] = np.maximum(missing[tangled], later)
-    draft.changed[:] = False
-    draft.changed[crowd.pairs[missing > 0.0]] = True
-    return missing
+        parted = int(plan.release[tangled].max())
+        later = _shortfall(plane, scene, parameters, plan, grid, tangled, parted)
+        shortfall[tangled] = np.maximum(shortfall[tangled], later)
+    plan.changed[:] = False
+    plan.changed[scene.pairs[shortfall > 0.0]] = True
+    return shortfall
 
 
-def _missing(plane, crowd, parameters, draft, grid, which, first):
-    # of the pairs in question, from a grid time on
-    pairs, safety = crowd.pairs[which], parameters.safety
-    seen = np.zeros(len(draft.q), dtype=bool)
-    seen[pairs] = True
-    pieces = pieces_of(grid.time_s[first:], draft.q[: plane.n, :, first:], seen)
+def _shortfall(
+    plane: FocalPlane,
+    scene: Scene,
+    parameters: DirectParameters,
+    plan: PlanState,
+    grid: TimeGrid,
+    which: Bools,
+    first: int,
+) -> Floats:
+    # of the pairs in `which`, from the grid time `first` on
+    pairs, safety = scene.pairs[which], parameters.safety
+    involved = np.zeros(len(plan.q), dtype=bool)
+    involved[pairs] = True
+    pieces = pieces_of(grid.time_s[first:], plan.q[: plane.n, :, first:], involved)
     profiles = profiles_of(pieces)
     start, fastest = pieces.start, profiles.fastest
-    lasts_s = grid.time_s[-1] - grid.time_s[first]  # of the motion of all, not of these alone
+    lasts_s = grid.time_s[-1] - grid.time_s[first]  # the motion of all robots, not of these alone
     more = replace(safety, margin_mm=safety.margin_mm + 0.5 * parameters.allowance_mm)
     required = more.required_from(plane, start, fastest, lasts_s, pairs)
-    doubtful = np.flatnonzero(unproven(crowd.bodies, profiles, pairs, required))
-    missing = np.zeros(len(pairs))
+    doubtful = np.flatnonzero(unproven(scene.bodies, profiles, pairs, required))
+    shortfall = np.zeros(len(pairs))
     if len(doubtful):
         pairs, required = pairs[doubtful], required[doubtful]
         at_ends = np.minimum(gaps(plane, pairs, start), gaps(plane, pairs, pieces.end))
         wanted = np.minimum(required, at_ends - _MEASURED_MM)
         least = safety.required_from(plane, start, fastest, lasts_s, pairs)
-        gap = smallest_gaps(crowd.bodies, profiles, pairs, required)
-        missing[doubtful] = np.maximum(np.maximum(wanted, least) - gap, 0.0)
-    return missing
+        gap = smallest_gaps(scene.bodies, profiles, pairs, required)
+        shortfall[doubtful] = np.maximum(np.maximum(wanted, least) - gap, 0.0)
+    return shortfall

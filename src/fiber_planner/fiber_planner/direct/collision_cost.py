@@ -1,19 +1,20 @@
-"""How deep and how long two moving robots are nearer to each other than they should be."""
+"""Collision cost: how deep and how long two moving robots are closer than they may be."""
 
 import numba as nb
 
-from fiber_core.clearance import pair_gap_below
+from fiber_core.array_types import Floats
+from fiber_core.clearance import Bodies, pair_gap_below
 
-__all__ = ["penetration"]
+__all__ = ["collision_cost"]
 
-_FINE_MM = 0.3  # least relative displacement between two looks at a pair
-_DEEPEST = 15.0  # intervals that the greatest depth counts for
-_FAR_MM = 2.0  # gaps beyond required + this need not be known exactly
+_FINE_MM = 0.3  # smallest relative displacement between two evaluations of a pair
+_DEEPEST = 15.0  # number of intervals for which the largest depth counts
+_FAR_MM = 2.0  # a gap larger than required + this need not be known exactly
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _stride(lever, i, q, k):
-    # The most any point of a robot is displaced in interval k [mm]. A point of the phi
+    # The largest displacement of any point of robot i in interval k [mm]. A point of the phi
     # link turns with theta about the centre and with theta + phi about the elbow.
     theta = q[0, k + 1] - q[0, k]
     phi = q[1, k + 1] - q[1, k]
@@ -22,30 +23,42 @@ def _stride(lever, i, q, k):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def penetration(bodies, lever, a, b, qa, qb, required, early, release, limit):
-    """Return how much two robots are in each other's way during a move; 0 where they are not.
+def collision_cost(
+    bodies: Bodies,
+    lever: Floats,
+    a: int,
+    b: int,
+    qa: Floats,
+    qb: Floats,
+    required: float,
+    required_early: float,
+    release: int,
+    limit: float,
+) -> float:
+    """Return the collision cost of two robots during a motion; 0 if they keep their gap.
 
-    It is the integral of max(0, required - gap) [mm x intervals] plus some intervals of
-    its largest value: without that, the cheapest way past each other would be the
-    fastest way through each other.
+    The cost is the integral of max(0, required - gap) over time [mm x intervals] plus
+    _DEEPEST times the largest value of max(0, required - gap). Without the second term the
+    cheapest way past each other would be the fastest way through each other.
 
-    The pair is looked at again only after the two may have closed in by what was left
-    between them (conservative advancement), but not before they are displaced by a
-    small step; so a graze shorter than the step can be missed, a crossing cannot. The
-    depth at the last instant counts as if it lasted one interval.
+    The time step is that of conservative advancement: after a gap that exceeds the required
+    one by s, the pair is evaluated again when its points may have closed in by s, and not
+    before they have moved by _FINE_MM. So a graze shorter than that step can be missed, and a
+    crossing cannot. The depth at the last instant counts as if it lasted one interval.
 
     Args:
         bodies: outlines, from bodies_of.
         lever: as in Scene.
         a, b: rows of the two bodies.
         qa, qb: their joint angles on the common grid [rad], shape (2, k + 1).
-        required: gap they must keep [mm].
-        early: gap they must keep before the grid time `release` [mm], at most required.
-        release: grid time, 0 where they must keep all of it from the start.
-        limit: value beyond which the exact result is of no interest.
+        required: gap that they must keep [mm].
+        required_early: gap that they must keep before the grid time `release` [mm], at most
+            `required`.
+        release: grid time from which they must keep `required`.
+        limit: value above which the exact result does not matter.
     """
     last = qa.shape[1] - 1
-    k, w = 0, 0.0  # at the part w of interval k
+    k, w = 0, 0.0  # the present instant is the fraction w of interval k
     total = deepest = 0.0
     while True:
         if k == last:
@@ -55,7 +68,7 @@ def penetration(bodies, lever, a, b, qa, qb, required, early, release, limit):
             phi_a = qa[1, k] + w * (qa[1, k + 1] - qa[1, k])
             theta_b = qb[0, k] + w * (qb[0, k + 1] - qb[0, k])
             phi_b = qb[1, k] + w * (qb[1, k + 1] - qb[1, k])
-        need = early if k < release else required
+        need = required_early if k < release else required
         slack = pair_gap_below(bodies, a, b, theta_a, phi_a, theta_b, phi_b, need + _FAR_MM) - need
         if k == last:
             return total + max(0.0, -slack) + _DEEPEST * max(deepest, -slack)

@@ -1,227 +1,297 @@
-"""Repair of a plan by local search: robots in conflict try other profiles until none is left."""
+"""Local search: robots in conflict try other profiles until no pair is in conflict."""
+
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
 
+from fiber_core.array_types import Bools, Floats, Ints
 from fiber_planner.direct.moves import (
-    NO_FIT,
-    draw_any,
-    draw_folded,
-    draw_half,
+    INFEASIBLE,
     nearer_fold,
+    resample_half,
+    sample_folded,
+    sample_profile,
 )
-from fiber_planner.direct.plan_state import adopt, alter, most_neighbours, weigh, worst_first
+from fiber_planner.direct.plan_state import (
+    PlanState,
+    commit,
+    mark_changed,
+    most_neighbours,
+    rank_neighbours,
+    weighted_cost,
+)
 from fiber_planner.direct.profile_sampling import (
     copy_profile,
+    fill_two_ramps,
     least_intervals,
     next_uniform,
-    seeded,
-    trapezoid,
+    seeded_rng,
 )
+from fiber_planner.direct.scene import Scene
 
-__all__ = ["add_weight", "fold_first", "go_straight", "restore", "sweep"]
+__all__ = ["fold_arms", "raise_weights", "restore", "straighten", "sweep"]
 
-_GROWTH = 1.3  # of the weight of a pair, for every sweep its conflict lasts
-_KEEP_HALF = 0.3  # share of the odd draws that change half a profile
-# In this share of visits a robot leaves its heaviest conflict to the other one of the pair
-# and takes the best candidate for all others: two robots that pass through each other are
-# not always freed by moving one at a time.
+_GROWTH = 1.3  # of the weight of a pair, for every sweep that its conflict lasts
+_KEEP_HALF = 0.3  # share of the moves with odd numbers that change half of a profile
+# In this share of visits a robot ignores its costliest conflict, which the other robot of the
+# pair may resolve, and takes the best move for all its other pairs: two robots that pass
+# through each other are not always freed by moves of one robot at a time.
 _KICK = 0.1
-_IGNORED = 1e-9  # weight of the conflict left to the other
+_IGNORED = 1e-9  # weight of the conflict that is ignored
 
 
-@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _heaviest(crowd, draft, i):
-    # the pair of robot i with most weighted conflict
-    heaviest, most = -1, -1.0
-    for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
-        p = crowd.pair[e]
-        if draft.weight[p] * draft.depth[p] > most:
-            heaviest, most = p, draft.weight[p] * draft.depth[p]
-    return heaviest
-
-
-@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _in_conflict(crowd, draft):
-    # the robots of all pairs in conflict
-    busy = np.zeros(len(crowd.movable), dtype=np.bool_)
-    for p in range(len(draft.depth)):
-        if draft.depth[p] > 0.0:
-            busy[crowd.pairs[p, 0]] = busy[crowd.pairs[p, 1]] = True
-    return busy
+class _Buffers(NamedTuple):
+    # Arrays of a sweep: the move under evaluation, and the best one so far.
+    profile: Floats  # (2, k + 1)
+    best_profile: Floats
+    costs: Floats  # with each neighbour
+    best_costs: Floats
+    order: Ints  # of the neighbours, as weighted_cost evaluates them
+    folded: Ints  # (2,)
+    best_folded: Ints
 
 
 @nb.njit(cache=True, error_model="numpy")
-def sweep(crowd, draft, step_s, folding, number, first, last, draws):
-    """Visit the robots in conflict, part of a sweep, and let each try other profiles.
+def sweep(
+    scene: Scene,
+    plan: PlanState,
+    step_s: float,
+    folding: float,
+    number: int,
+    first: int,
+    last: int,
+    draws: int,
+) -> int:
+    """Visit the robots in conflict, or some of them, and let each try other profiles.
 
     Guided local search (Voudouris and Tsang, EJOR 113, 1999): a robot takes the first
-    candidate that clears it of all its neighbours, else the one of least weighted
-    penetration. Sweeps go forth and back over the rows.
+    move that frees it from all conflicts, else the move of least weighted collision cost if
+    that is an improvement. Sweeps visit the rows in increasing and decreasing order by turns.
 
     Args:
-        crowd: the robots.
-        draft: the plan, with its penetrations measured.
+        scene: the robots and their surroundings.
+        plan: the plan, with its collision costs.
         step_s: length of a grid interval [s].
-        folding: share of the candidates that fold the arm on their way.
-        number: of the sweep; other numbers give other draws.
-        first, last: which visits of the sweep, 0 <= first <= last <= n.
-        draws: candidates per robot.
+        folding: share of the moves that fold the arm on its way.
+        number: number of the sweep; each has other random numbers.
+        first, last: the visits of this call, 0 <= first <= last <= n.
+        draws: moves per robot.
 
     Returns:
-        Number of candidates weighed.
+        Number of moves evaluated.
     """
-    n = len(crowd.start)
-    profile = np.empty((2, draft.q.shape[2]))
-    best_profile = np.empty_like(profile)
-    depths = np.empty(most_neighbours(crowd))
-    best_depths = np.empty_like(depths)
-    order = np.empty(len(depths), dtype=np.int64)
-    legs = np.zeros(2, dtype=np.int64)
-    best_legs = np.zeros(2, dtype=np.int64)
-    busy = _in_conflict(crowd, draft)
-    spent = 0
+    n = len(scene.start)
+    buffers = _buffers(scene, plan)
+    in_conflict = _robots_in_conflict(scene, plan)
+    evaluated = 0
     for visit in range(first, last):
         i = visit if number % 2 == 0 else n - 1 - visit
-        if not (busy[i] and crowd.movable[i]):
+        if not (in_conflict[i] and scene.movable[i]):
             continue
-        best = 0.0
-        for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
-            best += draft.weight[crowd.pair[e]] * draft.depth[crowd.pair[e]]
+        best = _present_cost(scene, plan, i)
         if best == 0.0:
             continue
-        worst_first(crowd, draft, i, order)
-        found = False
-        best_choice = draft.choice[i]
-        state = seeded(crowd.key[i], 2 * number + 1)
-        heaviest, weight = -1, 0.0
-        if next_uniform(state) < _KICK:
-            heaviest = _heaviest(crowd, draft, i)
-            weight, draft.weight[heaviest] = draft.weight[heaviest], _IGNORED
+        rank_neighbours(scene, plan, i, buffers.order)
+        rng = seeded_rng(scene.key[i], 2 * number + 1)
+        ignored, weight = -1, 0.0
+        if next_uniform(rng) < _KICK:
+            ignored = _costliest_pair(scene, plan, i)
+            weight, plan.weight[ignored] = plan.weight[ignored], _IGNORED
             best = np.inf
-        for draw in range(draws):
-            legs[0] = legs[1] = 0
-            if next_uniform(state) < folding:
-                choice = draw_folded(crowd, draft, i, step_s, state, profile, legs)
-                if choice == NO_FIT:
-                    continue
-            elif draw % 2 and next_uniform(state) < _KEEP_HALF:
-                choice = draft.choice[i]
-                draw_half(crowd, draft, i, step_s, state, profile)
-            else:
-                choice = draw_any(crowd, draft, i, draw, draws, step_s, folding, state, profile)
-            spent += 1
-            total = weigh(crowd, draft, i, profile, best, order, depths)
-            if total < best:
-                found, best, best_choice = True, total, choice
-                best_legs[0], best_legs[1] = legs[0], legs[1]
-                copy_profile(profile, best_profile)
-                for e in range(len(depths)):
-                    best_depths[e] = depths[e]
-                if total == 0.0:
-                    break
-        if heaviest >= 0:
-            draft.weight[heaviest] = weight
-        if found:
-            adopt(crowd, draft, i, best_profile, best_depths)
-            for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
-                if best_depths[e - crowd.offsets[i]] > 0.0:
-                    busy[crowd.neighbours[e]] = True
-            draft.choice[i] = best_choice
-            draft.legs[i, 0], draft.legs[i, 1] = best_legs[0], best_legs[1]
-    return spent
+        moves, choice = _best_move(scene, plan, i, step_s, folding, draws, best, rng, buffers)
+        evaluated += moves
+        if ignored >= 0:
+            plan.weight[ignored] = weight
+        if choice != INFEASIBLE:
+            commit(scene, plan, i, buffers.best_profile, buffers.best_costs)
+            for e in range(scene.offsets[i], scene.offsets[i + 1]):
+                if buffers.best_costs[e - scene.offsets[i]] > 0.0:
+                    in_conflict[scene.neighbours[e]] = True
+            plan.choice[i] = choice
+            plan.folded[i, 0], plan.folded[i, 1] = buffers.best_folded
+    return evaluated
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _buffers(scene, plan):
+    profile = np.empty((2, plan.q.shape[2]))
+    costs = np.empty(most_neighbours(scene))
+    order = np.empty(len(costs), dtype=np.int64)
+    folded, best_folded = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
+    return _Buffers(
+        profile, np.empty_like(profile), costs, np.empty_like(costs), order, folded, best_folded
+    )
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _robots_in_conflict(scene, plan):
+    # the robots of all pairs in conflict, (b,)
+    in_conflict = np.zeros(len(scene.movable), dtype=np.bool_)
+    for p in range(len(plan.cost)):
+        if plan.cost[p] > 0.0:
+            in_conflict[scene.pairs[p, 0]] = in_conflict[scene.pairs[p, 1]] = True
+    return in_conflict
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _present_cost(scene, plan, i):
+    # the weighted collision cost of robot i
+    total = 0.0
+    for e in range(scene.offsets[i], scene.offsets[i + 1]):
+        total += plan.weight[scene.pair_rows[e]] * plan.cost[scene.pair_rows[e]]
+    return total
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _costliest_pair(scene, plan, i):
+    # the pair of robot i with the highest weighted collision cost
+    costliest, most = -1, -1.0
+    for e in range(scene.offsets[i], scene.offsets[i + 1]):
+        p = scene.pair_rows[e]
+        if plan.weight[p] * plan.cost[p] > most:
+            costliest, most = p, plan.weight[p] * plan.cost[p]
+    return costliest
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _best_move(scene, plan, i, step_s, folding, draws, best, rng, buffers):
+    # Sample moves of robot i until one is free of conflict; keep the best one in the buffers.
+    # Returns the number of moves evaluated and the option that the best one ends at,
+    # INFEASIBLE if none costs less than `best`.
+    evaluated, best_choice = 0, INFEASIBLE
+    profile, folded = buffers.profile, buffers.folded
+    for draw in range(draws):
+        folded[0] = folded[1] = 0
+        if next_uniform(rng) < folding:
+            choice = sample_folded(scene, plan, i, step_s, rng, profile, folded)
+            if choice == INFEASIBLE:
+                continue
+        elif draw % 2 and next_uniform(rng) < _KEEP_HALF:
+            choice = plan.choice[i]
+            resample_half(scene, plan, i, step_s, rng, profile)
+        else:
+            choice = sample_profile(scene, plan, i, draw, draws, step_s, folding, rng, profile)
+        evaluated += 1
+        total = weighted_cost(scene, plan, i, profile, best, buffers.order, buffers.costs)
+        if total < best:
+            best, best_choice = total, choice
+            buffers.best_folded[0], buffers.best_folded[1] = folded
+            copy_profile(profile, buffers.best_profile)
+            for e in range(len(buffers.costs)):
+                buffers.best_costs[e] = buffers.costs[e]
+            if total == 0.0:
+                break
+    return evaluated, best_choice
 
 
 @nb.njit(cache=True)
-def add_weight(draft):
-    """Let the weight of every pair still in conflict grow, after a sweep."""
-    for p in range(len(draft.depth)):
-        if draft.depth[p] > 0.0:
-            draft.weight[p] *= _GROWTH
+def raise_weights(plan: PlanState) -> None:
+    """Raise the weight of every pair that is still in conflict; called after each sweep."""
+    for p in range(len(plan.cost)):
+        if plan.cost[p] > 0.0:
+            plan.weight[p] *= _GROWTH
 
 
 @nb.njit(cache=True)
-def fold_first(crowd, draft, which, step_s):
-    """Let robots on their way fold their arms as fast as they can and unfold them at the end.
+def fold_arms(scene: Scene, plan: PlanState, which: Bools, step_s: float) -> None:
+    """Give robots profiles that fold the arm at full speed first and unfold it at the end.
+
+    Robots that do not move, may end anywhere, or have no time to fold keep their profiles.
 
     Args:
-        crowd: the robots.
-        draft: the plan; its penetrations have to be measured again.
+        scene: the robots and their surroundings.
+        plan: the plan; its collision costs have to be computed again.
         which: robots to fold, shape (b,).
         step_s: length of a grid interval [s].
     """
-    last = draft.q.shape[2] - 1
-    for i in range(len(crowd.start)):
+    last = plan.q.shape[2] - 1
+    for i in range(len(scene.start)):
         if not which[i]:
             continue
-        draft.legs[i, 0] = draft.legs[i, 1] = 0
-        s, g = draft.q[i, 1, 0], draft.q[i, 1, last]
-        v1, v2 = nearer_fold(crowd.fold[i], s), nearer_fold(crowd.fold[i], g)
-        if draft.choice[i] < 0 or (s == g and draft.q[i, 0, 0] == draft.q[i, 0, last]):
+        plan.folded[i, 0] = plan.folded[i, 1] = 0
+        s, g = plan.q[i, 1, 0], plan.q[i, 1, last]
+        v1, v2 = nearer_fold(scene.folded_phi[i], s), nearer_fold(scene.folded_phi[i], g)
+        if plan.choice[i] < 0 or (s == g and plan.q[i, 0, 0] == plan.q[i, 0, last]):
             continue
-        there = max(2, least_intervals(v1 - s, crowd.speed[i, 1] * step_s))
-        back = max(2, least_intervals(g - v2, crowd.speed[i, 1] * step_s))
-        between = least_intervals(v2 - v1, crowd.speed[i, 1] * step_s)
-        if there + back + max(1, between) > last:
+        fold = max(2, least_intervals(v1 - s, scene.speed[i, 1] * step_s))
+        unfold = max(2, least_intervals(g - v2, scene.speed[i, 1] * step_s))
+        between = least_intervals(v2 - v1, scene.speed[i, 1] * step_s)
+        if fold + unfold + max(1, between) > last:
             continue
-        alter(crowd, draft, i)
-        draft.legs[i, 0], draft.legs[i, 1] = there, last - back
-        trapezoid(draft.q[i, 1, : last - back + 1], s, v1, v2, 0, there, there, last - back)
-        trapezoid(draft.q[i, 1, last - back :], v2, g, g, 0, back, back, back)
-        s, g = draft.q[i, 0, 0], draft.q[i, 0, last]
-        turn = least_intervals(g - s, crowd.speed[i, 0] * step_s)
-        begin = min(there, max(0, (last - turn) // 2))
-        end = max(begin + max(1, turn), last - back)
-        trapezoid(draft.q[i, 0], s, g, g, begin, end, last, last)
+        mark_changed(scene, plan, i)
+        t1, t2 = fold, last - unfold
+        plan.folded[i, 0], plan.folded[i, 1] = t1, t2
+        fill_two_ramps(plan.q[i, 1, : t2 + 1], s, v1, v2, 0, t1, t1, t2)
+        fill_two_ramps(plan.q[i, 1, t2:], v2, g, g, 0, unfold, unfold, unfold)
+        s, g = plan.q[i, 0, 0], plan.q[i, 0, last]
+        turn = least_intervals(g - s, scene.speed[i, 0] * step_s)
+        begin = min(t1, max(0, (last - turn) // 2))
+        end = max(begin + max(1, turn), t2)
+        fill_two_ramps(plan.q[i, 0], s, g, g, begin, end, last, last)
 
 
 @nb.njit(cache=True)
-def go_straight(crowd, draft, which):
-    """Let robots turn both motors over the whole time to where they end, shape of which (b,)."""
-    last = draft.q.shape[2] - 1
-    for i in range(len(crowd.start)):
-        if which[i] and draft.choice[i] >= 0:
-            alter(crowd, draft, i)
-            draft.legs[i, 0] = draft.legs[i, 1] = 0
+def straighten(scene: Scene, plan: PlanState, which: Bools) -> None:
+    """Give robots straight profiles over the whole time, from their starts to their ends.
+
+    Args:
+        scene: the robots and their surroundings.
+        plan: the plan; its collision costs have to be computed again.
+        which: robots to change, shape (b,); those that may end anywhere stay as they are.
+    """
+    last = plan.q.shape[2] - 1
+    for i in range(len(scene.start)):
+        if which[i] and plan.choice[i] >= 0:
+            mark_changed(scene, plan, i)
+            plan.folded[i, 0] = plan.folded[i, 1] = 0
             for joint in range(2):
-                s, g = draft.q[i, joint, 0], draft.q[i, joint, last]
-                trapezoid(draft.q[i, joint], s, g, g, 0, last, last, last)
+                s, g = plan.q[i, joint, 0], plan.q[i, joint, last]
+                fill_two_ramps(plan.q[i, joint], s, g, g, 0, last, last, last)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def restore(crowd, draft, step_s, folding, rows, number, draws):
-    """Let robots that were given up go to their targets after all where that meets nobody.
+def restore(
+    scene: Scene,
+    plan: PlanState,
+    step_s: float,
+    folding: float,
+    rows: Ints,
+    number: int,
+    draws: int,
+) -> int:
+    """Give robots that lost their targets a profile to the target, if a free one is found.
 
     Args:
-        crowd: the robots.
-        draft: a plan without conflict.
+        scene: the robots and their surroundings.
+        plan: a plan without conflict.
         step_s: length of a grid interval [s].
-        folding: share of the candidates that fold the arm on their way.
+        folding: share of the moves that fold the arm on its way.
         rows: robots to try, shape (k,).
-        number: of a sweep not made yet.
-        draws: candidates per robot.
+        number: number of a sweep that was not made yet.
+        draws: moves per robot.
 
     Returns:
-        Number of robots restored.
+        Number of robots that have their targets again.
     """
-    profile = np.empty((2, draft.q.shape[2]))
-    depths = np.empty(most_neighbours(crowd))
-    order = np.empty(len(depths), dtype=np.int64)
+    profile = np.empty((2, plan.q.shape[2]))
+    costs = np.empty(most_neighbours(scene))
+    order = np.empty(len(costs), dtype=np.int64)
     count = 0
     for i in rows:
-        before = draft.choice[i]
-        if before >= 0 or crowd.options[i] == 0:
+        choice = plan.choice[i]
+        if choice >= 0 or scene.option_count[i] == 0:
             continue
-        draft.choice[i] = 0
-        worst_first(crowd, draft, i, order)
-        state = seeded(crowd.key[i], 2 * number + 1)
+        plan.choice[i] = 0
+        rank_neighbours(scene, plan, i, order)
+        rng = seeded_rng(scene.key[i], 2 * number + 1)
         for draw in range(draws):
-            choice = draw_any(crowd, draft, i, draw, draws, step_s, folding, state, profile)
-            if weigh(crowd, draft, i, profile, 0.0, order, depths) == 0.0:
-                adopt(crowd, draft, i, profile, depths)
-                draft.legs[i, 0] = draft.legs[i, 1] = 0
-                before = choice
+            ends_at = sample_profile(scene, plan, i, draw, draws, step_s, folding, rng, profile)
+            if weighted_cost(scene, plan, i, profile, 0.0, order, costs) == 0.0:
+                commit(scene, plan, i, profile, costs)
+                plan.folded[i, 0] = plan.folded[i, 1] = 0
+                choice = ends_at
                 count += 1
                 break
-        draft.choice[i] = before
+        plan.choice[i] = choice
     return count

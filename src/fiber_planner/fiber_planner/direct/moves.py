@@ -1,293 +1,348 @@
-"""Candidates: whole profiles of a robot, drawn for it to try."""
+"""Moves of the local search: new profiles of both joints of a robot, sampled at random."""
 
 import math
 
 import numba as nb
 
+from fiber_core.array_types import Floats, Ints
 from fiber_core.clearance import pair_gap_below
+from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.profile_sampling import (
+    RngState,
     copy_profile,
-    fold_profile,
     least_intervals,
     next_uniform,
-    via_profile,
-    window,
+    sample_fold,
+    sample_via,
+    sample_window,
 )
+from fiber_planner.direct.scene import Scene
 
-__all__ = ["NO_FIT", "draw_any", "draw_folded", "draw_half", "nearer_fold"]
+__all__ = ["INFEASIBLE", "nearer_fold", "resample_half", "sample_folded", "sample_profile"]
 
-NO_FIT = -2
-_IN_TURNS = 0.4  # share of folded draws in which one joint waits for the other
-_OTHER_OPTION = 0.3  # share of draws that end in another configuration on the target
+INFEASIBLE = -2
+_SEQUENTIAL = 0.4  # share of folded profiles in which one joint waits for the other
+_OTHER_OPTION = 0.3  # share of moves that end at another configuration on the target
+_ROUNDING = 1.0 + 1e-9  # a joint may exceed its reach by rounding
 
 
 @nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def nearer_fold(fold, phi):
-    """Return which of the two folded angles, shape (2,), is nearer to phi [rad]."""
-    return fold[0] if abs(fold[0] - phi) <= abs(fold[1] - phi) else fold[1]
+def nearer_fold(folded_phi: Floats, phi: float) -> float:
+    """Return the folded angle, of the two in folded_phi, that is nearer to phi [rad]."""
+    if abs(folded_phi[0] - phi) <= abs(folded_phi[1] - phi):
+        return folded_phi[0]
+    return folded_phi[1]
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _clipped(value, low, high):
+    return min(max(value, low), high)
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _option(crowd, draft, i, step_s, state):
-    # The option to end in: the robot's own, or now and then another one that is in reach
-    # and clear of where its neighbours end. The goals chosen at first are clear of each
-    # other, and so they stay.
-    own = draft.choice[i]
-    if crowd.options[i] < 2 or next_uniform(state) >= _OTHER_OPTION:
+def _sample_option(scene, plan, i, step_s, rng):
+    # The option to end at: the robot's present one, or sometimes another one that it can
+    # reach in time and that is clear of the neighbours' ends. The goals chosen at first are
+    # clear of each other, and so they stay.
+    own = plan.choice[i]
+    if scene.option_count[i] < 2 or next_uniform(rng) >= _OTHER_OPTION:
         return own
-    other = int(next_uniform(state) * crowd.options[i])
-    last = draft.q.shape[2] - 1
+    other = int(next_uniform(rng) * scene.option_count[i])
+    last = plan.q.shape[2] - 1
     for joint in range(2):
-        turn = crowd.option[i, other, joint] - crowd.start[i, joint]
-        if least_intervals(turn, crowd.speed[i, joint] * step_s) > last:
+        angle = scene.options[i, other, joint] - scene.start[i, joint]
+        if least_intervals(angle, scene.speed[i, joint] * step_s) > last:
             return own
-    theta, phi = crowd.option[i, other]
-    for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
-        j, required = crowd.neighbours[e], draft.required[crowd.pair[e]]
-        theta_j, phi_j = draft.q[j, 0, last], draft.q[j, 1, last]
-        if pair_gap_below(crowd.bodies, i, j, theta, phi, theta_j, phi_j, required) < required:
+    theta, phi = scene.options[i, other]
+    for e in range(scene.offsets[i], scene.offsets[i + 1]):
+        j, required = scene.neighbours[e], plan.required[scene.pair_rows[e]]
+        theta_j, phi_j = plan.q[j, 0, last], plan.q[j, 1, last]
+        if pair_gap_below(scene.bodies, i, j, theta, phi, theta_j, phi_j, required) < required:
             return own
     return other
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def draw_any(crowd, draft, i, number, many, step_s, folding, state, profile):
-    """Draw a whole new profile; simple ones first, then third angles farther and farther out.
+def sample_profile(
+    scene: Scene,
+    plan: PlanState,
+    i: int,
+    number: int,
+    many: int,
+    step_s: float,
+    folding: float,
+    rng: RngState,
+    profile: Floats,
+) -> int:
+    """Sample a whole new profile; simple ones first, then third angles farther and farther out.
 
     Args:
-        crowd: the robots.
-        draft: the plan.
+        scene: the robots and their surroundings.
+        plan: the plan.
         i: row of the robot.
-        number, many: this is candidate `number` of `many`.
+        number, many: this is move `number` of `many`.
         step_s: length of a grid interval [s].
-        folding: share of the candidates that fold the arm on their way.
-        state: of the generator.
+        folding: share of the moves that fold the arm on its way.
+        rng: of the random numbers.
         profile: joint angles on the grid [rad], shape (2, k + 1), written.
 
     Returns:
-        The option the profile ends in, -1 where the robot may end anywhere.
+        The option that the profile ends at, -1 if the robot may end anywhere.
     """
     last = profile.shape[1] - 1
-    choice = draft.choice[i]
-    theta, phi = crowd.start[i]
+    choice = plan.choice[i]
+    theta, phi = scene.start[i]
     if choice >= 0:
-        choice = _option(crowd, draft, i, step_s, state)
-        theta, phi = crowd.option[i, choice]
+        choice = _sample_option(scene, plan, i, step_s, rng)
+        theta, phi = scene.options[i, choice]
     elif number > 0:
         ease = (number / many) ** 2
         for joint in range(2):
-            span = min(crowd.speed[i, joint] * step_s * last, math.pi * ease)
-            end = crowd.start[i, joint] + span * (2.0 * next_uniform(state) - 1.0)
-            end = min(max(end, crowd.low[i, joint]), crowd.high[i, joint])
+            span = min(scene.speed[i, joint] * step_s * last, math.pi * ease)
+            end = scene.start[i, joint] + span * (2.0 * next_uniform(rng) - 1.0)
+            end = min(max(end, scene.low[i, joint]), scene.high[i, joint])
             if joint == 0:
                 theta = end
             else:
                 phi = end
-    folds = next_uniform(state) < folding
-    kind = next_uniform(state)
+    folds = next_uniform(rng) < folding
+    kind = next_uniform(rng)
     progress = number / many
     for joint in range(2):
-        s = crowd.start[i, joint]
+        s = scene.start[i, joint]
         g = theta if joint == 0 else phi
-        per_interval = crowd.speed[i, joint] * step_s
-        spread = math.pi * (0.15 + progress) * (0.2 + 0.8 * next_uniform(state))
+        per_interval = scene.speed[i, joint] * step_s
+        spread = math.pi * (0.15 + progress) * (0.2 + 0.8 * next_uniform(rng))
         straight = (
             progress < 0.3 or (kind < 0.3 and joint == 0) or (0.3 < kind < 0.5 and joint == 1)
         )
         if folds and joint == 1:
-            fold_profile(profile[joint], s, nearer_fold(crowd.fold[i], s), g, per_interval, state)
+            fold = nearer_fold(scene.folded_phi[i], s)
+            sample_fold(profile[joint], s, fold, g, per_interval, rng)
         elif straight:
-            window(profile[joint], s, g, per_interval, state)
+            sample_window(profile[joint], s, g, per_interval, rng)
         else:
-            dwell = progress > 0.5 and next_uniform(state) < 0.5
-            via_profile(
-                profile[joint], s, g, crowd.low[i, joint], crowd.high[i, joint],
-                per_interval, spread, dwell, state,
+            dwell = progress > 0.5 and next_uniform(rng) < 0.5
+            sample_via(
+                profile[joint], s, g, scene.low[i, joint], scene.high[i, joint],
+                per_interval, spread, dwell, rng,
             )  # fmt: skip
     return choice
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def draw_half(crowd, draft, i, step_s, state, profile):
-    """Draw a profile that keeps one half of the robot's own, or only its ends.
+def resample_half(
+    scene: Scene, plan: PlanState, i: int, step_s: float, rng: RngState, profile: Floats
+) -> None:
+    """Sample a profile that keeps one half of the robot's present one, or only its ends.
 
-    If only its ends, it passes the middle of the time partly folded and turned anyhow.
-    Arguments as for draw_any.
+    If it keeps only its ends, it passes the middle of the time partly folded, theta anywhere.
+    Arguments as for sample_profile.
     """
     last = profile.shape[1] - 1
     middle = last // 2
-    copy_profile(draft.q[i], profile)
-    which = next_uniform(state)
+    copy_profile(plan.q[i], profile)
+    which = next_uniform(rng)
     first, second = which < 0.4 or which >= 0.8, which >= 0.4
-    turn = next_uniform(state) ** 2
+    spread_middle = next_uniform(rng) ** 2
     for joint in range(2):
         s, g = profile[joint, 0], profile[joint, last]
-        per_interval = crowd.speed[i, joint] * step_s
+        per_interval = scene.speed[i, joint] * step_s
         m = profile[joint, middle]
         if first and second:
             far, back = per_interval * middle, per_interval * (last - middle)
-            low = max(crowd.low[i, joint], max(s - far, g - back))
-            high = min(crowd.high[i, joint], min(s + far, g + back))
+            low = max(scene.low[i, joint], max(s - far, g - back))
+            high = min(scene.high[i, joint], min(s + far, g + back))
             if joint == 0:
-                wanted = m + math.pi * turn * (2.0 * next_uniform(state) - 1.0)
+                wanted = m + math.pi * spread_middle * (2.0 * next_uniform(rng) - 1.0)
             else:
-                wanted = nearer_fold(crowd.fold[i], m)
-                wanted += (0.5 * (s + g) - wanted) * next_uniform(state)
+                wanted = nearer_fold(scene.folded_phi[i], m)
+                wanted += (0.5 * (s + g) - wanted) * next_uniform(rng)
             if low <= high:
                 m = min(max(wanted, low), high)
-        spread = math.pi * next_uniform(state)
-        for leg in range(2):
-            if leg == 0:
-                wanted_leg, row, begin, end = first, profile[joint, : middle + 1], s, m
+        spread = math.pi * next_uniform(rng)
+        for half in range(2):
+            if half == 0:
+                sampled, row, begin, end = first, profile[joint, : middle + 1], s, m
             else:
-                wanted_leg, row, begin, end = second, profile[joint, middle:], m, g
-            if not wanted_leg:
+                sampled, row, begin, end = second, profile[joint, middle:], m, g
+            if not sampled:
                 continue
-            if next_uniform(state) < 0.55:
-                window(row, begin, end, per_interval, state)
+            if next_uniform(rng) < 0.55:
+                sample_window(row, begin, end, per_interval, rng)
             else:
-                via_profile(
-                    row, begin, end, crowd.low[i, joint], crowd.high[i, joint],
-                    per_interval, spread, next_uniform(state) < 0.5, state,
+                sample_via(
+                    row, begin, end, scene.low[i, joint], scene.high[i, joint],
+                    per_interval, spread, next_uniform(rng) < 0.5, rng,
                 )  # fmt: skip
 
 
-@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _least(a, b, step):
-    return max(2, least_intervals(a - b, step))
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def sample_folded(
+    scene: Scene,
+    plan: PlanState,
+    i: int,
+    step_s: float,
+    rng: RngState,
+    profile: Floats,
+    folded: Ints,
+) -> int:
+    """Sample a profile of three parts: fold, turn theta while the arm is folded, unfold.
 
+    Theta may have any angle while the arm is folded. Often the first or the last part of the
+    robot's present profile is kept, so that the two are searched one at a time.
 
-@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _draw_leg(row, s, g, low, high, per_interval, spread, state):
-    if next_uniform(state) < 0.6:
-        window(row, s, g, per_interval, state)
-    else:
-        dwell = next_uniform(state) < 0.5
-        via_profile(row, s, g, low, high, per_interval, spread, dwell, state)
+    Args:
+        folded: first and last grid time at which the arm is folded, shape (2,), written.
+
+    Other arguments as for sample_profile.
+
+    Returns:
+        The option that the profile ends at; INFEASIBLE if the parts do not fit together.
+    """
+    last = profile.shape[1] - 1
+    copy_profile(plan.q[i], profile)
+    t1, t2 = plan.folded[i]
+    which = next_uniform(rng)
+    first, second = which < 0.55, which >= 0.45  # the parts to sample: folding, unfolding
+    if t1 == 0:
+        first = second = True
+    choice = plan.choice[i]
+    theta, phi = profile[0, last], profile[1, last]
+    if second and choice >= 0:
+        choice = _sample_option(scene, plan, i, step_s, rng)
+        theta, phi = scene.options[i, choice]
+    theta_step, phi_step = scene.speed[i, 0] * step_s, scene.speed[i, 1] * step_s
+    theta1, theta2 = profile[0, t1], profile[0, t2]
+
+    # the arm is folded from t1, at (theta1, phi1), to t2, at (theta2, phi2)
+    phi1, phi2 = _sample_folded_phi(
+        scene.folded_phi[i], scene.start[i, 1], profile, t1, t2, first, second, phi, rng
+    )
+    fold = max(2, least_intervals(phi1 - scene.start[i, 1], phi_step))
+    unfold = max(2, least_intervals(phi - phi2, phi_step))
+    t1, t2 = _sample_folded_times(first, second, t1, t2, last, fold, unfold, rng)
+    if t1 < 0:
+        return INFEASIBLE
+    feasible, theta1, theta2 = _sample_folded_theta(
+        scene.start[i, 0], scene.low[i, 0], scene.high[i, 0], theta_step,
+        first, second, t1, t2, last, theta, theta1, theta2, rng,
+    )  # fmt: skip
+    if not feasible or abs(phi2 - phi1) > phi_step * (t2 - t1) * _ROUNDING:
+        return INFEASIBLE
+
+    # Often a robot waits before it folds, or is unfolded early: both joints together. Often
+    # one joint moves first, and the other one when it is done.
+    turn_out = max(2, least_intervals(theta1 - scene.start[i, 0], theta_step))
+    turn_in = max(2, least_intervals(theta2 - theta, theta_step))
+    begin, end = 0, last
+    if next_uniform(rng) < 0.5:
+        begin = int(next_uniform(rng) * (t1 - max(fold, turn_out) + 1))
+    if next_uniform(rng) < 0.5:
+        end = last - int(next_uniform(rng) * (last - t2 - max(unfold, turn_in) + 1))
+    kind = next_uniform(rng)
+    sequential, theta_first = kind < _SEQUENTIAL, kind < 0.5 * _SEQUENTIAL
+    for joint in range(2):
+        low, high = scene.low[i, joint], scene.high[i, joint]
+        step = theta_step if joint == 0 else phi_step
+        s, g = scene.start[i, joint], theta if joint == 0 else phi
+        m1, m2 = (theta1, theta2) if joint == 0 else (phi1, phi2)
+        own_out, other_out = (turn_out, fold) if joint == 0 else (fold, turn_out)
+        own_in, other_in = (turn_in, unfold) if joint == 0 else (unfold, turn_in)
+        spread = math.pi * next_uniform(rng)
+        if first:
+            a, b = _ramp_span(
+                begin, t1, own_out, other_out, sequential, theta_first == (joint == 0)
+            )
+            _sample_ramp(profile[joint, : t1 + 1], s, m1, a, b, low, high, step, spread, rng)
+        if second:  # in the reverse order of the joints
+            a, b = _ramp_span(t2, end, own_in, other_in, sequential, theta_first == (joint == 1))
+            _sample_ramp(profile[joint, t2:], m2, g, a - t2, b - t2, low, high, step, spread, rng)
+        for k in range(t1 + 1, t2):
+            profile[joint, k] = m1 + (m2 - m1) * ((k - t1) / (t2 - t1))
+    folded[0], folded[1] = t1, t2
+    return choice
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def draw_folded(crowd, draft, i, step_s, state, profile, legs):
-    """Draw a profile in three parts: fold, turn while folded, unfold.
-
-    Theta is anywhere when the arm is folded. Often the first or the last part of the
-    robot's own profile is kept, so that the two are searched one at a time.
-
-    Args:
-        legs: grid times at which the arm is folded and unfolds, shape (2,), written.
-
-    Other arguments as for draw_any.
-
-    Returns:
-        The option the profile ends in; NO_FIT if the parts drawn do not fit together.
-    """
-    last = profile.shape[1] - 1
-    copy_profile(draft.q[i], profile)
-    t1, t2 = draft.legs[i]
-    which = next_uniform(state)
-    first, second = which < 0.55, which >= 0.45
-    if t1 == 0:
-        first = second = True
-    choice = draft.choice[i]
-    turn_step, bend_step = crowd.speed[i, 0] * step_s, crowd.speed[i, 1] * step_s
-    theta, phi = profile[0, last], profile[1, last]
-    if second and choice >= 0:
-        choice = _option(crowd, draft, i, step_s, state)
-        theta, phi = crowd.option[i, choice]
-    v1, v2 = profile[1, t1], profile[1, t2]
-    theta1, theta2 = profile[0, t1], profile[0, t2]
+def _sample_folded_phi(folded_phi, start, profile, t1, t2, first, second, phi, rng):
+    # The folded angles at t1 and t2: mostly the nearer one, for the way out and the way in.
+    phi1, phi2 = profile[1, t1], profile[1, t2]
     if first:
-        v1 = nearer_fold(crowd.fold[i], crowd.start[i, 1])
-        if next_uniform(state) < 0.2:
-            v1 = crowd.fold[i, int(2 * next_uniform(state))]
+        phi1 = nearer_fold(folded_phi, start)
+        if next_uniform(rng) < 0.2:
+            phi1 = folded_phi[int(2 * next_uniform(rng))]
     if second:
-        v2 = nearer_fold(crowd.fold[i], phi)
-        if next_uniform(state) < 0.2:
-            v2 = v1
-    there = max(2, least_intervals(v1 - crowd.start[i, 1], bend_step))
-    back = max(2, least_intervals(phi - v2, bend_step))
+        phi2 = nearer_fold(folded_phi, phi)
+        if next_uniform(rng) < 0.2:
+            phi2 = phi1
+    return phi1, phi2
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _sample_folded_times(first, second, t1, t2, last, fold, unfold, rng):
+    # The grid times between which the arm is folded; early and late ones are more likely.
+    # They leave time to fold and to unfold. (-1, -1) if there is not as much time.
     if second:
-        room = last - back - 1 - (there if first else t1)
-        if room < 0:
-            return NO_FIT
-        t2 = last - back - int(next_uniform(state) ** 2 * (room + 1))
+        spare = last - unfold - 1 - (fold if first else t1)
+        if spare < 0:
+            return -1, -1
+        t2 = last - unfold - int(next_uniform(rng) ** 2 * (spare + 1))
     if first:
-        room = t2 - 1 - there
-        if room < 0:
-            return NO_FIT
-        t1 = there + int(next_uniform(state) ** 2 * (room + 1))
-    spread = 2.0 * math.pi * next_uniform(state) ** 2
+        spare = t2 - 1 - fold
+        if spare < 0:
+            return -1, -1
+        t1 = fold + int(next_uniform(rng) ** 2 * (spare + 1))
+    return t1, t2
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _sample_folded_theta(
+    start, low, high, step, first, second, t1, t2, last, theta, theta1, theta2, rng
+):  # fmt: skip
+    # Theta at t1 and t2, inside the joint limits and such that the joint can go from its start
+    # to theta1, to theta2 and to its end theta in time. Also returns whether there are such.
+    out, between, back = step * t1, step * (t2 - t1), step * (last - t2)
+    spread = 2.0 * math.pi * next_uniform(rng) ** 2
     if second:
-        theta2 = theta + spread * (2.0 * next_uniform(state) - 1.0)
-        reach = turn_step * (last - t2)
-        theta2 = min(max(theta2, theta - reach), theta + reach)
+        theta2 = theta + spread * (2.0 * next_uniform(rng) - 1.0)
+        theta2 = _clipped(theta2, theta - back, theta + back)
     if first:
-        theta1 = crowd.start[i, 0] + spread * (2.0 * next_uniform(state) - 1.0)
-        reach = turn_step * t1
-        theta1 = min(max(theta1, crowd.start[i, 0] - reach), crowd.start[i, 0] + reach)
-        between = turn_step * (t2 - t1)
-        theta1 = min(max(theta1, theta2 - between), theta2 + between)
-        theta1 = min(max(theta1, crowd.low[i, 0]), crowd.high[i, 0])
-        if abs(theta1 - crowd.start[i, 0]) > reach * (1.0 + 1e-9):
+        theta1 = start + spread * (2.0 * next_uniform(rng) - 1.0)
+        theta1 = _clipped(theta1, start - out, start + out)
+        theta1 = _clipped(theta1, theta2 - between, theta2 + between)
+        theta1 = _clipped(theta1, low, high)
+        if abs(theta1 - start) > out * _ROUNDING:
             if not second:
-                return NO_FIT
-            theta1 = crowd.start[i, 0] + math.copysign(reach, theta1 - crowd.start[i, 0])
+                return False, theta1, theta2
+            theta1 = start + math.copysign(out, theta1 - start)
     if second:
-        between = turn_step * (t2 - t1)
-        reach = turn_step * (last - t2)
-        theta2 = min(max(theta2, theta1 - between), theta1 + between)
-        theta2 = min(max(theta2, crowd.low[i, 0]), crowd.high[i, 0])
-        if abs(theta2 - theta) > reach * (1.0 + 1e-9):
-            return NO_FIT
-    if abs(theta2 - theta1) > turn_step * (t2 - t1) * (1.0 + 1e-9):
-        return NO_FIT
-    if abs(v2 - v1) > bend_step * (t2 - t1) * (1.0 + 1e-9):
-        return NO_FIT
-    # often a robot waits before it folds, or is unfolded early: both joints together
-    wait = early = 0
-    if next_uniform(state) < 0.5:
-        wait = int(
-            next_uniform(state)
-            * (t1 - max(there, _least(theta1, crowd.start[i, 0], turn_step)) + 1)
-        )
-    if next_uniform(state) < 0.5:
-        early = int(
-            next_uniform(state) * (last - t2 - max(back, _least(theta2, theta, turn_step)) + 1)
-        )
-    # often one joint turns first and the other when it is done
-    out_turn, out_bend = _least(theta1, crowd.start[i, 0], turn_step), there
-    in_turn, in_bend = _least(theta2, theta, turn_step), back
-    kind = next_uniform(state)
-    in_turns = kind < _IN_TURNS
-    turn_first = kind < 0.5 * _IN_TURNS
-    for joint in range(2):
-        low, high = crowd.low[i, joint], crowd.high[i, joint]
-        step = turn_step if joint == 0 else bend_step
-        m1, m2 = (theta1, theta2) if joint == 0 else (v1, v2)
-        wide = math.pi * next_uniform(state)
-        if first:
-            s = crowd.start[i, joint]
-            begin, end = wait, t1
-            if in_turns and t1 - wait >= out_turn + out_bend:
-                if turn_first == (joint == 0):
-                    end = wait + (out_turn if joint == 0 else out_bend)
-                else:
-                    begin = wait + (out_bend if joint == 0 else out_turn)
-            for k in range(t1 + 1):
-                profile[joint, k] = s if k <= begin else m1
-            _draw_leg(profile[joint, begin : end + 1], s, m1, low, high, step, wide, state)
-        if second:
-            g = theta if joint == 0 else phi
-            begin, end = t2, last - early
-            if in_turns and last - early - t2 >= in_turn + in_bend:
-                if turn_first == (joint == 1):  # the way out, backwards
-                    end = t2 + (in_turn if joint == 0 else in_bend)
-                else:
-                    begin = t2 + (in_bend if joint == 0 else in_turn)
-            for k in range(t2, last + 1):
-                profile[joint, k] = m2 if k <= begin else g
-            _draw_leg(profile[joint, begin : end + 1], m2, g, low, high, step, wide, state)
-        for k in range(t1 + 1, t2):
-            profile[joint, k] = m1 + (m2 - m1) * ((k - t1) / (t2 - t1))
-    legs[0], legs[1] = t1, t2
-    return choice
+        theta2 = _clipped(theta2, theta1 - between, theta1 + between)
+        theta2 = _clipped(theta2, low, high)
+        if abs(theta2 - theta) > back * _ROUNDING:
+            return False, theta1, theta2
+    return abs(theta2 - theta1) <= between * _ROUNDING, theta1, theta2
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _ramp_span(begin, end, own, other, sequential, goes_first):
+    # The part of begin..end in which a joint moves, if the joints move one after the other and
+    # need `own` and `other` intervals; all of it if they move together or have no time.
+    if sequential and end - begin >= own + other:
+        if goes_first:
+            return begin, begin + own
+        return begin + other, end
+    return begin, end
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _sample_ramp(row, s, g, begin, end, low, high, per_interval, spread, rng):
+    # a profile that rests at s until `begin`, goes to g until `end`, and rests
+    for k in range(len(row)):
+        row[k] = s if k <= begin else g
+    part = row[begin : end + 1]
+    if next_uniform(rng) < 0.6:
+        sample_window(part, s, g, per_interval, rng)
+    else:
+        dwell = next_uniform(rng) < 0.5
+        sample_via(part, s, g, low, high, per_interval, spread, dwell, rng)

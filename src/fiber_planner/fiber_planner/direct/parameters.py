@@ -12,24 +12,25 @@ __all__ = ["DirectParameters"]
 
 @dataclass(frozen=True)
 class DirectParameters:
-    """What the plan must keep apart, and how long the search may work.
+    """Clearance that the plan must keep, and the effort that the search may spend.
 
     Args:
-        margin_mm: gap between outlines that must remain at every instant [mm].
-        clock_ppm: worst error of a positioner's clock, either way [1e-6].
-        start_skew_s: worst difference between the starts of two positioners [s].
-        stop_skew_s: worst difference between their stops when one must stop early [s].
-        allowance_mm: gap planned for beyond what safety asks [mm]; it is what
-            discretization and rounding may use up.
-        intervals: length of the common time grid; every break of a profile is on it.
-        stretch: longest makespan tried, in units of the time the slowest robot needs
-            alone; where that is short, folding, going and unfolding are given the time
-            they take.
-        effort: candidate profiles that may be weighed, per robot of the plane. It
+        margin_mm: margin, the gap between outlines that must remain at every instant [mm].
+        clock_ppm: largest error of a positioner's clock, fast or slow [1e-6].
+        start_skew_s: largest difference between the starts of two positioners [s].
+        stop_skew_s: largest difference between their stops when one must stop early [s].
+        allowance_mm: gap that is planned beyond the one that safety requires [mm];
+            discretization and rounding may use it up.
+        intervals: approximate number of intervals of the common time grid; every breakpoint
+            of a profile is on the grid.
+        stretch: longest makespan tried, in units of the time that the slowest robot needs
+            alone; if that time is short, the makespan may be as long as it takes to fold, go
+            and unfold.
+        effort: moves that the local search may evaluate, per robot of the plane. It
             bounds the computing time without a clock, so that a plan is repeatable.
-        budget_s: computing time after which the best certified plan found so far is
-            returned [s]. What is found by then depends on the machine.
-        seed: of the draws.
+        budget_s: computing time after which the best certified plan so far is returned [s].
+            The plan then depends on the speed of the machine.
+        seed: of the random numbers.
 
     Raises:
         PlannerError: a value is out of range.
@@ -46,7 +47,7 @@ class DirectParameters:
     budget_s: float = float("inf")
     seed: int = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in (
             "margin_mm", "clock_ppm", "start_skew_s", "stop_skew_s", "allowance_mm", "effort"
         ):  # fmt: skip
@@ -64,5 +65,5 @@ class DirectParameters:
 
     @property
     def safety(self) -> Safety:
-        """The clearance the certificate will ask for."""
+        """The clearance that the certificate requires."""
         return Safety(self.margin_mm, self.clock_ppm, self.start_skew_s, self.stop_skew_s)

@@ -1,8 +1,9 @@
-"""Sampled profiles as the straight pieces they are made of."""
+"""Sampled profiles as constant-velocity segments, one for each straight piece."""
 
 import numba as nb
 import numpy as np
 
+from fiber_core.array_types import Floats, Mask, Times
 from fiber_core.motion import SampledMotion, SegmentMotion
 
 __all__ = ["pieces_of", "straight_pieces"]
@@ -13,21 +14,21 @@ _STRAIGHT_RAD = 1e-11  # samples this close to a line are on it
 def straight_pieces(motion: SampledMotion) -> SegmentMotion:
     """Return a sampled motion as constant-velocity segments, one for each straight piece.
 
-    Nothing is approximated: samples on a line become one segment, trailing rest none.
+    The conversion is exact: samples on a line become one segment, rest at the end none.
 
     Args:
-        motion: joint profiles; its first instant becomes time zero.
+        motion: sampled joint angles; its first instant becomes time zero.
     """
     return pieces_of(motion.time_s, motion.angles, np.ones(motion.n, dtype=bool))
 
 
-def pieces_of(time_s: np.ndarray, angles: np.ndarray, which: np.ndarray) -> SegmentMotion:
-    """Return sampled profiles as constant-velocity segments, as straight_pieces does.
+def pieces_of(time_s: Times, angles: Floats, which: Mask) -> SegmentMotion:
+    """Return the sampled profiles of some robots as constant-velocity segments; the others rest.
 
     Args:
         time_s: increasing times [s], shape (t,); the first becomes time zero.
         angles: joint angles [rad], shape (n, 2, t).
-        which: robots to tell the motion of, the others rest, shape (n,) or longer.
+        which: robots to convert, shape (n,) or longer.
     """
     n, _, samples = angles.shape
     profiles = np.ascontiguousarray(angles).reshape(2 * n, samples)

@@ -1,116 +1,127 @@
-"""A plan in the making, and what one robot's profile means to its neighbours."""
+"""The plan that the local search improves, and the cost of one robot's profile in it."""
 
 from typing import NamedTuple
 
 import numba as nb
 import numpy as np
 
-from fiber_planner.direct.collision_cost import penetration
+from fiber_core.array_types import Bools, Floats, Ints
+from fiber_planner.direct.collision_cost import collision_cost
 from fiber_planner.direct.profile_sampling import copy_profile
+from fiber_planner.direct.scene import Scene
 
 __all__ = [
-    "Draft",
-    "adopt",
-    "alter",
+    "PlanState",
+    "commit",
     "count_conflicts",
-    "measure",
-    "measure_some",
+    "mark_changed",
+    "measure_all",
+    "measure_pairs",
     "most_neighbours",
-    "weigh",
-    "worst_first",
+    "rank_neighbours",
+    "weighted_cost",
 ]
 
 
-class Draft(NamedTuple):
-    """A plan in the making; all arrays are written by the search.
+class PlanState(NamedTuple):
+    """A plan during the search; the search writes all arrays in place.
 
     Args:
-        q: joint angles on the common grid [rad], shape (b, 2, k + 1), obstacles included.
-        choice: the option each robot ends in, -1 where it may end anywhere, shape (n,).
-        required: gap each pair must keep [mm], shape (p,).
-        early: gap it must keep at first [mm], less where it starts too close, shape (p,).
-        release: grid time from which on it must keep all of it, shape (p,).
-        weight: what the search makes of each pair's conflict, shape (p,).
-        depth: penetration of each pair [mm x intervals], shape (p,).
-        legs: grid times between which an arm is folded, 0, 0 where it is not planned so,
-            shape (n, 2).
-        changed: whether a robot's profile changed since it was last certified, shape (b,).
-        around: whether its profile or a neighbour's changed since it was last tried to be
-            made simpler, shape (b,).
+        q: joint angles on the common time grid [rad], shape (b, 2, k + 1), obstacles included.
+        choice: index of the option that each robot ends in, -1 if it may end anywhere,
+            shape (n,).
+        required: gap that each pair must keep [mm], shape (p,).
+        required_early: gap that it must keep before `release` [mm], less than `required` for a
+            pair that starts too close, shape (p,).
+        release: grid time from which a pair must keep `required`, shape (p,).
+        weight: weight of each pair's collision cost in the search, shape (p,).
+        cost: collision cost of each pair [mm x intervals], shape (p,).
+        folded: first and last grid time at which an arm is folded, (0, 0) for a profile that
+            is not planned with a folded part, shape (n, 2).
+        changed: robots whose profile changed since it was last certified, shape (b,).
+        shortcut_due: robots whose profile, or that of a neighbour, changed since shortcuts were
+            last tried, shape (b,).
     """
 
-    q: np.ndarray
-    choice: np.ndarray
-    required: np.ndarray
-    early: np.ndarray
-    release: np.ndarray
-    weight: np.ndarray
-    depth: np.ndarray
-    legs: np.ndarray
-    changed: np.ndarray
-    around: np.ndarray
+    q: Floats
+    choice: Ints
+    required: Floats
+    required_early: Floats
+    release: Ints
+    weight: Floats
+    cost: Floats
+    folded: Ints
+    changed: Bools
+    shortcut_due: Bools
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _depth(crowd, draft, p, qa, qb, limit):
-    a, b = crowd.pairs[p]
-    return penetration(
-        crowd.bodies, crowd.lever, a, b, qa, qb,
-        draft.required[p], draft.early[p], draft.release[p], limit,
+def _pair_cost(scene, plan, p, qa, qb, limit):
+    a, b = scene.pairs[p]
+    return collision_cost(
+        scene.bodies, scene.lever, a, b, qa, qb,
+        plan.required[p], plan.required_early[p], plan.release[p], limit,
     )  # fmt: skip
 
 
-def measure(crowd, draft):
-    """Measure the penetration of every pair anew; return how many pairs are in conflict."""
-    measure_some(crowd, draft, np.arange(len(crowd.pairs)))
-    return count_conflicts(draft)
+def measure_all(scene: Scene, plan: PlanState) -> int:
+    """Compute the collision cost of every pair; return the number of pairs in conflict."""
+    measure_pairs(scene, plan, np.arange(len(scene.pairs)))
+    return count_conflicts(plan)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def measure_some(crowd, draft, pairs):
-    """Measure the penetration of some pairs anew: rows of crowd.pairs, shape (k,)."""
+def measure_pairs(scene: Scene, plan: PlanState, pairs: Ints) -> None:
+    """Compute the collision cost of some pairs, given as rows of scene.pairs, shape (k,)."""
     for p in pairs:
-        a, b = crowd.pairs[p]
-        draft.depth[p] = _depth(crowd, draft, p, draft.q[a], draft.q[b], np.inf)
+        a, b = scene.pairs[p]
+        plan.cost[p] = _pair_cost(scene, plan, p, plan.q[a], plan.q[b], np.inf)
 
 
 @nb.njit(cache=True)
-def alter(crowd, draft, i):
-    """Note that the profile of a robot is another one now."""
-    draft.changed[i] = draft.around[i] = True
-    for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
-        draft.around[crowd.neighbours[e]] = True
+def mark_changed(scene: Scene, plan: PlanState, i: int) -> None:
+    """Mark the profile of robot i as changed: certificate and shortcuts are due again."""
+    plan.changed[i] = plan.shortcut_due[i] = True
+    for e in range(scene.offsets[i], scene.offsets[i + 1]):
+        plan.shortcut_due[scene.neighbours[e]] = True
 
 
 @nb.njit(cache=True)
-def count_conflicts(draft):
-    """Return how many pairs are in conflict as far as measured."""
+def count_conflicts(plan: PlanState) -> int:
+    """Return the number of pairs in conflict by the costs last computed."""
     count = 0
-    for p in range(len(draft.depth)):
-        if draft.depth[p] > 0.0:
+    for p in range(len(plan.cost)):
+        if plan.cost[p] > 0.0:
             count += 1
     return count
 
 
 @nb.njit(cache=True)
-def most_neighbours(crowd):
-    """Return the most neighbours a body has: room for the depths of weigh."""
+def most_neighbours(scene: Scene) -> int:
+    """Return the largest number of neighbours of a body: the length of `costs` and `order`."""
     most = 0
-    for i in range(len(crowd.offsets) - 1):
-        most = max(most, crowd.offsets[i + 1] - crowd.offsets[i])
+    for i in range(len(scene.offsets) - 1):
+        most = max(most, scene.offsets[i + 1] - scene.offsets[i])
     return most
 
 
 @nb.njit(cache=True, error_model="numpy")
-def worst_first(crowd, draft, i, order):
-    """Write the neighbours of a robot as weigh counts them, most weighted conflict first."""
-    begin, count = crowd.offsets[i], crowd.offsets[i + 1] - crowd.offsets[i]
+def rank_neighbours(scene: Scene, plan: PlanState, i: int, order: Ints) -> None:
+    """Sort the neighbours of robot i by weighted collision cost, highest first.
+
+    Args:
+        scene: the robots and their surroundings.
+        plan: the plan, with its costs.
+        i: row of the robot.
+        order: indices of the neighbours, counted from scene.offsets[i], written.
+    """
+    begin, count = scene.offsets[i], scene.offsets[i + 1] - scene.offsets[i]
     for e in range(count):
-        p = crowd.pair[begin + e]
+        p = scene.pair_rows[begin + e]
         at = e
         while at > 0:
-            q = crowd.pair[begin + order[at - 1]]
-            if draft.weight[q] * draft.depth[q] >= draft.weight[p] * draft.depth[p]:
+            q = scene.pair_rows[begin + order[at - 1]]
+            if plan.weight[q] * plan.cost[q] >= plan.weight[p] * plan.cost[p]:
                 break
             order[at] = order[at - 1]
             at -= 1
@@ -118,39 +129,49 @@ def worst_first(crowd, draft, i, order):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def weigh(crowd, draft, i, profile, best, order, depths):
-    """Return the weighted penetration of a robot with another profile.
+def weighted_cost(
+    scene: Scene, plan: PlanState, i: int, profile: Floats, best: float, order: Ints, costs: Floats
+) -> float:
+    """Return the weighted collision cost that robot i would have with another profile.
 
     Args:
-        crowd: the robots.
-        draft: the plan of all others.
+        scene: the robots and their surroundings.
+        plan: the plan of all other robots.
         i: row of the robot.
         profile: its joint angles on the grid [rad], shape (2, k + 1).
-        best: value beyond which the exact result is of no interest.
-        order: order in which the neighbours are looked at, from worst_first.
-        depths: penetration with each neighbour, written as far as looked at.
+        best: value above which the exact result does not matter.
+        order: order in which the neighbours are evaluated, from rank_neighbours.
+        costs: collision cost with each neighbour, written for those that were evaluated.
     """
     total = 0.0
-    begin = crowd.offsets[i]
-    for at in range(crowd.offsets[i + 1] - begin):
+    begin = scene.offsets[i]
+    for at in range(scene.offsets[i + 1] - begin):
         e = begin + order[at]
-        p = crowd.pair[e]
-        limit = (best - total) / draft.weight[p]
-        a, b = crowd.pairs[p]  # always in this order: no digit depends on who is asking
-        qa = profile if a == i else draft.q[a]
-        qb = profile if b == i else draft.q[b]
-        depth = _depth(crowd, draft, p, qa, qb, limit)
-        depths[e - begin] = depth
-        total += draft.weight[p] * depth
+        p = scene.pair_rows[e]
+        limit = (best - total) / plan.weight[p]
+        a, b = scene.pairs[p]  # always in this order: the result is the same for both robots
+        qa = profile if a == i else plan.q[a]
+        qb = profile if b == i else plan.q[b]
+        cost = _pair_cost(scene, plan, p, qa, qb, limit)
+        costs[e - begin] = cost
+        total += plan.weight[p] * cost
         if total > best:
             return total
     return total
 
 
 @nb.njit(cache=True, error_model="numpy")
-def adopt(crowd, draft, i, profile, depths):
-    """Give a robot a profile whose penetrations weigh has written."""
-    copy_profile(profile, draft.q[i])
-    alter(crowd, draft, i)
-    for e in range(crowd.offsets[i], crowd.offsets[i + 1]):
-        draft.depth[crowd.pair[e]] = depths[e - crowd.offsets[i]]
+def commit(scene: Scene, plan: PlanState, i: int, profile: Floats, costs: Floats) -> None:
+    """Give robot i a new profile.
+
+    Args:
+        scene: the robots and their surroundings.
+        plan: the plan; profile and costs of robot i are written.
+        i: row of the robot.
+        profile: its joint angles on the grid [rad], shape (2, k + 1).
+        costs: collision cost with each neighbour, as weighted_cost wrote them.
+    """
+    copy_profile(profile, plan.q[i])
+    mark_changed(scene, plan, i)
+    for e in range(scene.offsets[i], scene.offsets[i + 1]):
+        plan.cost[scene.pair_rows[e]] = costs[e - scene.offsets[i]]

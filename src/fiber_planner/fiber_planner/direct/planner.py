@@ -1,4 +1,4 @@
-"""The planner: everybody straight to the target at once, and repair where they would meet."""
+"""The planner `direct`: straight motions for all robots, and local search where they collide."""
 
 import time
 from collections.abc import Callable
@@ -17,17 +17,17 @@ __all__ = ["DirectPlanner"]
 
 
 class DirectPlanner:
-    """Straight moves over the whole makespan, repaired by guided local search.
+    """Straight motions over the whole makespan, with guided local search against collisions.
 
-    Every motor turns at constant speed from start to goal, all in the time the slowest
-    robot would need alone. Robots that would meet try other profiles: windows of that
-    time, third angles on the way, other elbows and turns. Where that does not clear
-    everybody the makespan is stretched; who cannot be cleared at all is held where it
-    is safe. The plan is certified in continuous time before it is returned.
+    Both joints of every robot move at constant speed from start to goal, in the time that the
+    slowest robot needs alone. Robots that would collide try other profiles: parts of that
+    time, third angles on the way, other elbows and turns. If conflicts are left the makespan
+    is stretched; a robot that cannot be freed is held at a safe place. The plan is certified
+    in continuous time before it is returned.
 
     Args:
-        parameters: what to keep apart, how long to search.
-        clock: seconds, read only where the parameters set a budget.
+        parameters: clearance to keep, effort to spend.
+        clock: seconds, read only if the parameters set a budget.
     """
 
     name = "direct"
@@ -44,44 +44,44 @@ class DirectPlanner:
         """Plan the motion of every robot, see Planner.plan."""
         plane = problem.plane
         if plane.n == 0:
-            nothing = SampledMotion([0.0], np.zeros((0, 2, 1)))
-            return PlannedMotion(nothing, np.zeros((0, 2)), np.zeros(0))
-        # Robots are taken in the order of their places: the plan does not depend on
-        # how they are numbered.
+            motion = SampledMotion(np.zeros(1), np.zeros((0, 2, 1)))
+            return PlannedMotion(motion, np.zeros((0, 2)), np.zeros(0, dtype=np.int64))
+        # Robots are sorted by their places, so that the plan does not depend on the order of
+        # the rows.
         order = np.lexsort([plane.centers[:, 1], plane.centers[:, 0]])
-        # Who stands outside its joint limits may not be moved: an obstacle like the disabled.
+        # A robot outside its joint limits may not be moved: an obstacle like the disabled ones.
         low, high = np.moveaxis(plane.limits, -1, 0)
         inside = ((problem.start >= low) & (problem.start <= high)).all(axis=1)
         movable = plane.with_enabled(plane.enabled & inside)
         sorted_problem = Problem(
             movable.permuted(order), problem.start[order], problem.targets[order]
         )
-        found = Search(sorted_problem, self.parameters, progress, self._clock).run()
+        result = Search(sorted_problem, self.parameters, progress, self._clock).run()
         back = np.argsort(order)
-        _put_in_order(found.q, order)
-        found.q.setflags(write=False)
-        reason = found.reason[back]
+        _permute_rows(result.q, order)
+        result.q.setflags(write=False)
+        reason = result.reason[back]
         reason[problem.asked & plane.enabled & ~inside] = Reason.START_OUTSIDE_LIMITS
         rows = np.concatenate([order, np.arange(plane.n, plane.n + len(plane.obstacles))])
         return PlannedMotion(
-            SampledMotion(found.time_s, found.q[: plane.n]),
-            found.goal[back],
+            SampledMotion(result.time_s, result.q[: plane.n]),
+            result.goal[back],
             reason,
-            np.sort(rows[found.tangled], axis=1),
+            np.sort(rows[result.tangled], axis=1),
         )
 
 
 @nb.njit(cache=True)
-def _put_in_order(q, order):
-    # Row i goes to row order[i], in place: q is the largest array there is, and a fresh one
-    # of its size costs more than all the moving.
+def _permute_rows(q, order):
+    # Row i goes to row order[i], in place: q is the largest array of a plan, and to allocate
+    # a second one costs more than to move all rows.
     rows, steps = q.shape[0], q.shape[2]
-    there = np.zeros(rows, dtype=np.bool_)
+    moved = np.zeros(rows, dtype=np.bool_)
     for first in range(len(order)):
         i = first
         carried = q[first].copy()
-        while not there[i]:
-            there[i] = True
+        while not moved[i]:
+            moved[i] = True
             i = order[i]
             for joint in range(2):
                 for k in range(steps):

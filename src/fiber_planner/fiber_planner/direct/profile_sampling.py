@@ -1,19 +1,27 @@
-"""Seeded draws, and the profiles that are drawn."""
+"""Random profiles of one joint on the time grid, and the random numbers that they use."""
 
 import math
+from typing import TypeAlias
 
 import numba as nb
 import numpy as np
+from numpy.typing import NDArray
+
+from fiber_core.array_types import Floats
 
 __all__ = [
-    "fold_profile",
+    "RngState",
+    "copy_profile",
+    "fill_two_ramps",
     "least_intervals",
     "next_uniform",
-    "seeded",
-    "trapezoid",
-    "via_profile",
-    "window",
+    "sample_fold",
+    "sample_via",
+    "sample_window",
+    "seeded_rng",
 ]
+
+RngState: TypeAlias = NDArray[np.uint64]  # state of a generator, shape (1,)
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -29,35 +37,47 @@ def _mix(z):
 
 
 @nb.njit(cache=True)
-def seeded(key, round_):
-    """Return the state of a generator for one robot in one round, uint64, shape (1,)."""
-    state = np.empty(1, dtype=np.uint64)
-    state[0] = _mix(key + (np.uint64(round_) + np.uint64(1)) * _GOLDEN)
-    return state
+def seeded_rng(key: np.uint64, round_: int) -> RngState:
+    """Return the state of a random number generator.
+
+    Args:
+        key: number of the robot, from place_keys.
+        round_: other numbers give other sequences.
+    """
+    rng = np.empty(1, dtype=np.uint64)
+    rng[0] = _mix(key + (np.uint64(round_) + np.uint64(1)) * _GOLDEN)
+    return rng
 
 
 @nb.njit(cache=True)
-def next_uniform(state):
+def next_uniform(rng: RngState) -> float:
     """Return the next number in [0, 1) of splitmix64 (Steele, Lea, Flood, OOPSLA 2014)."""
-    state[0] = state[0] + _GOLDEN
-    return float(_mix(state[0]) >> _S11) * (1.0 / 9007199254740992.0)
+    rng[0] = rng[0] + _GOLDEN
+    return float(_mix(rng[0]) >> _S11) * (1.0 / 9007199254740992.0)
 
 
 @nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _whole(state, low, high):
+def _random_int(rng, low, high):
     # uniform in low..high, both included
-    return min(high, low + int(next_uniform(state) * (high - low + 1)))
+    return min(high, low + int(next_uniform(rng) * (high - low + 1)))
 
 
 @nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def least_intervals(turn, per_interval):
-    """Return how many whole intervals a joint needs for a turn [rad] at its highest speed."""
-    return int(math.ceil(abs(turn) / per_interval - 1e-9))
+def least_intervals(angle: float, per_interval: float) -> int:
+    """Return the number of whole intervals that a joint needs for an angle at full speed.
+
+    Args:
+        angle: change of the joint angle, of either sign [rad].
+        per_interval: largest change in one interval [rad].
+    """
+    return int(math.ceil(abs(angle) / per_interval - 1e-9))
 
 
 @nb.njit(cache=True)
-def trapezoid(row, s, v, g, a0, a1, b0, b1):
-    """Fill a profile: from s to v in grid times a0..a1, rest, from v to g in b0..b1.
+def fill_two_ramps(
+    row: Floats, s: float, v: float, g: float, a0: int, a1: int, b0: int, b1: int
+) -> None:
+    """Write a profile that goes from s to v in grid times a0..a1, rests, and from v to g in b0..b1.
 
     Args:
         row: joint angles on the grid [rad], shape (k + 1,), written.
@@ -80,38 +100,55 @@ def trapezoid(row, s, v, g, a0, a1, b0, b1):
 
 
 @nb.njit(cache=True)
-def window(row, s, g, per_interval, state):
-    """Draw a profile that goes straight from s to g within a part of the time."""
+def sample_window(row: Floats, s: float, g: float, per_interval: float, rng: RngState) -> None:
+    """Sample a profile that goes straight from s to g within a random part of the time.
+
+    Args:
+        row: joint angles on the grid [rad], shape (k + 1,), written.
+        s, g: first and last angle [rad], g within reach of s in k intervals.
+        per_interval: largest change in one interval [rad].
+        rng: of the random numbers.
+    """
     last = len(row) - 1
     least = max(1, least_intervals(g - s, per_interval))
-    length = _whole(state, least, last)
-    begin = _whole(state, 0, last - length)
-    kind = next_uniform(state)
+    length = _random_int(rng, least, last)
+    begin = _random_int(rng, 0, last - length)
+    kind = next_uniform(rng)
     if kind < 0.25:
         begin = 0
     elif kind < 0.5:
         begin = last - length
-    trapezoid(row, s, g, g, begin, begin + length, last, last)
+    fill_two_ramps(row, s, g, g, begin, begin + length, last, last)
 
 
 @nb.njit(cache=True)
-def via_profile(row, s, g, low, high, per_interval, spread, dwell, state):
-    """Draw a profile that goes from s to g by way of a third angle.
+def sample_via(
+    row: Floats,
+    s: float,
+    g: float,
+    low: float,
+    high: float,
+    per_interval: float,
+    spread: float,
+    dwell: bool,
+    rng: RngState,
+) -> None:
+    """Sample a profile that goes from s to g by way of a third angle.
 
     Args:
         row: joint angles on the grid [rad], shape (k + 1,), written.
         s, g: first and last angle [rad], g within reach of s in k intervals.
         low, high: range of the third angle [rad].
-        per_interval: farthest turn in one interval [rad].
-        spread: how far from the straight line the third angle may be [rad].
-        dwell: whether the joint may rest there.
-        state: of the generator.
+        per_interval: largest change in one interval [rad].
+        spread: largest distance of the third angle from the straight line [rad].
+        dwell: whether the joint may rest at the third angle.
+        rng: of the random numbers.
     """
     last = len(row) - 1
-    middle = _whole(state, 1, last - 1)
+    middle = _random_int(rng, 1, last - 1)
     share = middle / last
     line = s + (g - s) * share
-    v = line + spread * (2.0 * next_uniform(state) - 1.0)
+    v = line + spread * (2.0 * next_uniform(rng) - 1.0)
     low = max(low, max(s - per_interval * middle, g - per_interval * (last - middle)))
     high = min(high, min(s + per_interval * middle, g + per_interval * (last - middle)))
     if low > high:
@@ -121,33 +158,35 @@ def via_profile(row, s, g, low, high, per_interval, spread, dwell, state):
     first = least_intervals(v - s, per_interval)
     second = least_intervals(g - v, per_interval)
     if first > middle or second > last - middle:  # a line at full speed, cut by rounding
-        trapezoid(row, s, g, g, 0, last, last, last)
+        fill_two_ramps(row, s, g, g, 0, last, last, last)
         return
     a0, a1, b0, b1 = 0, middle, middle, last
     if dwell:
-        a1 = _whole(state, max(1, first), middle)
-        b0 = _whole(state, middle, min(last - 1, last - second))
-        if next_uniform(state) < 0.5:
-            a0 = _whole(state, 0, a1 - max(1, first))
-        if next_uniform(state) < 0.5:
-            b1 = _whole(state, b0 + max(1, second), last)
-    trapezoid(row, s, v, g, a0, a1, b0, b1)
+        a1 = _random_int(rng, max(1, first), middle)
+        b0 = _random_int(rng, middle, min(last - 1, last - second))
+        if next_uniform(rng) < 0.5:
+            a0 = _random_int(rng, 0, a1 - max(1, first))
+        if next_uniform(rng) < 0.5:
+            b1 = _random_int(rng, b0 + max(1, second), last)
+    fill_two_ramps(row, s, v, g, a0, a1, b0, b1)
 
 
 @nb.njit(cache=True)
-def fold_profile(row, s, fold, g, per_interval, state):
-    """Draw a profile that goes from s to a folded arm, rests there, and ends in g.
+def sample_fold(
+    row: Floats, s: float, fold: float, g: float, per_interval: float, rng: RngState
+) -> None:
+    """Sample a profile of phi that goes from s to a folded arm, rests there, and ends at g.
 
     Args:
         row: joint angles on the grid [rad], shape (k + 1,), written.
         s, g: first and last angle [rad], g within reach of s in k intervals.
         fold: the angle of the folded arm [rad].
-        per_interval: farthest turn in one interval [rad].
-        state: of the generator.
+        per_interval: largest change in one interval [rad].
+        rng: of the random numbers.
     """
     last = len(row) - 1
-    if next_uniform(state) < 0.5:  # not all the way
-        fold += (0.5 * (s + g) - fold) * next_uniform(state)
+    if next_uniform(rng) < 0.5:  # folded partly
+        fold += (0.5 * (s + g) - fold) * next_uniform(rng)
     v = fold
     for _ in range(6):
         first = max(1, least_intervals(v - s, per_interval))
@@ -156,24 +195,24 @@ def fold_profile(row, s, fold, g, per_interval, state):
             break
         v = 0.5 * (v + 0.5 * (s + g))
     if first + second > last:
-        window(row, s, g, per_interval, state)
+        sample_window(row, s, g, per_interval, rng)
         return
-    room = last - first - second
-    a0 = _whole(state, 0, room // 2) if next_uniform(state) < 0.5 else 0
+    spare = last - first - second
+    a0 = _random_int(rng, 0, spare // 2) if next_uniform(rng) < 0.5 else 0
     a1 = a0 + first
-    if next_uniform(state) < 0.5:
-        a1 += _whole(state, 0, room // 2 - a0)
+    if next_uniform(rng) < 0.5:
+        a1 += _random_int(rng, 0, spare // 2 - a0)
     left = last - second - a1
-    b1 = last - (_whole(state, 0, left) if next_uniform(state) < 0.5 else 0)
+    b1 = last - (_random_int(rng, 0, left) if next_uniform(rng) < 0.5 else 0)
     b0 = b1 - second
-    if next_uniform(state) < 0.5:
-        b0 -= _whole(state, 0, b0 - a1)
-    trapezoid(row, s, v, g, a0, a1, b0, b1)
+    if next_uniform(rng) < 0.5:
+        b0 -= _random_int(rng, 0, b0 - a1)
+    fill_two_ramps(row, s, v, g, a0, a1, b0, b1)
 
 
 @nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def copy_profile(source, target):
-    """Copy the profiles of both joints; both shape (2, k + 1)."""
+def copy_profile(source: Floats, target: Floats) -> None:
+    """Copy the profiles of both joints; both arrays have shape (2, k + 1)."""
     for joint in range(2):  # loops: numba takes seconds to compile an assignment of slices
         for k in range(source.shape[1]):
             target[joint, k] = source[joint, k]

@@ -1,36 +1,39 @@
-"""Which targets can be reached at all among what cannot move: a rule, not a planner's opinion."""
+"""Reachability test: which targets can be attained among static obstacles, by any planner."""
 
 import math
 
 import numba as nb
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
+from fiber_core.array_types import Mask
 from fiber_core.clearance import bodies_of, pair_gap_below
 from fiber_core.problem import Problem
 
 __all__ = ["reachable"]
 
 _CELL_RAD = math.radians(4.0)
+_ANY_MM = 1e-9  # the slack that matters if only its sign does
 
 
-def reachable(problem: Problem, pairs, margin_mm: float) -> np.ndarray:
-    """Return which robots could reach their targets if only those that cannot move were there.
+def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
+    """Return which robots can reach their targets if only static bodies are around them.
 
-    A robot with a target is reachable when one of its configurations on the target keeps
-    the margin from all disabled robots and obstacles, and when it could get there alone
-    between them. The second is decided on a grid over the robot's joint ranges: a cell
-    is open when some point of it may keep the margin, so a target called unreachable is
-    proven to be; one called reachable may still be closed off by a gap finer than the
-    grid (4 degrees).
+    Static bodies are disabled robots and obstacles. A robot is reachable when one of its
+    configurations on the target keeps the margin from all static bodies, and when it can get
+    there alone between them. The second is decided on a grid over the joint ranges: a
+    cell is open when some point of it may keep the margin. So a target that is reported as
+    unreachable is proven to be; one that is reported as reachable may still be closed off by
+    a passage narrower than the grid (4 degrees).
 
     Args:
-        problem: the plane, where its robots are, where their fibres should go.
-        pairs: rows a < b that can meet, from neighbour_pairs, shape (p, 2).
-        margin_mm: gap to keep from what cannot move [mm].
+        problem: the plane, the present joint angles and the targets.
+        pairs: rows a < b that can collide, from neighbour_pairs, shape (p, 2).
+        margin_mm: gap to keep from static bodies [mm].
 
     Returns:
-        Flags, shape (n,); False where nothing is asked or the robot is disabled.
+        Flags, shape (n,); False for a robot that has no target or is disabled.
     """
     plane = problem.plane
     angles, valid = kinematics.inverse(plane, problem.targets)
@@ -57,7 +60,7 @@ def reachable(problem: Problem, pairs, margin_mm: float) -> np.ndarray:
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _slack(bodies, i, theta, phi, others, standing, margin, enough):
-    # least gap to what stands around, less the margin; `enough` or more need not be exact
+    # least gap to the static bodies, less the margin; `enough` or more need not be exact
     least = enough
     for j in others:
         gap = pair_gap_below(
@@ -73,9 +76,9 @@ def _cell(value, low, size, count):
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _straight_there(bodies, i, angles, valid, others, standing, margin, size):
+def _straight_path_is_open(bodies, i, angles, valid, others, standing, margin, size):
     # Whether the straight line to one of the configurations keeps the margin at points less
-    # than a cell apart: every cell it passes is open then, and the flood would get through.
+    # than a cell apart: every cell on it is open then, and the flood would pass too.
     for option in range(len(angles)):
         if not valid[option]:
             continue
@@ -86,8 +89,9 @@ def _straight_there(bodies, i, angles, valid, others, standing, margin, size):
         for k in range(steps + 1):
             share = k / steps
             slack = _slack(
-                bodies, i, theta + share * turn, phi + share * bend, others, standing, margin, 1e-9
-            )
+                bodies, i, theta + share * turn, phi + share * bend,
+                others, standing, margin, _ANY_MM,
+            )  # fmt: skip
             if slack < 0.0:
                 free = False
                 break
@@ -102,53 +106,61 @@ def _reachable(bodies, lever, robots, first, other, standing, limits, angles, va
     for r in range(len(robots)):
         i = robots[r]
         others = other[first[r] : first[r + 1]]
-        low = np.empty(2)
-        size = np.empty(2)
-        count = np.empty(2, dtype=np.int64)
-        for joint in range(2):
-            low[joint] = min(limits[i, joint, 0], standing[i, joint])
-            span = max(limits[i, joint, 1], standing[i, joint]) - low[joint]
-            count[joint] = max(1, int(math.ceil(span / _CELL_RAD)))
-            size[joint] = span / count[joint]
-        # from the middle of a cell to its corner no point of the robot moves farther
-        corner = 0.5 * (size[0] * lever[i, 0] + size[1] * lever[i, 1])
-        wanted = np.zeros((count[0], count[1]), dtype=np.bool_)
-        left = 0
+        low, size, count = _grid(limits[i], standing[i])
+        goals = np.zeros((count[0], count[1]), dtype=np.bool_)  # cells with a configuration
+        found = False
         for option in range(angles.shape[1]):
             if valid[i, option]:
                 theta, phi = angles[i, option]
-                if _slack(bodies, i, theta, phi, others, standing, margin, 1e-9) >= 0.0:
-                    wanted[
+                if _slack(bodies, i, theta, phi, others, standing, margin, _ANY_MM) >= 0.0:
+                    goals[
                         _cell(theta, low[0], size[0], count[0]),
                         _cell(phi, low[1], size[1], count[1]),
                     ] = True
-                    left += 1
-        if left == 0:
-            continue
-        if _straight_there(bodies, i, angles[i], valid[i], others, standing, margin, size):
-            result[r] = True
-            continue
-        # flood the open cells from the start until a wanted one is met
-        seen = np.zeros((count[0], count[1]), dtype=np.bool_)
-        stack = np.empty((count[0] * count[1], 2), dtype=np.int64)
-        stack[0, 0] = _cell(standing[i, 0], low[0], size[0], count[0])
-        stack[0, 1] = _cell(standing[i, 1], low[1], size[1], count[1])
-        seen[stack[0, 0], stack[0, 1]] = True
-        top = 1
-        while top > 0 and not result[r]:
-            top -= 1
-            u, v = stack[top]
-            if wanted[u, v]:
-                result[r] = True
-                break
-            for du in range(-1, 2):
-                for dv in range(-1, 2):
-                    x, y = u + du, v + dv
-                    if 0 <= x < count[0] and 0 <= y < count[1] and not seen[x, y]:
-                        seen[x, y] = True
-                        theta = low[0] + (x + 0.5) * size[0]
-                        phi = low[1] + (y + 0.5) * size[1]
-                        if _slack(bodies, i, theta, phi, others, standing, margin, 1e-9) >= -corner:
-                            stack[top] = x, y
-                            top += 1
+                    found = True
+        if found:
+            result[r] = _straight_path_is_open(
+                bodies, i, angles[i], valid[i], others, standing, margin, size
+            ) or _flood(bodies, i, lever[i], others, standing, low, size, count, goals, margin)
     return result
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _grid(limits, standing):
+    # lowest angle, cell size [rad] and number of cells of both joints; the start is on the grid
+    low, size, count = np.empty(2), np.empty(2), np.empty(2, dtype=np.int64)
+    for joint in range(2):
+        low[joint] = min(limits[joint, 0], standing[joint])
+        span = max(limits[joint, 1], standing[joint]) - low[joint]
+        count[joint] = max(1, int(math.ceil(span / _CELL_RAD)))
+        size[joint] = span / count[joint]
+    return low, size, count
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _flood(bodies, i, lever, others, standing, low, size, count, goals, margin):
+    # flood the open cells from the start; whether a goal cell is met
+    # from the middle of a cell to its corner no point of the robot moves farther
+    corner = 0.5 * (size[0] * lever[0] + size[1] * lever[1])
+    visited = np.zeros((count[0], count[1]), dtype=np.bool_)
+    stack = np.empty((count[0] * count[1], 2), dtype=np.int64)
+    stack[0, 0] = _cell(standing[i, 0], low[0], size[0], count[0])
+    stack[0, 1] = _cell(standing[i, 1], low[1], size[1], count[1])
+    visited[stack[0, 0], stack[0, 1]] = True
+    top = 1
+    while top > 0:
+        top -= 1
+        u, v = stack[top]
+        if goals[u, v]:
+            return True
+        for du in range(-1, 2):
+            for dv in range(-1, 2):
+                x, y = u + du, v + dv
+                if 0 <= x < count[0] and 0 <= y < count[1] and not visited[x, y]:
+                    visited[x, y] = True
+                    theta = low[0] + (x + 0.5) * size[0]
+                    phi = low[1] + (y + 0.5) * size[1]
+                    if _slack(bodies, i, theta, phi, others, standing, margin, _ANY_MM) >= -corner:
+                        stack[top] = x, y
+                        top += 1
+    return False

@@ -1,15 +1,17 @@
-"""The robots of a plane as the search sees them: links, limits, neighbours, places to end."""
+"""The scene of the local search: outlines, limits, neighbours and goal options of all robots."""
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fiber_core import kinematics
+from fiber_core.array_types import Angles, Bools, Floats, Ints, Offsets, Pairs
 from fiber_core.clearance import Bodies, bodies_of, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
 
-__all__ = ["Scene", "scene_of", "place_keys"]
+__all__ = ["Scene", "place_keys", "scene_of"]
 
 _MOST_OPTIONS = 6
 _FOLDED_RAD = np.deg2rad(135.0)
@@ -23,57 +25,57 @@ class Scene(NamedTuple):
 
     Args:
         bodies: outlines of robots and obstacles.
-        lever: what turns angles into displacements [mm], shape (b, 3): the first arm, the
-            farthest point of the phi link from the elbow, that of the theta link from
-            the centre.
+        lever: lengths that turn angles into displacements [mm], shape (b, 3): the theta arm,
+            the farthest point of the phi link from the elbow, the farthest point of the theta
+            link from the centre.
         offsets: neighbours of body i are neighbours[offsets[i] : offsets[i + 1]], (b + 1,).
         neighbours: rows of bodies, shape (m,).
-        pair: row in pairs of each neighbour, shape (m,).
+        pair_rows: row in `pairs` of each neighbour, shape (m,).
         pairs: rows a < b of which at least one can move, shape (p, 2).
         start: joint angles now [rad], shape (n, 2).
         low: lower joint limits [rad], shape (n, 2).
         high: upper joint limits [rad], shape (n, 2).
         speed: highest joint speeds to plan with [rad/s], shape (n, 2).
-        fold: phi of the folded arm, turned clockwise and counter-clockwise; where only one
-            way folds it, twice the same [rad], shape (n, 2).
-        movable: whether a robot may be moved, shape (b,).
-        key: a number that depends on a robot's place only, for its draws, shape (n,).
-        option: configurations that put a fibre on its target, fastest first [rad],
+        folded_phi: phi of the arm folded clockwise and counter-clockwise; twice the same if
+            the limits allow only one of them [rad], shape (n, 2).
+        movable: robots that may be moved, shape (b,).
+        key: a number that depends only on a robot's place, for its random numbers, shape (n,).
+        options: configurations that put a fibre on its target, fastest first [rad],
             shape (n, s, 2).
-        options: how many a robot has, shape (n,).
+        option_count: number of options of each robot, shape (n,).
     """
 
     bodies: Bodies
-    lever: np.ndarray
-    offsets: np.ndarray
-    neighbours: np.ndarray
-    pair: np.ndarray
-    pairs: np.ndarray
-    start: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    speed: np.ndarray
-    fold: np.ndarray
-    movable: np.ndarray
-    key: np.ndarray
-    option: np.ndarray
-    options: np.ndarray
+    lever: Floats
+    offsets: Offsets
+    neighbours: Ints
+    pair_rows: Ints
+    pairs: Pairs
+    start: Angles
+    low: Angles
+    high: Angles
+    speed: Floats
+    folded_phi: Floats
+    movable: Bools
+    key: NDArray[np.uint64]
+    options: Floats
+    option_count: Ints
 
 
 def scene_of(problem: Problem, seed: int = 0) -> Scene:
     """Collect what the search needs to know about a problem.
 
     Args:
-        problem: the plane, where its robots are, where their fibres should go.
-        seed: of the draws.
+        problem: the plane, the present joint angles and the targets.
+        seed: of the random numbers.
     """
     plane = problem.plane
     bodies = bodies_of(plane)
     movable = np.concatenate([plane.enabled, np.zeros(len(plane.obstacles), dtype=bool)])
     pairs = neighbour_pairs(plane).astype(np.int64)
     pairs = pairs[movable[pairs].any(axis=1)]
-    offsets, neighbours, pair = _adjacency(pairs, len(movable))
-    option, options = _options(problem)
+    offsets, neighbours, pair_rows = _adjacency(pairs, len(movable))
+    options, option_count = _options(problem)
     return Scene(
         bodies=bodies,
         lever=np.stack(
@@ -86,21 +88,21 @@ def scene_of(problem: Problem, seed: int = 0) -> Scene:
         ),
         offsets=offsets,
         neighbours=neighbours,
-        pair=pair,
+        pair_rows=pair_rows,
         pairs=pairs,
         start=problem.start,
         low=np.ascontiguousarray(plane.limits[:, :, 0]),
         high=np.ascontiguousarray(plane.limits[:, :, 1]),
         speed=_SPEED * plane.speeds,
-        fold=_fold(plane),
+        folded_phi=_folded_phi(plane),
         movable=movable,
         key=place_keys(plane, seed),
-        option=option,
         options=options,
+        option_count=option_count,
     )
 
 
-def _adjacency(pairs, rows):
+def _adjacency(pairs: Pairs, rows: int) -> tuple[Offsets, Ints, Ints]:
     # neighbour lists in the order of the rows
     a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
     edge = np.tile(np.arange(len(pairs)), 2)
@@ -109,8 +111,8 @@ def _adjacency(pairs, rows):
     return offsets, np.ascontiguousarray(b[order]), edge[order]
 
 
-def _fold(plane):
-    # -180 and +180 degrees, each moved into the limits; what hardly folds is no fold
+def _folded_phi(plane: FocalPlane) -> Floats:
+    # -180 and +180 degrees, each moved into the limits; less than _FOLDED_RAD is not folded
     low, high = plane.limits[:, 1].T
     either = np.stack([np.clip(-np.pi, low, high), np.clip(np.pi, low, high)], axis=1)
     flat = np.abs(either) < _FOLDED_RAD
@@ -118,8 +120,8 @@ def _fold(plane):
     return np.where(flat, best, either)
 
 
-def _options(problem):
-    # Configurations on the target, fastest first. Who stands on its target already has
+def _options(problem: Problem) -> tuple[Floats, Ints]:
+    # Configurations on the target, fastest first. A robot that is on its target already has
     # its start as the only one.
     plane = problem.plane
     angles, valid = kinematics.inverse(plane, problem.targets)
@@ -128,22 +130,22 @@ def _options(problem):
     angles = np.where(np.abs(angles - start) <= _SAME_RAD, start, angles)
     time = (np.abs(angles - start) / plane.speeds[:, None]).max(axis=2)
     order = np.argsort(np.where(valid, time, np.inf), axis=1, kind="stable")[:, :_MOST_OPTIONS]
-    option = np.take_along_axis(angles, order[:, :, None], axis=1)
-    options = np.minimum(valid.sum(axis=1), _MOST_OPTIONS)
+    options = np.take_along_axis(angles, order[:, :, None], axis=1)
+    count = np.minimum(valid.sum(axis=1), _MOST_OPTIONS)
     tip = kinematics.forward(plane, problem.start)[1]
-    there = (options > 0) & (np.hypot(*(tip - problem.targets).T) <= _ON_TARGET_MM)
-    option[there, 0] = problem.start[there]
-    options[there] = 1
-    option[options == 0, 0] = problem.start[options == 0]
-    return np.ascontiguousarray(option), options
+    on_target = (count > 0) & (np.hypot(*(tip - problem.targets).T) <= _ON_TARGET_MM)
+    options[on_target, 0] = problem.start[on_target]
+    count[on_target] = 1
+    options[count == 0, 0] = problem.start[count == 0]
+    return np.ascontiguousarray(options), count
 
 
-def place_keys(plane: FocalPlane, seed: int) -> np.ndarray:
-    """Return a number per robot that depends on its place and a seed only, uint64, shape (n,).
+def place_keys(plane: FocalPlane, seed: int) -> NDArray[np.uint64]:
+    """Return a number per robot that depends only on its place and a seed, shape (n,).
 
     Args:
         plane: the focal plane.
-        seed: of the draws.
+        seed: of the random numbers.
     """
     place = np.ascontiguousarray(plane.centers + 0.0).view(np.uint64)  # + 0.0: no minus zero
     with np.errstate(over="ignore"):
@@ -151,7 +153,7 @@ def place_keys(plane: FocalPlane, seed: int) -> np.ndarray:
         return _mixed(key ^ (place[:, 1] * np.uint64(0xD1B54A32D192ED03)))
 
 
-def _mixed(z):
+def _mixed(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
     # the finalizer of splitmix64 (Steele, Lea, Flood, OOPSLA 2014)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -1,27 +1,29 @@
-"""The instants at which profiles may break: a common grid in whole ticks of the wire."""
+"""The time grid: instants at which profiles may change speed, in whole ticks of the wire."""
 
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fiber_core.array_types import Times
+
 __all__ = ["TimeGrid", "time_grid"]
 
-_LEAST = 4  # intervals, which candidates take for granted
-_FEWER, _MORE = 0.85, 1.3  # of the intervals wanted, to fit a makespan to the ticks
+_LEAST = 4  # intervals; the moves of the local search need as many
+_FEWER, _MORE = 0.85, 1.3  # range of the number of intervals, in units of the wanted one
 
 
 @dataclass(frozen=True)
 class TimeGrid:
     """Equal intervals of whole ticks.
 
-    A break between two ticks cannot be sent: rounding it moves a slow instrument's arm by
-    a good part of a millimetre (half of a 60 ms tick at 12 deg/s and 24 mm: 0.15 mm).
+    A breakpoint between two ticks cannot be sent. To round it would displace an arm of a slow
+    instrument by 0.15 mm (half of a 60 ms tick at 12 deg/s and 24 mm).
 
     Args:
         tick_s: one tick of the wire [s].
         ticks: length of an interval [ticks].
-        intervals: how many there are.
+        intervals: their number.
     """
 
     tick_s: float
@@ -39,23 +41,23 @@ class TimeGrid:
         return self.intervals * self.step_s
 
     @property
-    def time_s(self) -> np.ndarray:
+    def time_s(self) -> Times:
         """The instants [s], shape (intervals + 1,)."""
         return self.step_s * np.arange(self.intervals + 1)
 
     def lasting(self, least_s: float) -> "TimeGrid":
-        """Return this grid with as many more intervals as it takes to last `least_s`."""
+        """Return this grid with more intervals at its end, so that it lasts `least_s` [s]."""
         intervals = math.ceil(least_s / self.step_s - 1e-9)
         return replace(self, intervals=max(self.intervals, intervals))
 
 
 def time_grid(least_s: float, tick_s: float, wanted: int) -> TimeGrid:
-    """Return the grid of about the wanted number of intervals that least exceeds a makespan.
+    """Return a grid of about the wanted number of intervals that exceeds a makespan least.
 
     Args:
-        least_s: makespan, more than zero [s].
+        least_s: makespan that the grid must last, more than zero [s].
         tick_s: one tick of the wire [s].
-        wanted: how many intervals, if there are as many ticks.
+        wanted: number of intervals, if there are as many ticks.
     """
     total = max(_LEAST, math.ceil(least_s / tick_s - 1e-9))
     if total <= wanted:
