@@ -20,8 +20,8 @@ def joint_corridors(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
     """Return how far each joint could turn either way, all other joints as they are sent.
 
     The gap to every neighbour stays what is required while one joint turns inside its
-    corridor. A joint whose gap is smaller than that, of a robot that stood too close before
-    the motion, has a corridor of no width.
+    corridor. Joints of a robot that stands closer to a neighbour than that have corridors of
+    no width.
 
     Args:
         plane: the focal plane.

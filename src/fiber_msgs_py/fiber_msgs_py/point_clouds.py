@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Codes, Mask, Points
+from fiber_core.array_types import Angles, Codes, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome
 
@@ -48,7 +48,7 @@ _OF_OUTCOME = {
 }
 
 
-def view_states(plane: FocalPlane, moving: Mask, outcome: ArrayLike | None = None) -> Codes:
+def view_states(plane: FocalPlane, moving: ArrayLike, outcome: ArrayLike | None = None) -> Codes:
     """Return the ViewState of each robot, shape (n,).
 
     A disabled robot is DISABLED, another that moves is MOVING; the others have the state of

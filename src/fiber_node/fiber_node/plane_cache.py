@@ -109,8 +109,8 @@ class PlaneCache:
 
     def _on_joint_states(self, message: JointState) -> None:
         try:
-            *states, self._states_ns = joint_states.decode(message)
-            self._states = (states[0], states[1], states[2])
+            ids, angles, velocities, self._states_ns = joint_states.decode(message)
+            self._states = (ids, angles, velocities)
         except FiberError as error:
             self._report.refuse(f"joint states refused: {error}")
         self._publish_count()

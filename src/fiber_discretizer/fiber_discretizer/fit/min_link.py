@@ -43,8 +43,8 @@ def min_link_paths(
         fastest: highest speed of each path [rad/s], shape (p,).
 
     Returns:
-        Offsets, shape (p + 1,), times [s] and angles [rad] of the knots, shape (k,). A profile
-        whose corridor cannot be passed at its speed has a path of no knots.
+        Offsets, shape (p + 1,), times [s] and angles [rad] of the knots, shape (k,). Where a
+        corridor cannot be passed at its speed, the path has no knots.
     """
     return _paths(time_s, profiles, low, high, last, fastest, 0)
 
