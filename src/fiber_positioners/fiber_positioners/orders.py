@@ -7,16 +7,27 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from fiber_core.array_types import Codes, Counts, Points
-from fiber_core.assignment import Assignment, assign
+from fiber_core.assignment import assign
 from fiber_core.clearance import Safety
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import first_reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireMotion, WireUnits
-from fiber_discretizer import Discretization, DiscretizeOptions, discretize
-from fiber_planner import DEFAULT_PLANNER, PlannedMotion, Planner, make_planner
+from fiber_discretizer import (
+    Discretization,
+    DiscretizeOptions,
+    DiscretizeStageResult,
+    discretize_trajectory,
+)
+from fiber_planner import (
+    DEFAULT_PLANNER,
+    PlannedMotion,
+    Planner,
+    PlanStageResult,
+    make_planner,
+    plan_assignment,
+)
 
-__all__ = ["Orders", "ProgressCallback", "make_orders", "planner_of"]
+__all__ = ["Orders", "ProgressCallback", "make_orders"]
 
 # Called from time to time with the fraction of the work that is done, 0..1, and a short text.
 ProgressCallback: TypeAlias = Callable[[float, str], None]
@@ -32,9 +43,8 @@ class Orders:
         counts: encoder readings before the plan [quanta], shape (n, 2).
         safety: the margin and the timing errors that the orders were certified for.
         planner: name of the planner.
-        assignment: the targets that were accepted, and the reasons of those refused.
-        planned: the motion of the planner.
-        discretization: the orders in whole wire units, with their certificate.
+        plan_stage: the accepted targets, the motion of the planner, and reasons.
+        discretize_stage: the orders in whole wire units, with their certificate, and reasons.
         seconds: wall time of the stages [s], by "plan_s" and "discretize_s".
         cpu_seconds: processor time of the stages [s], by the same names.
     """
@@ -44,9 +54,8 @@ class Orders:
     counts: Counts
     safety: Safety
     planner: str
-    assignment: Assignment
-    planned: PlannedMotion
-    discretization: Discretization
+    plan_stage: PlanStageResult
+    discretize_stage: DiscretizeStageResult
     seconds: dict[str, float]
     cpu_seconds: dict[str, float]
 
@@ -63,7 +72,17 @@ class Orders:
     @property
     def start_problem(self) -> Problem:
         """The problem that the planner solved: starts on whole quanta, accepted targets only."""
-        return Problem(self.plane, self.units.to_angles(self.counts), self.assignment.targets)
+        return self.plan_stage.problem
+
+    @property
+    def planned(self) -> PlannedMotion:
+        """The motion of the planner."""
+        return self.plan_stage.planned
+
+    @property
+    def discretization(self) -> Discretization:
+        """The result of the discretizer: orders in whole wire units, with their certificate."""
+        return self.discretize_stage.discretization
 
     @property
     def wire(self) -> WireMotion:
@@ -73,18 +92,7 @@ class Orders:
     @property
     def reason(self) -> Codes:
         """Reason of the first stage that held each robot, else OK or NO_TARGET, shape (n,)."""
-        return first_reason(self.assignment.reason, self.planned.reason, self.discretization.reason)
-
-
-def planner_of(planner: str | Planner | None) -> Planner:
-    """Return the planner of a name, the default one for None, or the planner itself.
-
-    Raises:
-        PlannerError: no planner has that name.
-    """
-    if planner is None or isinstance(planner, str):
-        return make_planner(planner or DEFAULT_PLANNER)
-    return planner
+        return self.discretize_stage.reason
 
 
 def make_orders(
@@ -111,24 +119,31 @@ def make_orders(
     Raises:
         FiberError: the planner is unknown, or the problem does not suit it.
     """
-    plane, safety, chosen = problem.plane, safety or Safety(), planner_of(planner)
+    plane, safety = problem.plane, safety or Safety()
+    chosen = make_planner(planner or DEFAULT_PLANNER)
     units = WireUnits.for_plane(plane)
     counts = units.encoder_counts(plane, problem.start)
     start, asked = units.to_angles(counts), problem.asked
     assignment = assign(plane, start, plane.ids[asked], problem.targets[asked])
-    accepted = Problem(plane, start, assignment.targets)
     times = _StageTimes()
     with times.of("plan_s"):
-        planned = chosen.plan(accepted, part_of(progress, 0.0, 0.7, "plan"))
+        progress_of_plan = part_of(progress, 0.0, 0.7, "plan")
+        planned = plan_assignment(start, assignment, chosen, progress_of_plan)
     with times.of("discretize_s"):
-        discretization = discretize(
-            plane, planned.motion, units, safety, counts, options,
-            part_of(progress, 0.7, 1.0, "discretize"),
-        )  # fmt: skip
+        discretized = discretize_trajectory(
+            plane,
+            start,
+            plane.ids,
+            planned.planned.motion,
+            units,
+            safety,
+            options=options,
+            progress=part_of(progress, 0.7, 1.0, "discretize"),
+            earlier=planned.reason,
+        )
     return Orders(
-        problem, units, counts, safety, chosen.name, assignment, planned, discretization,
-        times.wall, times.cpu,
-    )  # fmt: skip
+        problem, units, counts, safety, chosen.name, planned, discretized, times.wall, times.cpu
+    )
 
 
 class _StageTimes:

@@ -171,7 +171,7 @@ def test_orders_carry_the_reasons_of_all_stages():
     orders = make_orders(problem)
     plane, start = orders.plane, orders.start_problem.start
     assigned = assign(plane, start, plane.ids, problem.targets)
-    assert np.array_equal(orders.assignment.targets, assigned.targets)
+    assert np.array_equal(orders.start_problem.targets, assigned.targets)
     assert (orders.reason == Reason.OK).all()
     run = run_on_simulated_buses(orders)
     result = Reconfiguration(orders, run, 0)
