@@ -1,4 +1,4 @@
-"""Planner, discretizer, bus bridge, recorder and viewer of one focal plane, on this machine.
+"""Bridge, planner, discretizer, recorder and viewer of one focal plane, on this machine.
 
 ros2 launch fiber_bringup focal_plane.launch.py preset:=desi robots:=500
 """
@@ -11,120 +11,138 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 
-def generate_launch_description():
+def generate_launch_description() -> LaunchDescription:
+    """Return the launch arguments, the environment and the nodes."""
     config = PathJoinSubstitution([FindPackageShare("fiber_bringup"), "config"])
     parameters = PathJoinSubstitution([config, "focal_plane.yaml"])
-    profile = PathJoinSubstitution([FindPackageShare("fiber_node"), "config", "fastdds.xml"])
     return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "preset",
-                default_value="",
-                description="instrument; none: desi, or the name in the layout",
-            ),
-            DeclareLaunchArgument(
-                "robots",
-                default_value="0",
-                description="number of robots; 0: all of the instrument",
-            ),
-            DeclareLaunchArgument("seed", default_value="0", description="seed of random starts"),
-            DeclareLaunchArgument(
-                "layout",
-                default_value="",
-                description="file with a table of robots; none: a preset",
-            ),
-            DeclareLaunchArgument(
-                "problem",
-                default_value="",
-                description="problem.npz with plane and starts; none: random starts",
-            ),
-            DeclareLaunchArgument(
-                "disabled_file",
-                default_value="",
-                description="file that keeps the list of disabled robots; none: in memory only",
-            ),
-            DeclareLaunchArgument(
-                "planner",
-                default_value="direct",
-                description="name of the planner, such as direct, dnf_priority, dnf",
-            ),
-            DeclareLaunchArgument(
-                "time_scale",
-                default_value="1.0",
-                description="simulated seconds per second; 0: as fast as possible",
-            ),
-            DeclareLaunchArgument(
-                "folder", default_value="recordings", description="folder of the recordings"
-            ),
-            # values of the environment win, as a profile of another machine or another range
-            SetEnvironmentVariable(
-                "ROS_AUTOMATIC_DISCOVERY_RANGE",
-                EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
-            ),
-            SetEnvironmentVariable(
-                "FASTRTPS_DEFAULT_PROFILES_FILE",
-                EnvironmentVariable("FASTRTPS_DEFAULT_PROFILES_FILE", default_value=profile),
-            ),
-            Node(
-                package="fiber_bus_bridge",
-                executable="bridge",
-                name="bridge",
-                output="screen",
-                parameters=[
-                    parameters,
-                    {
-                        "preset": ParameterValue(LaunchConfiguration("preset"), value_type=str),
-                        "robots": ParameterValue(LaunchConfiguration("robots"), value_type=int),
-                        "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
-                        "layout": ParameterValue(LaunchConfiguration("layout"), value_type=str),
-                        "problem": ParameterValue(LaunchConfiguration("problem"), value_type=str),
-                        "time_scale": ParameterValue(
-                            LaunchConfiguration("time_scale"), value_type=float
-                        ),
-                        "disabled_file": ParameterValue(
-                            LaunchConfiguration("disabled_file"), value_type=str
-                        ),
-                    },
-                ],
-            ),
-            Node(
-                package="fiber_planner",
-                executable="planner",
-                name="planner",
-                output="screen",
-                parameters=[
-                    parameters,
-                    {"planner": ParameterValue(LaunchConfiguration("planner"), value_type=str)},
-                ],
-            ),
-            Node(
-                package="fiber_discretizer",
-                executable="discretizer",
-                name="discretizer",
-                output="screen",
-                parameters=[parameters],
-            ),
-            Node(
-                package="fiber_recording",
-                executable="recorder",
-                name="recorder",
-                output="screen",
-                parameters=[
-                    parameters,
-                    {
-                        "folder": ParameterValue(LaunchConfiguration("folder"), value_type=str),
-                        "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
-                        "planner": ParameterValue(LaunchConfiguration("planner"), value_type=str),
-                        "preset": ParameterValue(LaunchConfiguration("preset"), value_type=str),
-                    },
-                ],
-            ),
-            Node(
-                package="fiber_viewer",
-                executable="viewer",
-                name="viewer",
-                output="screen",
-                parameters=[parameters],
-            ),
-        ]
+        [*_arguments(), *_environment(), *_control(parameters), *_observers(parameters)]
     )
+
+
+def _arguments() -> list[DeclareLaunchArgument]:
+    return [
+        DeclareLaunchArgument(
+            "preset",
+            default_value="",
+            description="instrument; none: desi, or the name in the layout",
+        ),
+        DeclareLaunchArgument(
+            "robots", default_value="0", description="number of robots; 0: all of the instrument"
+        ),
+        DeclareLaunchArgument("seed", default_value="0", description="seed of random starts"),
+        DeclareLaunchArgument(
+            "layout", default_value="", description="file with a table of robots; none: a preset"
+        ),
+        DeclareLaunchArgument(
+            "problem",
+            default_value="",
+            description="problem.npz with plane and starts; none: random starts",
+        ),
+        DeclareLaunchArgument(
+            "disabled_file",
+            default_value="",
+            description="file that keeps the list of disabled robots; none: in memory only",
+        ),
+        DeclareLaunchArgument(
+            "planner",
+            default_value="direct",
+            description="name of the planner, such as direct, dnf_priority, dnf",
+        ),
+        DeclareLaunchArgument(
+            "time_scale",
+            default_value="1.0",
+            description="simulated seconds per second; 0: as fast as possible",
+        ),
+        DeclareLaunchArgument(
+            "folder", default_value="recordings", description="folder of the recordings"
+        ),
+    ]
+
+
+def _environment() -> list[SetEnvironmentVariable]:
+    # values of the environment win, as a profile of another machine or another range
+    profile = PathJoinSubstitution([FindPackageShare("fiber_node"), "config", "fastdds.xml"])
+    return [
+        SetEnvironmentVariable(
+            "ROS_AUTOMATIC_DISCOVERY_RANGE",
+            EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
+        ),
+        SetEnvironmentVariable(
+            "FASTRTPS_DEFAULT_PROFILES_FILE",
+            EnvironmentVariable("FASTRTPS_DEFAULT_PROFILES_FILE", default_value=profile),
+        ),
+    ]
+
+
+def _control(parameters: PathJoinSubstitution) -> list[Node]:
+    """Return the nodes that plan and move."""
+    return [
+        Node(
+            package="fiber_bus_bridge",
+            executable="bridge",
+            name="bridge",
+            output="screen",
+            parameters=[
+                parameters,
+                {
+                    "preset": ParameterValue(LaunchConfiguration("preset"), value_type=str),
+                    "robots": ParameterValue(LaunchConfiguration("robots"), value_type=int),
+                    "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
+                    "layout": ParameterValue(LaunchConfiguration("layout"), value_type=str),
+                    "problem": ParameterValue(LaunchConfiguration("problem"), value_type=str),
+                    "time_scale": ParameterValue(
+                        LaunchConfiguration("time_scale"), value_type=float
+                    ),
+                    "disabled_file": ParameterValue(
+                        LaunchConfiguration("disabled_file"), value_type=str
+                    ),
+                },
+            ],
+        ),
+        Node(
+            package="fiber_planner",
+            executable="planner",
+            name="planner",
+            output="screen",
+            parameters=[
+                parameters,
+                {"planner": ParameterValue(LaunchConfiguration("planner"), value_type=str)},
+            ],
+        ),
+        Node(
+            package="fiber_discretizer",
+            executable="discretizer",
+            name="discretizer",
+            output="screen",
+            parameters=[parameters],
+        ),
+    ]
+
+
+def _observers(parameters: PathJoinSubstitution) -> list[Node]:
+    """Return the nodes that only receive and record or show."""
+    return [
+        Node(
+            package="fiber_recording",
+            executable="recorder",
+            name="recorder",
+            output="screen",
+            parameters=[
+                parameters,
+                {
+                    "folder": ParameterValue(LaunchConfiguration("folder"), value_type=str),
+                    "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
+                    "planner": ParameterValue(LaunchConfiguration("planner"), value_type=str),
+                    "preset": ParameterValue(LaunchConfiguration("preset"), value_type=str),
+                },
+            ],
+        ),
+        Node(
+            package="fiber_viewer",
+            executable="viewer",
+            name="viewer",
+            output="screen",
+            parameters=[parameters],
+        ),
+    ]

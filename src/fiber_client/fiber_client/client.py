@@ -1,51 +1,26 @@
-"""A client of the focal-plane graph: it sends targets, follows the plan, and reads the outcome."""
+"""A client of the focal-plane graph: it sends targets, starts the plan, and reads the outcome."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
-import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import ArrayLike
-from rclpy.node import Node
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import PointCloud2
 
 from fiber_client.errors import PlaneError, PlaneRefusal
-from fiber_core.array_types import Angles, Counts, Ids
-from fiber_core.focal_plane import FocalPlane
-from fiber_core.frame_log import FrameLog
+from fiber_client.monitor import PlaneMonitor
 from fiber_core.outcomes import PlanOutcome
-from fiber_core.wire_units import WireUnits
-from fiber_msgs_py import (
-    AttemptTable,
-    MessageError,
-    PlanStamp,
-    Progress,
-    Service,
-    Topic,
-    diagnostics,
-    frames,
-    held,
-    joint_states,
-    layout,
-    outcome,
-    progress,
-    targets,
-    topics,
-)
+from fiber_msgs_py import PlanStamp, Progress, Service, Topic, diagnostics, targets, topics
 from fiber_node import RosClient
 
 __all__ = ["PlaneClient"]
 
 _STAGES = ("planner", "discretizer", "bridge")
 _TARGET_RECEIVERS = ("planner", "discretizer", "bridge")
-_STAMPS_KEPT = 8  # attempts of one plan count as plans of their own
-
-_Entry = TypeVar("_Entry")
 
 
-class PlaneClient:
+class PlaneClient(PlaneMonitor):
     """Talks to the graph through its topics and services only, as an observatory would.
 
     One plan takes four calls: `send_targets`, `wait_until_ready`, `start`, `wait_for_outcome`.
@@ -53,14 +28,8 @@ class PlaneClient:
     waits for, with a PlaneRefusal when a node refuses the plan, or with a WaitError after its
     time-out.
 
-    The newest eight entries of these tables are kept, by stamp:
-
-    - `outcomes`: the outcome of each plan.
-    - `times`: when each stage was done with a plan, by name of the stage [s of the clock];
-      "sent" and "ended" are the times of its targets and its outcome.
-    - `frames`: the frames on the buses of each attempt of a plan, as they were received.
-    - `counts_before`: the encoders before the first frame of each attempt [quanta], shape (n, 2).
-    - `held`: the robots that the stages hold, of each attempt: ids, Reason and Stage.
+    What it receives is there as attributes, such as `plane`, `angles` and `outcomes`: see
+    PlaneMonitor.
 
     Args:
         domain: ROS domain of the graph; by default the domain of the environment.
@@ -81,22 +50,8 @@ class PlaneClient:
         guard: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ):
-        self._on_progress, self._on_status, self._clock = on_progress, on_status, clock
         self._ros = RosClient("plane_client", domain, guard, clock)
-        self.outcomes: dict[PlanStamp, PlanOutcome] = {}
-        self.times: dict[PlanStamp, dict[str, float]] = {}
-        self.frames: dict[PlanStamp, list[FrameLog]] = {}
-        self.counts_before: dict[PlanStamp, Counts] = {}
-        self.held: dict[PlanStamp, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
-        self.moving = False
-        self._layout: tuple[FocalPlane, WireUnits] | None = None
-        self._states: tuple[Ids, Angles] | None = None
-        self._angles_at_rest: Angles | None = None  # when last no robot moved
-        self._attempts = AttemptTable()
-        self._statuses: dict[str, diagnostics.Status] = {}
-        self._refusals: list[PlaneRefusal] = []  # since targets were last sent
-        self._sent: PlanStamp | None = None  # the time of that
-
+        super().__init__(self._ros.node, on_progress, on_status, clock)
         self._targets = topics.TARGETS.publisher(self.node)
         self._services = {
             service: service.client(self.node)
@@ -104,19 +59,6 @@ class PlaneClient:
                 topics.START, topics.STOP, topics.HOME, topics.CLEAR, topics.CONFIGURE
             )
         }  # fmt: skip
-        for topic, callback in (
-            (topics.LAYOUT, self._on_layout),
-            (topics.TARGETS, self._on_targets),
-            (topics.JOINT_STATES, self._on_joint_states),
-            (topics.HELD_BY_PLANNER, self._on_held),
-            (topics.HELD_BY_DISCRETIZER, self._on_held),
-            (topics.FRAMES, self._on_frames),
-            (topics.OUTCOME, self._on_outcome),
-            (topics.PROGRESS, self._on_progress_message),
-            # last: when diagnostics of a node come in, its other topics are connected too
-            (topics.DIAGNOSTICS, self._on_diagnostics),
-        ):
-            topic.subscription(self.node, callback)
 
     def __enter__(self) -> "PlaneClient":
         return self
@@ -162,9 +104,8 @@ class PlaneClient:
     def send_message(self, message: PointCloud2) -> PlanStamp:
         """Send a targets message as it is; return its stamp, which names the plan."""
         stamp = PlanStamp.of(message)
-        self._refusals.clear()
-        self._sent = PlanStamp(self.node.get_clock().now().nanoseconds)
-        _entry(self.times, stamp, dict)["sent"] = self._clock()
+        self._forget_refusals()
+        self._times_of(stamp)["sent"] = self._clock()
         self._targets.publish(message)
         return stamp
 
@@ -179,7 +120,7 @@ class PlaneClient:
             PlaneRefusal: a node refused the plan; gives its reason.
             WaitError: no orders came.
         """
-        times = _entry(self.times, stamp, dict)
+        times = self._times_of(stamp)
 
         def ready() -> bool:
             if self._refusals:
@@ -247,7 +188,7 @@ class PlaneClient:
             PlaneRefusal: the recorder could not write it; gives its reason.
             WaitError: no recording was written.
         """
-        times = _entry(self.times, stamp, dict)
+        times = self._times_of(stamp)
 
         def written() -> bool:
             status = self._statuses.get("recorder")
@@ -256,14 +197,6 @@ class PlaneClient:
             return "recorder" in times
 
         self.wait_for(written, timeout_s, f"recording of plan {stamp}")
-
-    def attempts(self, stamp: PlanStamp) -> list[PlanStamp]:
-        """Return the stamps of all attempts of a plan in their order; the first is the plan's."""
-        return [attempt.stamp for attempt in self._attempts.of_plan(stamp)]
-
-    def last_attempt(self, stamp: PlanStamp) -> PlanStamp:
-        """Return the stamp of the last attempt of a plan with frames, else that of the plan."""
-        return max(set(self.attempts(stamp)) & set(self.frames), default=stamp)
 
     # --- services ------------------------------------------------------------
 
@@ -297,49 +230,7 @@ class PlaneClient:
             raise PlaneRefusal("bridge", answer.message)
         return answer.message
 
-    # --- the plane as it is --------------------------------------------------
-
-    @property
-    def plane(self) -> FocalPlane:
-        """The focal plane; its `enabled` tells which robots can be commanded.
-
-        Raises:
-            PlaneError: no layout received yet; wait for the graph first.
-        """
-        return self._received_layout()[0]
-
-    @property
-    def units(self) -> WireUnits:
-        """Tick and quantum of the hardware.
-
-        Raises:
-            PlaneError: no layout received yet; wait for the graph first.
-        """
-        return self._received_layout()[1]
-
-    @property
-    def angles(self) -> Angles:
-        """Joint angles by the robots' encoders [rad], shape (n, 2).
-
-        Raises:
-            PlaneError: none received yet, or they are of other robots than the layout.
-        """
-        states = self._states_of_layout()
-        if states is None:
-            raise PlaneError("no joint states of this layout received yet: wait for the graph")
-        return states
-
-    @property
-    def statuses(self) -> dict[str, diagnostics.Status]:
-        """The newest diagnostics by name."""
-        return dict(self._statuses)
-
     # --- for anything else ---------------------------------------------------
-
-    @property
-    def node(self) -> Node:
-        """The ROS node of the client, for further topics and services."""
-        return self._ros.node
 
     def collect(self, topic: Topic) -> list[Any]:
         """Subscribe to a topic; return a list that grows by every message received."""
@@ -362,19 +253,6 @@ class PlaneClient:
             WaitError: the condition did not hold in time.
         """
         self._ros.wait_for(condition, timeout_s, what)
-
-    # --- messages ------------------------------------------------------------
-
-    def _received_layout(self) -> tuple[FocalPlane, WireUnits]:
-        if self._layout is None:
-            raise PlaneError("no layout received yet: wait for the graph")
-        return self._layout
-
-    def _states_of_layout(self) -> Angles | None:
-        if self._layout is None or self._states is None:
-            return None
-        ids, angles = self._states
-        return angles if np.array_equal(ids, self._layout[0].ids) else None
 
     def _missing(self, also: Sequence[str]) -> list[str]:
         return list(self._iterate_missing(also))
@@ -404,67 +282,3 @@ class PlaneClient:
         for name in (*_TARGET_RECEIVERS, *also):
             if name not in names:
                 yield f"{name} to subscribe to targets"
-
-    def _has_unannounced_frames(self, plan: PlanStamp) -> bool:
-        # frames can overtake the targets and the progress that tell which plan they belong to
-        return any(each > plan and self._attempts.find(each) is None for each in self.frames)
-
-    def _on_layout(self, message: PointCloud2) -> None:
-        self._layout = layout.decode(message)
-
-    def _on_targets(self, message: PointCloud2) -> None:
-        try:
-            self._attempts.add(targets.decode_attempt(message))
-        except MessageError:
-            pass  # the planner refuses them
-
-    def _on_joint_states(self, message: JointState) -> None:
-        ids, angles, velocities, _ = joint_states.decode(message)
-        self._states, self.moving = (ids, angles), bool(np.any(velocities))
-        if not self.moving:
-            self._angles_at_rest = angles
-
-    def _on_held(self, message: PointCloud2) -> None:
-        _entry(self.held, PlanStamp.of(message), list).append(held.decode(message))
-
-    def _on_frames(self, message: PointCloud2) -> None:
-        stamp, at_rest = PlanStamp.of(message), self._angles_at_rest
-        if stamp not in self.counts_before and at_rest is not None and self._layout is not None:
-            _entry(self.counts_before, stamp, lambda: self.units.to_counts(at_rest))
-        _entry(self.frames, stamp, list).append(frames.decode(message))
-
-    def _on_outcome(self, message: PointCloud2) -> None:
-        stamp = PlanStamp.of(message)
-        _entry(self.outcomes, stamp, lambda: PlanOutcome(stamp.ns, *outcome.decode(message)))
-        _entry(self.times, stamp, dict).setdefault("ended", self._clock())
-
-    def _on_progress_message(self, message: DiagnosticStatus) -> None:
-        received = progress.decode(message)
-        self._attempts.add(received.attempt)
-        if received.fraction == 1.0 or received.stage == "bridge":
-            times = _entry(self.times, received.attempt.plan, dict)
-            times.setdefault(received.stage, self._clock())
-        self._on_progress(received)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        # the report of an earlier refusal may come late, after new targets were sent
-        recent = self._sent is not None and PlanStamp.of(message) >= self._sent
-        for status in diagnostics.decode(message):
-            before = self._statuses.get(status.name)
-            if recent and before is not None and _refused(status) > _refused(before):
-                self._refusals.append(PlaneRefusal(status.name, status.text))
-            self._statuses[status.name] = status
-            self._on_status(status, before)
-
-
-def _entry(table: dict[PlanStamp, _Entry], stamp: PlanStamp, make: Callable[[], _Entry]) -> _Entry:
-    """Return the entry of a stamp, made when there is none; the oldest stamps are forgotten."""
-    if stamp not in table:
-        table[stamp] = make()
-        for old in sorted(table)[:-_STAMPS_KEPT]:
-            del table[old]
-    return table[stamp] if stamp in table else make()
-
-
-def _refused(status: diagnostics.Status) -> int:
-    return sum(int(str(status.values.get(name, 0))) for name in ("refused", "dropped"))

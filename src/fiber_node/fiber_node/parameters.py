@@ -1,18 +1,21 @@
 """The fields of a dataclass as parameters of a node."""
 
-from dataclasses import MISSING, fields
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import MISSING, Field, fields
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
 __all__ = ["declare_parameters"]
 
-_Config = TypeVar("_Config", bound="DataclassInstance")
 _PLAIN = (bool, int, float, str)
+
+
+class _Dataclass(Protocol):
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+_Config = TypeVar("_Config", bound=_Dataclass)
 
 
 def declare_parameters(node: Node, config_class: type[_Config], prefix: str = "") -> _Config:

@@ -1,0 +1,169 @@
+"""PlaneClient alone: a test publishes what the nodes of the graph would."""
+
+import numpy as np
+import pytest
+
+from fiber_client import PlaneClient, PlaneError, PlaneRefusal
+from fiber_core.frame_log import FrameLog
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.presets import preset
+from fiber_core.wire_units import WireUnits
+from fiber_msgs_py import (
+    Attempt,
+    Level,
+    PlanStamp,
+    Progress,
+    Status,
+    diagnostics,
+    frames,
+    joint_states,
+    layout,
+    outcome,
+    progress,
+    targets,
+    topics,
+)
+from fiber_node import RosClient, WaitError
+
+pytestmark = pytest.mark.timeout(120)
+
+WAIT_S = 20.0
+PLANE = preset("desi", 7)
+UNITS = WireUnits.for_plane(PLANE)
+STILL = np.zeros((7, 2))
+PLAN = Attempt.first(PlanStamp(1_000))
+SECOND = PLAN.next(PlanStamp(1_001), since_ns=900)
+OTHER = Attempt.first(PlanStamp(2_000))
+TOPICS = (
+    topics.LAYOUT, topics.JOINT_STATES, topics.TARGETS, topics.FRAMES, topics.OUTCOME,
+    topics.PROGRESS, topics.DIAGNOSTICS,
+)  # fmt: skip
+
+
+class Nodes:
+    """The nodes of the graph, as the client sees them."""
+
+    def __init__(self, ros, client):
+        self.client = client
+        self.publishers = {topic.name: topic.publisher(ros.node) for topic in TOPICS}
+        client.wait_for(
+            lambda: all(p.get_subscription_count() for p in self.publishers.values()), WAIT_S
+        )
+
+    def publish(self, topic, message):
+        self.publishers[topic.name].publish(message)
+
+    def show_plane(self, angles=STILL):
+        self.publish(topics.LAYOUT, layout.encode(PLANE, UNITS, PlanStamp(1)))
+        self.publish(topics.JOINT_STATES, joint_states.encode(PLANE.ids, angles, STILL, 1))
+
+    def send_frames(self, attempt):
+        self.publish(topics.FRAMES, frames.encode(FRAMES, attempt.stamp))
+
+    def announce(self, attempt, fraction=0.5):
+        self.publish(
+            topics.PROGRESS, progress.encode(Progress("bridge", fraction, "moves", attempt))
+        )
+
+    def end(self, attempt):
+        reached = np.full(7, Outcome.REACHED), np.full(7, Reason.OK), np.zeros(7)
+        self.publish(topics.OUTCOME, outcome.encode(PLANE.ids, *reached, attempt.plan))
+
+
+FRAMES = FrameLog(
+    time_s=np.array([0.5]),
+    bus=np.array([0]),
+    address=np.array([9]),
+    ten_bit=np.array([False]),
+    read=np.array([False]),
+    ack=np.array([1]),
+    offsets=np.array([0, 2]),
+    data=np.array([1, 2], dtype=np.uint8),
+)
+
+
+@pytest.fixture
+def nodes(new_domain):
+    domain = new_domain()
+    with RosClient("graph", domain) as ros, PlaneClient(domain) as client:
+        yield Nodes(ros, client)
+
+
+def test_before_a_layout_the_plane_is_an_error_and_not_none(nodes):
+    for name in ("plane", "units", "angles"):
+        with pytest.raises(PlaneError, match="received yet: wait for the graph"):
+            getattr(nodes.client, name)
+    nodes.show_plane()
+    nodes.client.wait_for(lambda: _has_angles(nodes), WAIT_S)
+    assert np.array_equal(nodes.client.plane.ids, PLANE.ids)
+    assert np.array_equal(nodes.client.angles, STILL)
+
+
+def _has_angles(nodes):
+    return nodes.client._states_of_layout() is not None
+
+
+def test_wait_for_graph_names_what_is_missing(nodes):
+    with pytest.raises(WaitError, match="focal_plane/start, .*layout did not come within 0.2 s"):
+        nodes.client.wait_for_graph(0.2)
+
+
+def test_frames_of_a_later_attempt_are_found_though_they_come_before_its_announcement(nodes):
+    client = nodes.client
+    nodes.show_plane()
+    client.wait_for(lambda: _has_angles(nodes), WAIT_S)
+    nodes.publish(topics.TARGETS, targets.encode([1], [[0.0, 0.0]], PLAN.plan))
+    nodes.send_frames(PLAN)
+    nodes.send_frames(SECOND)
+    nodes.end(PLAN)
+    client.wait_for(lambda: SECOND.stamp in client.frames and client.outcomes, WAIT_S)
+    # the plan has an outcome, and frames whose plan is unknown: it has not ended for the client
+    with pytest.raises(WaitError, match=f"outcome of plan {PLAN.plan}"):
+        client.wait_for_outcome(PLAN.plan, 0.3)
+    nodes.publish(topics.TARGETS, targets.encode_attempt([1], [[0.0, 0.0]], SECOND))
+    assert client.wait_for_outcome(PLAN.plan, WAIT_S).count(Outcome.REACHED) == 7
+    assert client.attempts(PLAN.plan) == [PLAN.stamp, SECOND.stamp]
+    assert client.last_attempt(PLAN.plan) == SECOND.stamp
+    assert np.array_equal(client.counts_before[SECOND.stamp], UNITS.to_counts(STILL))
+
+
+def test_a_client_that_joins_late_learns_of_an_attempt_from_progress(nodes):
+    client = nodes.client
+    nodes.send_frames(SECOND)
+    client.wait_for(lambda: SECOND.stamp in client.frames, WAIT_S)
+    nodes.announce(SECOND)
+    nodes.end(PLAN)
+    client.wait_for_outcome(PLAN.plan, WAIT_S)
+    assert client.last_attempt(PLAN.plan) == SECOND.stamp
+    assert "bridge" in client.times[PLAN.plan] and SECOND.stamp not in client.times
+
+
+def test_frames_of_the_next_plan_are_not_taken_for_an_attempt(nodes):
+    client = nodes.client
+    for attempt in (PLAN, OTHER):
+        nodes.send_frames(attempt)
+        nodes.announce(attempt)
+    client.wait_for(lambda: len(client.frames) == 2, WAIT_S)
+    nodes.end(PLAN)
+    client.wait_for_outcome(PLAN.plan, WAIT_S)
+    assert client.attempts(PLAN.plan) == [PLAN.stamp]
+    assert client.last_attempt(PLAN.plan) == PLAN.stamp
+
+
+def test_a_refusal_of_these_targets_ends_the_wait_and_an_earlier_one_does_not(nodes):
+    client = nodes.client
+    now_ns = client.node.get_clock().now().nanoseconds
+
+    def report(refused, time_ns):
+        status = Status("planner", Level.ERROR, "targets refused: robot 9", {"refused": refused})
+        nodes.publish(topics.DIAGNOSTICS, diagnostics.encode([status], time_ns))
+
+    report(1, now_ns)
+    client.wait_for(lambda: "planner" in client.statuses, WAIT_S)
+    plan = client.send_targets([1], [[0.0, 0.0]])
+    report(2, now_ns)  # comes late
+    with pytest.raises(WaitError, match="orders of plan"):
+        client.wait_until_ready(plan, 0.3)
+    report(3, plan.ns + 10**9)
+    with pytest.raises(PlaneRefusal, match="planner: targets refused: robot 9"):
+        client.wait_until_ready(plan, WAIT_S)
