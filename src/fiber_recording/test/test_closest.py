@@ -1,4 +1,4 @@
-"""The nearest two robots came is found, and it is never nearer than what is proven."""
+"""Closest approaches are found, and none is closer than the bound of the certificate."""
 
 import numpy as np
 import pytest
@@ -9,22 +9,22 @@ from fiber_core.presets import preset
 from fiber_recording import closest_approaches
 
 
-def test_every_pair_is_told_once_nearest_first(recording):
+def test_every_pair_is_listed_once_closest_first(recording):
     plane, found = recording.problem.plane, recording.approaches
     assert (np.diff(found.gap_mm) >= 0).all()
     pairs = found.pairs[np.lexsort(found.pairs.T[::-1])]
     np.testing.assert_array_equal(pairs, neighbour_pairs(plane))
 
 
-def test_a_gap_is_that_of_its_moment(recording):
+def test_a_gap_is_that_at_its_time(recording):
     plane, found = recording.problem.plane, recording.approaches
     for at in range(0, len(found.pairs), 7):
         angles = recording.executed(found.time_s[at])
         assert gaps(plane, found.pairs[at : at + 1], angles)[0] == pytest.approx(found.gap_mm[at])
 
 
-def test_the_nearest_is_as_near_as_the_certificate_says():
-    # one robot swings past another that rests
+def test_the_closest_approach_agrees_with_the_certificate():
+    # one robot turns past another robot that rests
     plane = preset("desi", 7)
     start = np.tile([0.0, 2.5], (7, 1))
     start[0] = [0.0, 0.0]
@@ -37,7 +37,7 @@ def test_the_nearest_is_as_near_as_the_certificate_says():
     assert tuple(found.pairs[0]) == certificate.min_pair
 
 
-def test_a_plane_of_one_has_no_pairs():
+def test_a_plane_with_one_robot_has_no_pairs():
     plane = preset("desi", 1)
     found = closest_approaches(plane, SegmentMotion.at_rest(np.zeros((1, 2))), 0.004)
     assert len(found.pairs) == 0

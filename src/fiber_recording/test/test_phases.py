@@ -1,4 +1,4 @@
-"""A motion in phases is that of its orders, with a stop and a rest where there was one."""
+"""The executed motion is that of the orders, with stops and rests between phases."""
 
 from dataclasses import replace
 
@@ -8,18 +8,18 @@ import pytest
 from fiber_core.wire_units import WireMotion
 from fiber_recording import Phase, RecordingError, counts_at, executed_motion
 
-STOP_S, ON_S = 0.3003, 0.455001
+STOP_S, RESUME_S = 0.3003, 0.455001
 
 
-def test_one_leg_is_its_orders_to_the_last_bit(recording):
+def test_one_phase_is_its_orders_to_the_last_bit(recording):
     (phase,) = recording.phases
     motion, orders = executed_motion([phase]), phase.motion.decoded()
     for name in ("start", "offsets", "duration_s", "velocity_rad_s"):
         np.testing.assert_array_equal(getattr(motion, name), getattr(orders, name))
 
 
-def test_it_is_followed_until_the_stop_and_rests_until_it_goes_on(resumed):
-    first, again = resumed.phases
+def test_orders_are_executed_until_the_stop_and_robots_rest_until_they_resume(resumed):
+    first, second = resumed.phases
     motion, orders = resumed.executed, first.motion.decoded()
     by_itself = np.flatnonzero(first.stopped & (first.stop_us < 300_000))
     assert len(by_itself) == 1
@@ -27,18 +27,18 @@ def test_it_is_followed_until_the_stop_and_rests_until_it_goes_on(resumed):
     for t in np.linspace(-0.1, STOP_S - 1e-6, 40):
         np.testing.assert_allclose(motion(t)[others], orders(t)[others], atol=1e-12)
     stands = resumed.units.to_angles(np.where(first.stopped[:, None], first.stop_counts, 0))
-    for t in np.linspace(STOP_S + 2e-4, ON_S - 1e-6, 9):
+    for t in np.linspace(STOP_S + 2e-4, RESUME_S - 1e-6, 9):
         at = motion(t)
         np.testing.assert_allclose(at[first.stopped], stands[first.stopped], atol=1e-12)
         assert not motion.velocity(t)[first.stopped].any()
-    for t in np.linspace(ON_S, 3.0, 40):
-        moved = first.stopped & again.motion.decoded().counts.any(axis=1)
-        on = again.motion.decoded()(t - ON_S)
-        np.testing.assert_allclose(motion(t)[moved], on[moved], atol=1e-12)
+    for t in np.linspace(RESUME_S, 3.0, 40):
+        moved = first.stopped & second.motion.decoded().counts.any(axis=1)
+        exact = second.motion.decoded()(t - RESUME_S)
+        np.testing.assert_allclose(motion(t)[moved], exact[moved], atol=1e-12)
     np.testing.assert_allclose(motion(9.0)[by_itself], stands[by_itself], atol=1e-12)
 
 
-def test_whole_numbers_say_the_same(resumed):
+def test_counts_agree_with_the_motion(resumed):
     motion, rng = resumed.executed, np.random.default_rng(0)
     row = rng.integers(0, motion.n, 400)
     time_us = rng.integers(-100_000, 2_000_000, 400)
@@ -50,12 +50,12 @@ def test_whole_numbers_say_the_same(resumed):
     np.testing.assert_array_equal(ends, resumed.phases[-1].end)
 
 
-def test_going_on_without_a_stop_is_no_pause(recording):
+def test_a_second_phase_without_a_stop_is_not_a_pause(recording):
     motion = recording.motion
     rest = WireMotion(motion.units, motion.end, np.zeros_like(motion.offsets), [], [])
-    again = replace(recording, phases=(Phase.whole(motion), Phase.whole(rest, 9_000_000)))
-    assert again.pauses_s == []
-    np.testing.assert_allclose(again.executed(9.5), recording.executed.end)
+    continued = replace(recording, phases=(Phase.whole(motion), Phase.whole(rest, 9_000_000)))
+    assert continued.pauses_s == []
+    np.testing.assert_allclose(continued.executed(9.5), recording.executed.end)
 
 
 def test_shapes_are_checked(recording):

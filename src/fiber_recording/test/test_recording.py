@@ -1,4 +1,4 @@
-"""A recording is on disk what it was in memory, and what is older still opens."""
+"""A recording is the same after saving and loading, and files of older versions still open."""
 
 import json
 from dataclasses import fields, is_dataclass, replace
@@ -15,7 +15,7 @@ DATA = Path(__file__).parent / "data"
 
 
 def same(one, two, name=""):
-    """Hold every array of two records against each other; returns how many there were."""
+    """Compare every array of two values; return the number of arrays."""
     if one is None or isinstance(one, (dict, str)):
         assert one == two, name
         return 1
@@ -39,7 +39,7 @@ def same(one, two, name=""):
 
 
 @pytest.mark.parametrize("name", ["recording", "resumed"])
-def test_everything_comes_back(request, name):
+def test_a_loaded_recording_equals_the_saved_one(request, name):
     recording, recording_file = (request.getfixturevalue(n) for n in (name, f"{name}_file"))
     assert same(recording, load_recording(recording_file)) > 44
     assert len(recording.phases) == 1 + (name == "resumed")
@@ -50,20 +50,20 @@ def test_everything_comes_back(request, name):
     assert np.abs(read.planned.angles - recording.planned.angles).max() <= 0.5001e-6
 
 
-def test_without_planned_curves_there_are_none(recording, tmp_path):
+def test_planned_and_corridors_are_optional(recording, tmp_path):
     path = tmp_path / "no_curves.npz"
     save_recording(path, replace(recording, planned=None, corridors=None))
     assert load_recording(path).planned is None and load_recording(path).corridors is None
 
 
-def test_a_recording_is_a_problem_too(recording, recording_file):
+def test_a_recording_opens_as_a_problem(recording, recording_file):
     problem = load_problem(recording_file)
     np.testing.assert_array_equal(problem.start, recording.problem.start)
     np.testing.assert_array_equal(problem.plane.phi_vertices, recording.problem.plane.phi_vertices)
     assert problem.plane.name == "desi"
 
 
-def test_the_same_recording_is_the_same_arrays_and_leaves_nothing_else(recording, tmp_path):
+def test_saving_is_repeatable_and_leaves_no_other_file(recording, tmp_path):
     for name in "ab":
         save_recording(tmp_path / f"{name}.npz", recording)
     one, two = (dict(np.load(tmp_path / f"{name}.npz")) for name in "ab")
@@ -71,7 +71,7 @@ def test_the_same_recording_is_the_same_arrays_and_leaves_nothing_else(recording
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.npz"]
 
 
-def test_orders_in_whole_numbers_are_the_motion(recording):
+def test_counts_of_the_orders_agree_with_the_motion(recording):
     motion, rng = recording.executed, np.random.default_rng(0)
     row = rng.integers(0, len(recording.outcome), 400)
     time_us = rng.integers(-100_000, 4_000_000, 400)
@@ -85,8 +85,8 @@ def test_orders_in_whole_numbers_are_the_motion(recording):
 
 def changed(path, tmp_path, **about):
     data = dict(np.load(path))
-    said = json.loads(bytes(data["about"])) | about
-    data["about"] = np.frombuffer(json.dumps(said).encode(), np.uint8)
+    changed_about = json.loads(bytes(data["about"])) | about
+    data["about"] = np.frombuffer(json.dumps(changed_about).encode(), np.uint8)
     np.savez(tmp_path / "changed.npz", **data)
     return tmp_path / "changed.npz"
 
@@ -96,7 +96,7 @@ def test_a_newer_version_is_refused_by_number(recording_file, tmp_path):
         load_recording(changed(recording_file, tmp_path, version=99))
 
 
-def test_what_is_no_recording_is_refused(recording_file, tmp_path):
+def test_a_file_that_is_not_a_recording_is_refused(recording_file, tmp_path):
     np.savez(tmp_path / "other.npz", a=[1])
     (tmp_path / "text.npz").write_text("hello")
     other = changed(recording_file, tmp_path, format="something else")
@@ -106,7 +106,7 @@ def test_what_is_no_recording_is_refused(recording_file, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["ticks", "outcome", "event_kind"])
-def test_a_field_that_is_missing_is_named(recording_file, tmp_path, name):
+def test_a_missing_array_is_named(recording_file, tmp_path, name):
     data = dict(np.load(recording_file))
     del data[name]
     np.savez(tmp_path / "part.npz", **data)
@@ -115,18 +115,18 @@ def test_a_field_that_is_missing_is_named(recording_file, tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "said"),
+    ("field", "value", "message"),
     [
         ("outcome", np.zeros(3, int), "outcome has shape"),
         ("started", np.zeros(2, bool), "started has shape"),
     ],
 )
-def test_what_does_not_fit_the_plane_is_refused(recording, field, value, said):
-    with pytest.raises(RecordingError, match=said):
+def test_an_array_that_does_not_fit_the_plane_is_refused(recording, field, value, message):
+    with pytest.raises(RecordingError, match=message):
         replace(recording, **{field: value})
 
 
-def test_a_robot_that_is_not_there_is_named(recording):
+def test_an_unknown_robot_is_named(recording):
     with pytest.raises(RecordingError, match=r"\[999\]"):
         recording.rows_of([1, 999])
 
@@ -135,14 +135,14 @@ def test_a_robot_that_is_not_there_is_named(recording):
 def test_recordings_of_older_versions_still_open(path):
     read = load_recording(path)
     assert isinstance(read, Recording)
-    # written down when the file was made
-    told = json.loads((DATA / f"{path.stem}.json").read_text())
+    # values that were recorded with the file
+    expected = json.loads((DATA / f"{path.stem}.json").read_text())
     plane = read.problem.plane
-    assert plane.n == told["robots"] and plane.name == told["plane"]
-    assert read.executed.makespan_s == pytest.approx(told["makespan_s"])
-    assert read.measured.counts.sum() == told["sum_of_counts"]
-    assert read.outcome.tolist() == told["outcome"]
-    assert read.about["seed"] == told["seed"]
+    assert plane.n == expected["robots"] and plane.name == expected["plane"]
+    assert read.executed.makespan_s == pytest.approx(expected["makespan_s"])
+    assert read.measured.counts.sum() == expected["sum_of_counts"]
+    assert read.outcome.tolist() == expected["outcome"]
+    assert read.about["seed"] == expected["seed"]
 
 
 def test_there_is_a_recording_of_every_version():

@@ -1,4 +1,4 @@
-"""The figures show the numbers they are given: assertions on data and artists."""
+"""The figures show the numbers of the recording: assertions on data and artists."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def _stairs(axes, label):
     return next(p for p in axes.patches if p.get_label() == label).get_data()
 
 
-def test_arms_are_drawn_where_the_kinematics_puts_them():
+def test_arms_are_drawn_in_the_places_of_the_kinematics():
     problem, motion, outcome = _case()
     before, after = figures.before_and_after(problem, motion, outcome).axes
     for axes, angles in ((before, motion.start), (after, motion.end)):
@@ -51,7 +51,7 @@ def test_arms_are_drawn_where_the_kinematics_puts_them():
         np.testing.assert_allclose(drawn, np.stack([elbow, tip], axis=1))
 
 
-def test_colours_tell_reached_from_held_and_idle():
+def test_reached_held_and_no_target_have_different_colours():
     problem, motion, outcome = _case()
     _, after = figures.before_and_after(problem, motion, outcome).axes
     colors = _phi_arms(after).get_colors()
@@ -60,7 +60,7 @@ def test_colours_tell_reached_from_held_and_idle():
     assert labels == {"reached (1)", "held (1)", "no target (5)"}
 
 
-def test_command_draws_from_the_exchange_files(tmp_path):
+def test_the_command_snapshot_draws_from_the_exchange_files(tmp_path):
     problem, motion, outcome = _case()
     save_problem(tmp_path / "problem.npz", problem)
     save_plan(tmp_path / "plan.npz", motion, outcome, np.full(7, Reason.OK))
@@ -71,7 +71,7 @@ def test_command_draws_from_the_exchange_files(tmp_path):
 
 
 @pytest.mark.parametrize("t", [0.0, 0.37, np.inf])
-def test_the_plane_is_drawn_at_its_time(recording, t):
+def test_the_plane_is_drawn_at_the_given_time(recording, t):
     (axes,) = figures.plane(recording, t).axes
     motion = recording.executed
     elbow, tip = kinematics.forward(recording.problem.plane, motion(min(t, motion.makespan_s)))
@@ -80,7 +80,7 @@ def test_the_plane_is_drawn_at_its_time(recording, t):
     assert f"{min(t, motion.makespan_s):.2f} s" in axes.get_title()
 
 
-def test_the_outcome_map_puts_every_robot_under_its_name(recording):
+def test_the_outcome_map_has_every_robot_under_its_outcome(recording):
     (axes,) = figures.outcomes(recording).axes
     found = {c.get_label().split(" (")[0]: c.get_offsets() for c in axes.collections}
     assert {name: len(points) for name, points in found.items()} == {
@@ -89,7 +89,7 @@ def test_the_outcome_map_puts_every_robot_under_its_name(recording):
     np.testing.assert_allclose(found["failed"][0], recording.problem.plane.centers[11])
 
 
-def test_a_conflict_is_six_moments_with_the_nearest_among_them(recording):
+def test_a_conflict_is_six_moments_with_the_closest_approach_among_them(recording):
     rows = figures.conflict_rows(recording)
     near = recording.approaches
     assert set(near.pairs[0]) <= set(rows) and 2 <= len(rows) <= 3
@@ -108,7 +108,7 @@ def test_a_conflict_is_six_moments_with_the_nearest_among_them(recording):
     assert min(abs(t - near.time_s[0]) for t in times) < 1e-3
 
 
-def test_an_outline_is_drawn_as_wide_as_it_is(recording):
+def test_an_outline_has_its_width_and_length(recording):
     rows = figures.conflict_rows(recording)
     axes = figures.conflict(recording, rows).axes[0]
     plane, t = recording.problem.plane, float(axes.get_title().split()[0])
@@ -126,7 +126,7 @@ def test_an_outline_is_drawn_as_wide_as_it_is(recording):
         assert longest == pytest.approx(reach, rel=0.02)
 
 
-def test_velocities_are_steps_of_the_segments_and_slopes_of_the_plan(recording):
+def test_velocities_are_those_of_the_segments_and_of_the_trajectory(recording):
     rows = [0, 6]
     panels = np.reshape(figures.velocities(recording, rows).axes, (2, 2))
     motion, planned = recording.executed, recording.planned
@@ -146,7 +146,7 @@ def test_velocities_are_steps_of_the_segments_and_slopes_of_the_plan(recording):
 
 
 @pytest.mark.parametrize("name", ["recording", "resumed"])
-def test_positions_are_curve_band_segments_and_readings(request, name):
+def test_positions_show_trajectory_corridor_segments_and_readings(request, name):
     recording = request.getfixturevalue(name)
     row = int(recording.order_segments[0].sum(axis=1).argmax())
     planned, corridors, phase = recording.planned, recording.corridors, recording.phases[0]
@@ -172,12 +172,12 @@ def test_positions_are_curve_band_segments_and_readings(request, name):
                 np.testing.assert_allclose([drawn.min(), drawn.max()], walls)
 
 
-def test_without_a_margin_there_is_no_band(recording):
+def test_without_corridors_there_is_no_band(recording):
     axes = figures.positions(replace(recording, corridors=None), [6]).axes[0]
     assert not axes.collections
 
 
-def test_the_time_in_which_all_were_stopped_is_shaded(resumed):
+def test_the_time_in_which_all_robots_were_stopped_is_shaded(resumed):
     (pause,) = resumed.pauses_s
     assert pause == pytest.approx((0.3003, 0.455001))
     for figure in (figures.velocities(resumed, [6]), figures.positions(resumed, [6])):
@@ -195,7 +195,7 @@ def test_every_pair_is_in_the_histogram_of_clearances(recording):
     assert _line(axes, "margin 0.05 mm").get_xdata()[0] == 0.05
 
 
-def test_robots_moving_go_down_to_none_at_the_makespan(recording):
+def test_the_number_of_moving_robots_is_0_from_the_makespan_on(recording):
     (axes,) = figures.makespan(recording).axes
     (steps,) = axes.patches
     values, edges, _ = steps.get_data()
@@ -207,7 +207,7 @@ def test_robots_moving_go_down_to_none_at_the_makespan(recording):
     assert _line(axes, "lower bound").get_xdata()[0] == recording.about["report"]["lower_bound_s"]
 
 
-def test_nobody_moves_while_all_are_stopped(resumed):
+def test_no_robot_moves_while_all_are_stopped(resumed):
     (axes,) = figures.makespan(resumed).axes
     values, edges, _ = next(p for p in axes.patches if hasattr(p, "get_data")).get_data()
     again = resumed.phases[1].motion.decoded().counts.any(axis=1).sum()
@@ -234,7 +234,7 @@ def test_every_byte_is_in_the_figure_of_the_buses(recording):
     assert _line(axes, "fault").get_xdata().tolist() == [0.3, 0.4]
 
 
-def test_the_command_draws_what_it_is_asked(recording_file, tmp_path, capsys):
+def test_the_command_draws_the_named_figures(recording_file, tmp_path, capsys):
     out = tmp_path / "figures"
     names = ["conflict", "segments"]
     assert command.main([str(recording_file), "-o", str(out), "--only", ",".join(names)]) == 0

@@ -1,4 +1,4 @@
-"""The live view shows arms where they are, and costs nothing when nobody looks."""
+"""The live view shows arms in their places, and costs nothing without a subscriber."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def test_points_run_along_both_arms_in_metres(plane, angles):
     np.testing.assert_array_equal(rows["state"].reshape(2, N, POINTS)[1, :, 3], states)
 
 
-def test_states_tell_moving_before_outcome_and_disabled_before_all(plane):
+def test_a_disabled_robot_has_that_state_and_a_moving_robot_has_no_outcome(plane):
     moving = np.zeros(N, dtype=bool)
     moving[[1, 4]] = True
     ended = np.full(N, Outcome.REACHED)
@@ -58,7 +58,7 @@ def test_states_tell_moving_before_outcome_and_disabled_before_all(plane):
     assert (np.delete(view_states(plane, moving), [1, 4]) == ViewState.RESTING).all()
 
 
-def test_an_outline_is_as_far_out_as_the_core_says(plane, angles):
+def test_an_outline_has_the_radius_of_the_core(plane, angles):
     for row in (0, 7):
         phi, theta = outlines(plane, row, angles)
         elbow = kinematics.forward(plane, angles)[0][row]
@@ -69,7 +69,7 @@ def test_an_outline_is_as_far_out_as_the_core_says(plane, angles):
 
 
 class Scene:
-    """A viewer, and everything it listens to said by a peer."""
+    """A viewer, and a client that publishes all topics the viewer subscribes to."""
 
     def __init__(self, peer, plane):
         self.peer, self.plane = peer, plane
@@ -79,15 +79,17 @@ class Scene:
             for topic in (topics.LAYOUT, topics.JOINT_STATES, topics.TARGETS, topics.OUTCOME)
         }
         units = WireUnits.for_plane(plane)
-        heard = self.publishers[topics.TARGETS.name].get_subscription_count
-        peer.wait_for(lambda: heard() == 1, WAIT_S, "the viewer")
-        self.say(topics.LAYOUT, layout.encode(plane, units, PlanStamp(1)))
+        subscribers = self.publishers[topics.TARGETS.name].get_subscription_count
+        peer.wait_for(lambda: subscribers() == 1, WAIT_S, "the viewer")
+        self.publish(topics.LAYOUT, layout.encode(plane, units, PlanStamp(1)))
 
-    def say(self, topic, message):
+    def publish(self, topic, message):
         self.publishers[topic.name].publish(message)
 
     def move(self, angles, speeds, time_ns):
-        self.say(topics.JOINT_STATES, joint_states.encode(self.plane.ids, angles, speeds, time_ns))
+        self.publish(
+            topics.JOINT_STATES, joint_states.encode(self.plane.ids, angles, speeds, time_ns)
+        )
 
     @property
     def pictures(self):
@@ -101,14 +103,14 @@ def scene(plane, new_domain):
 
 
 def spun(peer, slices):
-    """Serve callbacks for a number of turns, each of them answered by a timer of the viewer."""
-    turns = []
-    timer = peer.node.create_timer(0.05, lambda: turns.append(1))
-    peer.wait_for(lambda: len(turns) >= slices, WAIT_S)
+    """Run callbacks for a number of periods of the viewer's timer."""
+    periods = []
+    timer = peer.node.create_timer(0.05, lambda: periods.append(1))
+    peer.wait_for(lambda: len(periods) >= slices, WAIT_S)
     peer.node.destroy_timer(timer)
 
 
-def test_unwatched_it_does_not_even_listen(scene, plane, angles):
+def test_without_subscribers_it_does_not_subscribe_to_joint_states(scene, plane, angles):
     peer = scene.peer
     peer.wait_for(lambda: scene.viewer._plane is not None, WAIT_S)
     scene.move(angles, np.ones((N, 2)), 1)
@@ -117,7 +119,7 @@ def test_unwatched_it_does_not_even_listen(scene, plane, angles):
     assert scene.publishers[topics.JOINT_STATES.name].get_subscription_count() == 0
 
 
-def test_watched_it_shows_arms_until_nobody_moves(scene, plane, angles):
+def test_with_a_subscriber_it_shows_arms_until_no_robot_moves(scene, plane, angles):
     peer, speeds = scene.peer, np.full((N, 2), 0.5)
     seen = []
     listening = topics.VIEW_ARMS.subscription(peer.node, seen.append)
@@ -127,7 +129,7 @@ def test_watched_it_shows_arms_until_nobody_moves(scene, plane, angles):
     for message in seen:
         rows = np.frombuffer(message.data, arms_cloud(plane, angles, np.zeros(N, int)).dtype)
         tips = points(rows).reshape(2, N, POINTS, 2)[1, :, -1] * 1e3
-        reach = 0.5 * 0.15 * (2 * plane.arms[:, 1] + plane.arms[:, 0])  # while unheard of
+        reach = 0.5 * 0.15 * (2 * plane.arms[:, 1] + plane.arms[:, 0])  # extrapolated
         exact = kinematics.forward(plane, angles)[1]
         assert (np.linalg.norm(tips - exact, axis=1) <= reach + 1e-3).all()
     assert rows["state"].reshape(2, N, POINTS)[0, :, 0].tolist().count(ViewState.MOVING) == N - 1
@@ -142,30 +144,30 @@ def test_watched_it_shows_arms_until_nobody_moves(scene, plane, angles):
     spun(peer, 4)
     count = scene.pictures
     spun(peer, 8)
-    assert scene.pictures == count, "nothing moves, and pictures go on"
+    assert scene.pictures == count, "no robot moves, and pictures are still published"
     ended = np.full(N, Outcome.FAILED)
     errors = np.zeros(N)
-    scene.say(topics.OUTCOME, outcome.encode(plane.ids, ended, ended * 0, errors, PlanStamp(3)))
+    scene.publish(topics.OUTCOME, outcome.encode(plane.ids, ended, ended * 0, errors, PlanStamp(3)))
     peer.wait_for(lambda: scene.pictures > count, WAIT_S, "a picture of the outcome")
     peer.node.destroy_subscription(listening)
-    joint_states_heard = scene.publishers[topics.JOINT_STATES.name].get_subscription_count
-    peer.wait_for(lambda: joint_states_heard() == 0, WAIT_S, "the viewer to stop listening")
+    joint_states_subscribers = scene.publishers[topics.JOINT_STATES.name].get_subscription_count
+    peer.wait_for(lambda: joint_states_subscribers() == 0, WAIT_S, "the viewer to stop listening")
 
 
 def watched(message):
-    """Robots whose outlines are left after a message; those before it must have been deleted."""
+    """Return the robots with outlines in a message, which must delete all earlier outlines."""
     assert message.markers[0].action == Marker.DELETEALL
     assert {marker.header.frame_id for marker in message.markers} == {FRAME_ID}
     return {marker.ns for marker in message.markers[1:]}
 
 
-def test_at_rest_it_answers_whoever_comes_and_asks(scene, plane, angles):
+def test_at_rest_it_publishes_for_a_new_subscriber_and_a_new_robot(scene, plane, angles):
     peer, seen = scene.peer, scene.peer.collect(topics.VIEW_ARMS)
     scene.move(angles, 0 * angles, 1)
     peer.wait_for(lambda: seen, WAIT_S, "arms at rest")
     spun(peer, 8)
     outlined = peer.collect(WATCHED)
-    peer.wait_for(lambda: outlined, WAIT_S, "outlines for one who came later")
+    peer.wait_for(lambda: outlined, WAIT_S, "outlines for a later subscriber")
     other = [int(plane.ids[7])]
     scene.viewer.set_parameters([Parameter("watch", value=other)])
     peer.wait_for(
@@ -182,7 +184,7 @@ def test_only_watched_robots_have_outlines(scene, plane, angles):
     line = np.array([[p.x, p.y] for p in seen[-1].markers[1].points])
     np.testing.assert_allclose(line * 1e3, outlines(plane, 3, angles)[0], atol=1e-9)
     xy_mm = np.array([[1.0, 2.0], [3.0, 4.0]])
-    scene.say(topics.TARGETS, targets.encode(plane.ids[:2], xy_mm, PlanStamp(5)))
+    scene.publish(topics.TARGETS, targets.encode(plane.ids[:2], xy_mm, PlanStamp(5)))
     peer.wait_for(lambda: asked, WAIT_S)
     rows = np.frombuffer(asked[-1].data, plane_cloud(plane).dtype)
     np.testing.assert_allclose(points(rows) * 1e3, xy_mm, atol=1e-4)

@@ -1,4 +1,4 @@
-"""The page opened from disk in a real browser, and used as a person would use it."""
+"""The page, opened from disk in a browser, and used with mouse and keys."""
 
 import io
 import json
@@ -39,7 +39,7 @@ def browser(tmp_path_factory):
     for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    # the libraries of ROS wheels are not for other programs
+    # without the libraries of the ROS wheels
     clean = {name: value for name, value in os.environ.items() if not name.startswith("LD_")}
     driver = webdriver.Chrome(options, webdriver.ChromeService(DRIVER, env=clean))
     size(driver, 1440, 1000)
@@ -61,7 +61,7 @@ def page(recording_file, tmp_path_factory):
 
 @pytest.fixture
 def opened(browser, page):
-    """The page, freshly opened at its address, and drawn."""
+    """A browser with the page, newly opened and drawn."""
     size(browser, 1440, 1000)
     open_at(browser, page, "")
     return browser
@@ -80,7 +80,7 @@ def until(browser, condition):
 
 
 def drawn(browser):
-    """Wait until everything asked for is on the canvases."""
+    """Wait until all requested frames are on the canvases."""
     browser.execute_async_script(
         "const done = arguments[0];"
         "requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done)));"
@@ -88,7 +88,7 @@ def drawn(browser):
 
 
 def picture(browser, canvas) -> np.ndarray:
-    """What a canvas shows, shape (height, width, 4), 0..1."""
+    """Return the picture on a canvas, shape (height, width, 4), 0..1."""
     drawn(browser)
     png = browser.find_element(By.ID, canvas).screenshot_as_png
     return matplotlib.image.imread(io.BytesIO(png))
@@ -106,25 +106,25 @@ def time_of(browser) -> float:
     return browser.execute_script("return player.t")
 
 
-def test_it_opens_from_disk_without_a_word_and_asks_nobody(browser, page):
+def test_it_opens_from_disk_without_a_log_entry_or_a_request(browser, page):
     for kind in ("browser", "performance"):
         browser.get_log(kind)
     open_at(browser, page, "")
-    said = [entry for entry in browser.get_log("browser") if entry["level"] != "INFO"]
-    assert not said
-    asked = []
+    logged = [entry for entry in browser.get_log("browser") if entry["level"] != "INFO"]
+    assert not logged
+    requested = []
     for entry in browser.get_log("performance"):
         message = json.loads(entry["message"])["message"]
         if message["method"] == "Network.requestWillBeSent":
-            asked.append(message["params"]["request"]["url"])
-    outside = [url for url in asked if not url.startswith(("data:", "about:", "blob:"))]
+            requested.append(message["params"]["request"]["url"])
+    outside = [url for url in requested if not url.startswith(("data:", "about:", "blob:"))]
     assert set(outside) == {page.as_uri()}
     heading = browser.find_element(By.ID, "title").text
     assert heading == "desi: 33 of 36 robots reached their targets; 2 held, 1 failed."
 
 
 def distance(points, a, b) -> np.ndarray:
-    """Distance of points, shape (..., 2), from the nearest of the segments a to b, (k, 2)."""
+    """Return the distance of points, shape (..., 2), from the nearest line a to b, shape (k, 2)."""
     least = np.full(points.shape[:-1], np.inf)
     for begin, end in zip(a, b):
         along = end - begin
@@ -135,7 +135,7 @@ def distance(points, a, b) -> np.ndarray:
 
 
 @pytest.mark.parametrize("t", [0.0, 0.31, 0.9])
-def test_every_pixel_of_an_arm_is_where_python_says(opened, recording, t):
+def test_every_pixel_of_an_arm_is_inside_its_outline(opened, recording, t):
     plane, scale = recording.problem.plane, 25.0
     elbow, tip = kinematics.forward(plane, recording.executed(t))
     view = 0.5 * (elbow + tip)[8]
@@ -156,7 +156,7 @@ def test_every_pixel_of_an_arm_is_where_python_says(opened, recording, t):
     seen = seen[::3, ::3]
     xy = view + np.stack([x - width / 2, height / 2 - y], axis=-1) / scale
     empty = np.abs(seen - color(opened, "card")).max(axis=-1) < 0.02
-    free = (x < width - 50) & (y < height - 30)  # of buttons and the hint over the canvas
+    free = (x < width - 50) & (y < height - 30)  # of the buttons and the hint over the canvas
     # thin lines along both arms, fibres, centres with their marks, and targets
     spine = np.minimum(distance(xy, elbow, tip), distance(xy, plane.centers, elbow))
     targets = recording.problem.targets[recording.problem.asked]
@@ -195,7 +195,7 @@ def test_a_click_on_a_robot_shows_its_curves(opened, recording):
     until(opened, f"return location.hash.includes('robots={robot}')")
 
 
-def test_scrubbing_changes_the_picture_and_the_address(opened):
+def test_dragging_the_timeline_changes_the_picture_and_the_address(opened):
     opened.execute_script("player.seek(0)")
     before = picture(opened, "plane")
     timeline = opened.find_element(By.ID, "timeline")
@@ -220,12 +220,17 @@ def test_a_fault_is_two_clicks_away(opened, recording):
     assert opened.find_element(By.ID, "watched").text == str(robot)
 
 
-def test_a_stop_of_all_and_going_on_are_two_clicks_away(browser, resumed, resumed_file, tmp_path):
+def test_a_stop_of_all_robots_and_resumed_motion_are_two_clicks_away(
+    browser, resumed, resumed_file, tmp_path
+):
     write_player(tmp_path / "player.html", resumed_file)
     open_at(browser, tmp_path / "player.html", "#theme=light")
     browser.find_element(By.CSS_SELECTOR, "[data-tab=faults]").click()
     (pause,) = resumed.pauses_s
-    for words, time_s, shown in (("all are stopped", pause[0], True), ("go on", pause[1], False)):
+    for words, time_s, shown in (
+        ("all robots stopped", pause[0], True),
+        ("resumed", pause[1], False),
+    ):
         entries = browser.find_elements(By.CSS_SELECTOR, "#list button")
         (entry,) = (e for e in entries if words in e.text)
         entry.click()
@@ -248,7 +253,7 @@ def test_the_closest_approach_is_one_click_away(opened, recording):
     assert f"{near.gap_mm[0]:.3f} mm" in opened.find_element(By.ID, "snapshots-note").text
 
 
-def test_an_approach_of_the_list_is_the_one_shown(opened, recording):
+def test_a_click_on_an_approach_shows_it(opened, recording):
     opened.find_elements(By.CSS_SELECTOR, "#list button")[4].click()
     near, ids = recording.approaches, recording.problem.plane.ids
     one, other = ids[near.pairs[4]]
@@ -300,7 +305,7 @@ def test_number_keys_show_a_panel_alone(opened):
     assert not opened.find_elements(By.CSS_SELECTOR, ".alone")
 
 
-def test_an_address_brings_back_what_was_seen(browser, page, recording):
+def test_an_address_shows_the_same_view_again(browser, page, recording):
     ids = recording.problem.plane.ids[[7, 9]]
     open_at(browser, page, f"#t=0.7000&robots={ids[0]},{ids[1]}&panel=5")
     assert time_of(browser) == pytest.approx(0.7)
@@ -309,11 +314,11 @@ def test_an_address_brings_back_what_was_seen(browser, page, recording):
     assert browser.find_element(By.CSS_SELECTOR, ".alone").get_attribute("data-panel") == "5"
 
 
-def test_light_and_dark_differ_and_states_do_not_look_alike(opened):
+def test_light_and_dark_differ_and_states_have_different_colours(opened):
     body = opened.find_element(By.TAG_NAME, "body")
     for _ in range(2):
         states = [color(opened, n) for n in ("moving", "reached", "held", "failed", "card")]
-        # also for who sees no colour: luminances, and they are marked as well
+        # held and failed robots have marks, too, so that colour is not needed
         apart = [np.linalg.norm(a - b) for i, a in enumerate(states) for b in states[:i]]
         assert min(apart) > 0.2
         body.send_keys("d")
@@ -336,11 +341,11 @@ def test_a_phone_shows_everything_in_one_column(browser, page):
     assert np.ptp(picture(browser, "plane")[..., :3]) > 0.4
 
 
-def test_what_is_no_recording_is_said(browser, page, tmp_path):
+def test_a_page_without_a_recording_shows_an_error(browser, page, tmp_path):
     broken = tmp_path / "broken.html"
     text = page.read_text()
     begin = text.index('id="recording">') + len('id="recording">')
     broken.write_text(text[:begin] + "AAAA" + text[text.index("</script>", begin) :])
     browser.get(broken.as_uri())
     until(browser, "return !document.getElementById('problem').hidden")
-    assert "no recording" in browser.find_element(By.ID, "problem").text
+    assert "not a recording" in browser.find_element(By.ID, "problem").text

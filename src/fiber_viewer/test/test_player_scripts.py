@@ -1,4 +1,4 @@
-"""The page's own arithmetic, run by Node, against the cores, on robots and times at random."""
+"""The scripts of the page, run by Node, agree with Python at random robots and times."""
 
 import json
 import re
@@ -27,9 +27,9 @@ OUTLINES = Path(__file__).parents[2] / "fiber_recording/test/data/recording-1.np
 
 @pytest.fixture
 def node(tmp_path):
-    """Runs a script that has `recording` and `asked`, and returns what it puts in `answer`."""
+    """Run a script with `recording` and `asked`, and return the value of its `answer`."""
     if shutil.which("node") is None:
-        pytest.skip("NOT TESTED: the page's arithmetic, because node is not installed")
+        pytest.skip("NOT TESTED: the scripts of the page, because node is not installed")
 
     def run(recording_file, body, **asked):
         (tmp_path / "asked.json").write_text(json.dumps(asked))
@@ -60,21 +60,21 @@ def node(tmp_path):
 
 
 def drawn_times(recording, rng):
-    """Times before, in and after the motion, and every instant at which a segment ends."""
+    """Times before, during and after the motion, and the end of every segment."""
     motion = recording.executed
     ends = [motion.duration_s[a:b].sum() for a, b in zip(motion.offsets[:-1], motion.offsets[1:])]
-    # sums of stops and of rests have a last digit of their own
+    # with stops and rests, sums differ in the last digit
     ends = np.array(ends) + (1e-9 if len(recording.phases) > 1 else 0.0)
     return np.concatenate([rng.uniform(-0.2, 1.1 * motion.makespan_s, DRAWS), ends, [0.0]])
 
 
 @pytest.mark.parametrize("name", ["recording", "resumed"])
-def test_angles_speeds_and_segments_are_those_of_the_motion(node, request, name):
+def test_angles_velocities_and_segments_are_those_of_the_motion(node, request, name):
     recording, recording_file = (request.getfixturevalue(n) for n in (name, f"{name}_file"))
     rng = np.random.default_rng(3)
     times = drawn_times(recording, rng)
     profiles = rng.integers(0, 2 * recording.executed.n, len(times))
-    told = node(
+    answer = node(
         recording_file,
         """
         const { motion } = recording, { angleAt, segmentAt, velocityAt } = kinematics;
@@ -85,7 +85,7 @@ def test_angles_speeds_and_segments_are_those_of_the_motion(node, request, name)
         profiles=profiles.tolist(),
     )
     motion = recording.executed
-    angle, speed, segment = np.array(told).T
+    angle, speed, segment = np.array(answer).T
     np.testing.assert_allclose(
         angle, [motion(t).ravel()[p] for t, p in zip(times, profiles)], rtol=0, atol=1e-9
     )
@@ -103,7 +103,7 @@ def test_angles_speeds_and_segments_are_those_of_the_motion(node, request, name)
 
 
 @pytest.mark.parametrize("file", ["capsules", "outlines"])
-def test_elbows_tips_and_outlines_are_where_the_kinematics_puts_them(node, recording_file, file):
+def test_elbows_tips_and_outlines_agree_with_the_kinematics(node, recording_file, file):
     path = recording_file if file == "capsules" else OUTLINES
     plane = load_recording(path).problem.plane
     rng = np.random.default_rng(4)
@@ -145,7 +145,7 @@ def test_gaps_are_those_of_the_core(node, recording_file, file):
     pairs = neighbour_pairs(plane)
     rng = np.random.default_rng(5)
     poses = rng.uniform(-4, 4, (12, plane.n, 2))
-    told = node(
+    answer = node(
         path,
         """
         const { plane } = recording;
@@ -160,7 +160,7 @@ def test_gaps_are_those_of_the_core(node, recording_file, file):
         pairs=pairs.tolist(),
         poses=poses.tolist(),
     )
-    gap, drawn = np.array(told).T
+    gap, drawn = np.array(answer).T
     exact = np.maximum(np.concatenate([gaps(plane, pairs, angles) for angles in poses]), 0.0)
     assert (exact == 0).any() and (exact > 0).any()
     np.testing.assert_allclose(gap, exact, atol=1e-7)
@@ -168,8 +168,8 @@ def test_gaps_are_those_of_the_core(node, recording_file, file):
     np.testing.assert_allclose(drawn[apart], exact[apart], atol=1e-7)  # the line drawn is the gap
 
 
-def test_the_page_reads_what_python_wrote(node, recording, recording_file):
-    told = node(
+def test_the_page_reads_all_that_python_wrote(node, recording, recording_file):
+    answer = node(
         recording_file,
         """
         const { planned, plane, motion, pairs, events, load } = recording;
@@ -190,41 +190,41 @@ def test_the_page_reads_what_python_wrote(node, recording, recording_file):
         failed=11,
     )
     plane, quantum = recording.problem.plane, recording.units.quantum_rad
-    assert told["ids"] == plane.ids.tolist()
-    assert told["makespan"] == pytest.approx(recording.executed.makespan_s)
+    assert answer["ids"] == plane.ids.tolist()
+    assert answer["makespan"] == pytest.approx(recording.executed.makespan_s)
     np.testing.assert_allclose(
-        np.reshape(told["planned"], recording.planned.angles.shape),
+        np.reshape(answer["planned"], recording.planned.angles.shape),
         recording.planned.angles,
         atol=0.51e-6,
     )
     for row in range(plane.n):
         chosen = recording.measured.row == row
         for joint in (0, 1):
-            time_s, angle = np.reshape(told["readings"][row][joint], (-1, 2)).T
+            time_s, angle = np.reshape(answer["readings"][row][joint], (-1, 2)).T
             np.testing.assert_allclose(time_s, recording.measured.time_us[chosen] * 1e-6)
             counts = recording.measured.counts[chosen, joint]
             exact = recording.units.to_angles(counts)
             # whole numbers are floored once in each of up to five segments
             assert np.abs(np.deg2rad(angle) - exact).max(initial=0) < 6 * quantum
     moving, reached, held, failed, idle, disabled, stopped = range(7)
-    states = dict(enumerate(told["late"]))
+    states = dict(enumerate(answer["late"]))
     assert (states[5], states[11], states[3], states[20]) == (held, failed, idle, disabled)
     assert Counter(states.values())[reached] == plane.n - 4
-    assert told["nearest"][:2] == recording.approaches.pairs[0].tolist()
-    assert told["kinds"] == ["go", "no_address", "fault"]
-    assert told["texts"] == ["go", "no address", "fault memory"]
-    assert told["alert"] == "alert refused, rebooted"
-    assert told["reason"] == "failed: not acknowledged"
-    assert told["faults"] == [[11, 0.3], [11, 0.4]]
-    assert told["frames"] == recording.load.frames.ravel().tolist()
-    assert told["verdict"] == "33 of 36 robots reached their targets; 2 held, 1 failed."
+    assert answer["nearest"][:2] == recording.approaches.pairs[0].tolist()
+    assert answer["kinds"] == ["go", "no_address", "fault"]
+    assert answer["texts"] == ["go", "no address", "fault memory"]
+    assert answer["alert"] == "alert refused, rebooted"
+    assert answer["reason"] == "failed: not acknowledged"
+    assert answer["faults"] == [[11, 0.3], [11, 0.4]]
+    assert answer["frames"] == recording.load.frames.ravel().tolist()
+    assert answer["verdict"] == "33 of 36 robots reached their targets; 2 held, 1 failed."
 
 
-def test_states_follow_stop_and_second_start(node, resumed, resumed_file):
+def test_states_follow_a_stop_and_resumed_motion(node, resumed, resumed_file):
     first, again = resumed.phases
     stop_s, on_s = 300_300e-6, 455_001e-6
     times = [0.1, 0.2, 0.212, stop_s - 1e-3, stop_s + 1e-3, on_s - 1e-3, on_s + 1e-3, 9.0]
-    told = node(
+    answer = node(
         resumed_file,
         """
         const { plane, motion } = recording;
@@ -236,32 +236,32 @@ def test_states_follow_stop_and_second_start(node, resumed, resumed_file):
         """,
         times=times,
     )
-    states = dict(zip(times, np.array(told["states"])))
+    states = dict(zip(times, np.array(answer["states"])))
     moving, reached, _, failed, _, _, stopped = range(7)
-    np.testing.assert_allclose(told["pauses"], [[stop_s, on_s]])
-    goes_on = first.stopped & again.motion.decoded().counts.any(axis=1)
-    assert goes_on.sum() > 20
+    np.testing.assert_allclose(answer["pauses"], [[stop_s, on_s]])
+    resumes = first.stopped & again.motion.decoded().counts.any(axis=1)
+    assert resumes.sum() > 20
     for t, state in zip(times[3:7], (moving, stopped, stopped, moving)):
-        assert (states[t][goes_on] == state).all(), t
-    assert (states[9.0][np.flatnonzero(goes_on)[-5:]] == reached).all()
-    # one stopped by itself, and is seen to have failed from then on
+        assert (states[t][resumes] == state).all(), t
+    assert (states[9.0][np.flatnonzero(resumes)[-5:]] == reached).all()
+    # one robot stopped by itself, and has the state failed from then on
     assert [states[t][11] for t in times[:5]] == [moving, moving] + 3 * [failed]
 
 
 @pytest.mark.parametrize("name", ["recording", "resumed"])
-def test_the_margin_is_drawn_as_it_was_told_and_ends_at_a_stop(node, request, name):
+def test_the_corridor_is_that_of_the_recording_and_ends_at_a_stop(node, request, name):
     recording, file = (request.getfixturevalue(n) for n in (name, f"{name}_file"))
     corridors, rows = recording.corridors, [0, 7, 11, 30]
-    told = node(
+    answer = node(
         file,
         """
-        const { marginBand } = profiles;
-        answer = asked.rows.map((row) => [0, 1].map((j) => marginBand(recording, row, j)));
+        const { corridorBand } = profiles;
+        answer = asked.rows.map((row) => [0, 1].map((j) => corridorBand(recording, row, j)));
         """,
         rows=rows,
     )
     first = recording.phases[0]
-    for row, joints in zip(rows, told):
+    for row, joints in zip(rows, answer):
         for joint, band in enumerate(joints):
             time_s, low, high = np.reshape(band, (-1, 3)).T
             until = 1e-6 * first.stop_us[row] if first.stopped[row] else np.inf
@@ -272,65 +272,65 @@ def test_the_margin_is_drawn_as_it_was_told_and_ends_at_a_stop(node, request, na
                 np.testing.assert_allclose(np.deg2rad(drawn), exact, atol=1.1e-3)
 
 
-def test_six_moments_hold_the_nearest_and_stay_inside(node, recording_file):
+def test_the_closest_approach_is_one_of_six_moments_inside_the_motion(node, recording_file):
     cases = [(0.0, 2.0), (0.04, 0.8), (1.0, 2.0), (2.0, 2.0), (0.0, 0.0)]
-    told = node(
+    answer = node(
         recording_file,
         "answer = asked.cases.map(([t, ends]) => neighbourhood.momentsAround(t, ends));",
         cases=cases,
     )
-    for (time, ends), moments in zip(cases, told):
+    for (time, ends), moments in zip(cases, answer):
         assert len(moments) == 6 and time in moments
         assert min(moments) >= 0 and max(moments) <= max(ends, 1e-3) + 1e-9
         assert moments == sorted(moments)
 
 
-def test_an_address_says_what_was_seen(node, recording_file):
-    told = node(
+def test_an_address_has_time_robots_and_panel(node, recording_file):
+    answer = node(
         recording_file,
         """
         const there = address.toAddress({ t: 1.25, ids: [12, 40], panel: 2 });
         answer = [there, address.readAddress(there), address.readAddress("#t=x&robots=a,7&what=1")];
         """,
     )
-    assert told[0] == "#t=1.2500&robots=12,40&panel=2"
-    assert told[1] == {"t": 1.25, "panel": 2, "robots": [12, 40], "theme": None}
-    assert told[2] == {"t": None, "panel": None, "robots": [7], "theme": None}
+    assert answer[0] == "#t=1.2500&robots=12,40&panel=2"
+    assert answer[1] == {"t": 1.25, "panel": 2, "robots": [12, 40], "theme": None}
+    assert answer[2] == {"t": None, "panel": None, "robots": [7], "theme": None}
 
 
 @pytest.mark.parametrize(
-    ("version", "said"), [(99, "newer than this page"), (2, None)], ids=["newer", "this"]
+    ("version", "message"), [(99, "newer than this page"), (2, None)], ids=["newer", "this"]
 )
-def test_a_newer_recording_is_refused_by_the_page(node, recording_file, tmp_path, version, said):
+def test_a_newer_recording_is_refused_by_the_page(node, recording_file, tmp_path, version, message):
     data = dict(np.load(recording_file))
     about = json.loads(bytes(data["about"])) | {"version": version}
     data["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
     np.savez_compressed(tmp_path / "other.npz", **data)
     path = json.dumps(str(tmp_path / "other.npz"))
-    told = node(
+    answer = node(
         recording_file,
         f"""
         answer = await opened.openRecording(new Uint8Array(fs.readFileSync({path})))
           .then(() => null, (error) => error.message);
         """,
     )
-    assert (told is None) if said is None else (said in told)
+    assert (answer is None) if message is None else (message in answer)
 
 
 def test_the_modules_make_one_script():
     assert sorted(SCRIPTS) == sorted(path.stem for path in PLAYER.glob("*.js"))
     text = script()
     assert not re.search(r"^(import|export)\b", text, re.MULTILINE)
-    # end to end they share their top-level names
+    # joined end to end, all modules share their top-level names
     names = re.findall(r"^(?:async )?(?:const|let|class|function) (\w+)", text, re.MULTILINE)
     assert not [name for name, count in Counter(names).items() if count > 1]
 
 
 @pytest.mark.parametrize("path", sorted(PLAYER.glob("*.*")), ids=lambda path: path.name)
-def test_a_file_of_the_page_stays_readable(path):
+def test_a_file_of_the_page_is_short_and_names_no_address(path):
     lines = path.read_text().splitlines()
     assert len(lines) < 400 and max(map(len, lines)) <= 160
-    assert not re.search(r"https?://", path.read_text()), "the page asks nobody for anything"
+    assert not re.search(r"https?://", path.read_text()), "the page makes no request"
 
 
 def test_presets_with_and_without_theta_outlines_are_both_tested():
@@ -338,25 +338,25 @@ def test_presets_with_and_without_theta_outlines_are_both_tested():
     assert not preset("desi", 3).theta_vertices.shape[1]
 
 
-def test_robots_that_fail_together_are_one_fault_at_the_instant_they_stood(node, resumed, tmp_path):
+def test_robots_that_fail_together_are_one_fault_when_they_stopped(node, resumed, tmp_path):
     rows = np.arange(len(resumed.outcome))
     together = (rows < 9) & resumed.phases[0].stopped
-    bad = together | (rows == 11)  # that one stopped by itself
+    bad = together | (rows == 11)  # robot 11 stopped by itself
     names = vars(resumed.events)
     failed = replace(
         resumed,
         outcome=np.where(bad, Outcome.FAILED, Outcome.REACHED),
         reason=np.where(bad, Reason.NOT_ACKNOWLEDGED, Reason.OK),
-        phases=(resumed.phases[0],),  # nobody goes on
+        phases=(resumed.phases[0],),  # no robot is resumed
         events=replace(resumed.events, **{n: getattr(resumed.events, n)[:1] for n in names}),
     )
     save_recording(tmp_path / "failed.npz", failed)
-    told = node(
+    answer = node(
         tmp_path / "failed.npz",
         "answer = opened.faultsOf(recording).map(({ time, row, kind }) => [time, row, kind]);",
     )
     assert together.sum() > 3
-    assert told == [
+    assert answer == [
         [pytest.approx(0.211), 11, "failed: not acknowledged"],
         [pytest.approx(0.3003), -1, f"{together.sum()} robots failed: not acknowledged"],
     ]

@@ -1,6 +1,6 @@
-// Time, watched robots and panel in the address line, so that a link shows what was seen.
+// Time, watched robots and panel in the address line, so that a link shows the same view.
 
-/** Reads "#t=1.25&robots=12,40&panel=2&theme=dark". */
+/** Returns the parts of an address such as "#t=1.25&robots=12,40&panel=2&theme=dark". */
 export function readAddress(hash) {
   const found = new URLSearchParams(hash.replace(/^#/, ""));
   const number = (name) => (found.has(name) && Number.isFinite(Number(found.get(name))) ? Number(found.get(name)) : null);
@@ -8,7 +8,7 @@ export function readAddress(hash) {
   return { t: number("t"), panel: number("panel"), robots, theme: found.get("theme") };
 }
 
-/** Returns the address of a moment; ids are robots' ids. */
+/** Returns the address of a view: time, ids of the watched robots, panel. */
 export function toAddress({ t, ids, panel }) {
   const parts = [`t=${t.toFixed(4)}`];
   if (ids.length) parts.push(`robots=${ids.join(",")}`);

@@ -1,4 +1,4 @@
-// The page: opens the recording inside it, keeps the time, draws what has changed.
+// The page: opens the embedded recording, keeps the time, and redraws the panels.
 import { fromBase64 } from "./npz.js";
 import { STATE_NAMES, openRecording, stateAt } from "./recording.js";
 import { anglesOfAll, placesOfAll } from "./kinematics.js";
@@ -7,16 +7,16 @@ import { colors, setTheme } from "./theme.js";
 import { showHeadline } from "./headline.js";
 import { Lists } from "./lists.js";
 import { PlanePanel } from "./plane.js";
-import { NeighbourhoodPanel, SnapshotsPanel, nearestPair } from "./neighbourhood.js";
+import { NeighbourhoodPanel, SnapshotsPanel, closestApproach } from "./neighbourhood.js";
 import { PositionPanel, VelocityPanel } from "./profiles.js";
 import { BusesPanel } from "./buses.js";
 import { Timeline } from "./timeline.js";
 import { listenToKeys } from "./keys.js";
 
 const SPEEDS = [0.02, 0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10];
-const PLAY_S = 8; // about how long a whole motion should play
+const PLAY_S = 8; // approximate time to play a whole motion [s]
 const MOST_WATCHED = 3;
-const ADDRESS_MS = 300; // how often the address line may change
+const ADDRESS_MS = 300; // least time between two changes of the address line
 
 const byId = (id) => document.getElementById(id);
 
@@ -27,11 +27,11 @@ class App {
     this.t = 0;
     this.playing = false;
     this.robots = [];
-    this.pair = null; // the approach that was chosen, while its robots are watched
+    this.pair = null; // the chosen approach, as long as its robots are watched
     this.panel = null;
     this.angles = new Float64Array(2 * plane.n);
     this.places = new Float64Array(4 * plane.n);
-    this.partners = partnersOf(recording);
+    this.neighbours = neighboursOf(recording);
     this.list = new Lists({ tabs: byId("tabs"), list: byId("list"), search: byId("search"), watched: byId("watched") }, this);
     this.marked = this.list.missed;
     this.panels = [
@@ -44,26 +44,26 @@ class App {
       new Timeline(byId("timeline"), this),
     ];
     [this.plane] = this.panels;
-    this.seen = new Set(); // canvases on the screen: only they are drawn
+    this.visible = new Set(); // canvases on the screen: only these are drawn
     this.observer = new IntersectionObserver((changes) => {
-      for (const { target, isIntersecting } of changes) this.seen[isIntersecting ? "add" : "delete"](target);
+      for (const { target, isIntersecting } of changes) this.visible[isIntersecting ? "add" : "delete"](target);
       this.redraw();
     });
     for (const { canvas } of this.panels) this.observer.observe(canvas);
     showHeadline(this, { title: byId("title"), subtitle: byId("subtitle"), figures: byId("figures"), notes: byId("notes") });
-    const wished = Math.max(motion.makespan, 0.01) / PLAY_S;
-    const off = (speed) => Math.abs(Math.log(speed / wished));
+    const ideal = Math.max(motion.makespan, 0.01) / PLAY_S;
+    const off = (speed) => Math.abs(Math.log(speed / ideal));
     this.speed = SPEEDS.reduce((best, speed) => (off(speed) < off(best) ? speed : best));
     byId("speed").replaceChildren(...SPEEDS.map((speed) => new Option(`${speed}×`, speed, false, speed === this.speed)));
   }
 
-  /** Goes where the address line says, or to the closest approach at the start. */
+  /** Shows the view of the address line; without one, the pair of the closest approach at the begin. */
   open() {
     const { t, robots, panel } = readAddress(location.hash);
     const rows = robots.map((id) => this.recording.plane.rowOf.get(id)).filter((row) => row !== undefined);
-    const nearest = this.recording.pairs[0], { n } = this.recording.plane;
+    const closest = this.recording.pairs[0], { n } = this.recording.plane;
     if (rows.length) this.robots = rows.slice(0, MOST_WATCHED);
-    else if (nearest) this.robots = [nearest.a, nearest.b].filter((body) => body < n);
+    else if (closest) this.robots = [closest.a, closest.b].filter((body) => body < n);
     this.pair = null;
     this.t = this.clamp(t ?? 0);
     if (panel) this.alone(panel);
@@ -98,13 +98,13 @@ class App {
     this.redraw();
   }
 
-  front(row) {
+  bringToFront(row) {
     this.robots = [row, ...this.robots.filter((other) => other !== row)];
     this.list.showWatched();
     this.redraw();
   }
 
-  point(row) {
+  showHint(row) {
     const { plane } = this.recording;
     byId("hint").textContent = row < 0 ? "" : `robot ${plane.ids[row]}, ${STATE_NAMES[stateAt(this.recording, row, this.t)]}`;
   }
@@ -132,12 +132,12 @@ class App {
 
   goToRobot(row) {
     this.watch(row);
-    const pair = nearestPair(this.recording, [row]);
+    const pair = closestApproach(this.recording, [row]);
     this.play(false);
     this.seek(this.recording.started[row] && pair ? pair.time : this.t);
   }
 
-  /** Shows one panel alone, or all again. */
+  /** Shows one panel alone, or all panels if it is alone already. */
   alone(number) {
     this.panel = this.panel === number ? null : number;
     for (const section of document.querySelectorAll(".panel")) {
@@ -146,7 +146,7 @@ class App {
     this.redraw();
   }
 
-  /** Asks for a frame; many askings make one. */
+  /** Requests a frame; many requests make one frame. */
   redraw() {
     if (this.waiting) return;
     this.waiting = true;
@@ -166,11 +166,11 @@ class App {
     anglesOfAll(this.recording.motion, this.t, this.angles);
     placesOfAll(this.recording.plane, this.angles, this.places);
     for (const panel of this.panels) {
-      if (this.seen.has(panel.canvas)) panel.draw(this.t, this.angles, this.places);
+      if (this.visible.has(panel.canvas)) panel.draw(this.t, this.angles, this.places);
     }
     byId("clock").textContent = `${this.t.toFixed(3)} s`;
     this.showLegend();
-    this.tellAddress();
+    this.updateAddress();
   }
 
   showLegend() {
@@ -188,24 +188,24 @@ class App {
     }));
   }
 
-  tellAddress() {
-    clearTimeout(this.telling);
-    this.telling = setTimeout(() => {
+  updateAddress() {
+    clearTimeout(this.addressTimer);
+    this.addressTimer = setTimeout(() => {
       const ids = this.robots.map((row) => this.recording.plane.ids[row]);
       history.replaceState(null, "", toAddress({ t: this.t, ids, panel: this.panel }));
     }, ADDRESS_MS);
   }
 }
 
-// Who can touch whom: the pairs of the recording by robot.
-function partnersOf(recording) {
-  const partners = new Map();
-  const add = (row, body) => partners.set(row, [...(partners.get(row) ?? []), body]);
+// Neighbours of each robot: robots and fixed discs.
+function neighboursOf(recording) {
+  const neighbours = new Map();
+  const add = (row, body) => neighbours.set(row, [...(neighbours.get(row) ?? []), body]);
   for (const { a, b } of recording.pairs) {
     add(a, b);
     if (b < recording.plane.n) add(b, a);
   }
-  return partners;
+  return neighbours;
 }
 
 function showProblem(error) {

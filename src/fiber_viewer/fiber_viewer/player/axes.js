@@ -1,4 +1,4 @@
-// Axes of a plot: from numbers to pixels, ticks that people like, a frame around it all.
+// Axes of a plot: from numbers to pixels, with round ticks and a frame.
 import { colors, write } from "./theme.js";
 
 /** Returns round numbers between two values, about `count` of them. */
@@ -74,7 +74,7 @@ export class Axes {
     ctx.restore();
   }
 
-  /** Draws points as small rings, or filled; none beside the plot. */
+  /** Draws points inside the plot as small rings, or filled. */
   dots(ctx, values, color, radius, filled) {
     for (let i = 0; i < values.length; i += 2) {
       if (values[i] < this.xLow || values[i] > this.xHigh) continue;
@@ -91,7 +91,7 @@ export class Axes {
     }
   }
 
-  /** Draws the cursor at a time. */
+  /** Draws the cursor at time t. */
   cursor(ctx, t) {
     if (t < this.xLow || t > this.xHigh) return;
     ctx.strokeStyle = colors.accent;

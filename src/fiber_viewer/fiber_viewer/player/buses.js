@@ -1,4 +1,4 @@
-// Panel 6: how busy each bus was, and what went wrong there.
+// Panel 6: the load of each bus, and its events.
 import { cleared, colors, write } from "./theme.js";
 import { disc, line } from "./drawing.js";
 import { Axes } from "./axes.js";
@@ -11,11 +11,11 @@ export class BusesPanel {
       if (this.axes) app.seek(this.axes.xLow + ((x - this.axes.left) / this.axes.width) * (this.axes.xHigh - this.axes.xLow));
     });
     const { load, events } = app.recording, sum = (values) => values.reduce((a, b) => a + b, 0);
-    const bad = events.filter((event) => event.bad);
-    const tries = bad.filter((event) => ["no_address", "refused", "bad_reply", "line"].includes(event.kind)).length;
+    const faults = events.filter((event) => event.unexpected);
+    const failed = faults.filter((event) => ["no_address", "refused", "bad_reply", "line"].includes(event.kind)).length;
     note.textContent =
       `${sum(load.frames).toLocaleString("en")} frames, ${sum(load.bytes).toLocaleString("en")} bytes on ` +
-      `${load.buses} ${load.buses === 1 ? "bus" : "buses"}; ${tries} failed, ${bad.length - tries} faults and alerts`;
+      `${load.buses} ${load.buses === 1 ? "bus" : "buses"}; ${failed} failed, ${faults.length - failed} faults and alerts`;
   }
 
   draw(t) {
@@ -33,7 +33,7 @@ export class BusesPanel {
     this.axes.cursor(ctx, t);
   }
 
-  /** Draws all but the cursor. */
+  /** Draws everything except the cursor. */
   drawStill(ctx, width, height) {
     const { load, begin, end, events } = this.app.recording;
     const box = { left: 48, top: 8, width: width - 58, height: height - 42 };
@@ -59,12 +59,12 @@ export class BusesPanel {
     for (const event of events) {
       const x = this.axes.x(Math.max(event.time, begin)), y = box.top + (rowOf.get(event.bus) + 0.5) * step;
       const half = Math.min(step / 2, 9);
-      if (event.bad) disc(ctx, [x, y], 4, colors.failed);
+      if (event.unexpected) disc(ctx, [x, y], 4, colors.failed);
       else line(ctx, [x, y - half], [x, y + half], event.kind === "stop" ? colors.failed : colors.ink, 2);
     }
     ctx.save();
     for (const tick of [0, ...this.ticks(box.width)]) {
-      write(ctx, tick ? String(tick) : "GO", this.axes.x(tick), box.top + box.height + 11, colors.soft, "center");
+      write(ctx, String(tick), this.axes.x(tick), box.top + box.height + 11, colors.soft, "center");
     }
     write(ctx, "s", box.left + box.width, box.top + box.height + 24, colors.soft, "right");
     ctx.restore();

@@ -1,13 +1,13 @@
-// How near two robots are: the gap between their outlines, and where it is. For showing only;
-// what is safe is proven in Python (fiber_core.clearance) before anything moves.
+// The gap between the outlines of two robots, and its place. It is only for drawing: the
+// certificate is made in Python (fiber_core.clearance) before any robot moves.
 
 /**
- * Returns {gap, from: [x, y], to: [x, y]} [mm] of two lists of hulls, as outlinesOf gives them.
- * The gap of hulls that overlap is zero.
+ * Returns {gap, from: [x, y], to: [x, y]} [mm] of two lists of hulls, as outlinesOf returns them.
+ * The gap of overlapping hulls is zero.
  */
-export function gapBetween(some, others) {
+export function gapBetween(hulls, others) {
   let best = { gap: Infinity, from: null, to: null };
-  for (const a of some) {
+  for (const a of hulls) {
     for (const b of others) {
       const found = hullGap(a, b, best.gap + a.radius + b.radius);
       if (found && found.gap < best.gap) best = found;
@@ -18,13 +18,13 @@ export function gapBetween(some, others) {
 
 function hullGap(a, b, cutoff) {
   let best = null, least = cutoff;
-  if (within(a.points, b.points[0], b.points[1]) || within(b.points, a.points[0], a.points[1])) {
+  if (contains(a.points, b.points[0], b.points[1]) || contains(b.points, a.points[0], a.points[1])) {
     const at = [b.points[0], b.points[1]];
     return { gap: 0, from: at, to: at };
   }
   for (const [ax, ay, aux, auy] of edges(a.points)) {
     for (const [bx, by, bux, buy] of edges(b.points)) {
-      const near = segmentsNearest(ax, ay, aux, auy, bx, by, bux, buy);
+      const near = closestPoints(ax, ay, aux, auy, bx, by, bux, buy);
       if (near.distance < least) [best, least] = [near, near.distance];
     }
   }
@@ -42,7 +42,7 @@ function hullGap(a, b, cutoff) {
 function edges(points) {
   const count = points.length / 2;
   const found = [];
-  // two vertices are one edge and not two, one vertex is an edge of no length
+  // two vertices make one edge, one vertex makes an edge of length 0
   for (let v = 0; v < Math.max(1, count === 2 ? 1 : count); v++) {
     const w = (v + 1) % count;
     const [x, y] = [points[2 * v], points[2 * v + 1]];
@@ -51,7 +51,7 @@ function edges(points) {
   return found;
 }
 
-function within(points, x, y) {
+function contains(points, x, y) {
   const count = points.length / 2;
   if (count < 3) return false;
   for (let v = 0; v < count; v++) {
@@ -62,8 +62,8 @@ function within(points, x, y) {
   return true;
 }
 
-// Nearest points of two segments a + s u and b + t v, s and t in 0..1.
-function segmentsNearest(ax, ay, ux, uy, bx, by, vx, vy) {
+// Closest points of two line segments a + s u and b + t v, s and t in 0..1.
+function closestPoints(ax, ay, ux, uy, bx, by, vx, vy) {
   const cross = ux * vy - uy * vx, dx = bx - ax, dy = by - ay;
   if (cross !== 0) {
     const s = (dx * vy - dy * vx) / cross, t = (dx * uy - dy * ux) / cross;
@@ -72,7 +72,7 @@ function segmentsNearest(ax, ay, ux, uy, bx, by, vx, vy) {
       return { distance: 0, from: at, to: at };
     }
   }
-  // segments that do not cross are nearest at an end of one of them
+  // line segments that do not cross are closest at an end of one of them
   const ends = [
     [ax, ay, ...footOn(ax, ay, bx, by, vx, vy), false],
     [ax + ux, ay + uy, ...footOn(ax + ux, ay + uy, bx, by, vx, vy), false],

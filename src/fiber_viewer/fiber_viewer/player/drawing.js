@@ -1,10 +1,10 @@
-// Robots close up: true outlines, targets, patrol regions, the gap between two of them.
+// Draws robots with their outlines, targets, patrol regions, and the gap between two robots.
 import { forward, outlinesOf } from "./kinematics.js";
 import { gapBetween } from "./clearance.js";
 import { HELD, FAILED, stateAt } from "./recording.js";
 import { colors, write } from "./theme.js";
 
-/** Radius about its centre that a robot never leaves [mm]. */
+/** Returns the radius about its centre that contains a robot in any pose [mm]. */
 export function reachOf(plane, row) {
   const { vertices, count, radius } = plane.phi;
   let far = 0;
@@ -27,7 +27,7 @@ export function drawRobot(ctx, camera, recording, row, angles, t, { faded = fals
   ];
   ctx.lineCap = ctx.lineJoin = "round";
   ctx.strokeStyle = ctx.fillStyle = color;
-  // the phi link comes last: it is the upper one
+  // the phi arm last, because it is above the theta arm
   outlinesOf(plane, row, theta, phi).reverse().forEach((hull, place, { length }) => {
     ctx.globalAlpha = (faded ? 0.35 : 0.9) * (place < length - 1 ? 0.45 : 1);
     tracePath(ctx, camera, hull.points);
@@ -56,7 +56,7 @@ export function drawTarget(ctx, camera, recording, row) {
   }
 }
 
-/** Draws a ring about a robot: its patrol region when near, a mark when far. */
+/** Draws a ring about a robot: its patrol region, or a mark if that is too small. */
 export function drawRing(ctx, camera, recording, row, color, width = 1.5) {
   const { plane } = recording;
   const [x, y] = camera.toPixel(plane.center[2 * row], plane.center[2 * row + 1]);
@@ -68,7 +68,7 @@ export function drawRing(ctx, camera, recording, row, color, width = 1.5) {
   ctx.stroke();
 }
 
-/** Marks a robot that is held (ring) or failed (cross): not by colour alone. */
+/** Marks a held robot with a ring and a failed robot with a cross, so that colour is not needed. */
 export function drawMark(ctx, camera, recording, row, t) {
   const state = stateAt(recording, row, t);
   if (state !== HELD && state !== FAILED) return;
@@ -95,14 +95,14 @@ export function drawDiscs(ctx, camera, plane) {
   }
 }
 
-/** The outlines of a body: a robot's, or a fixed disc. */
+/** Returns the outlines of a body: a robot, or a fixed disc. */
 export function hullsOf(plane, body, angles) {
   if (body < plane.n) return outlinesOf(plane, body, angles[2 * body], angles[2 * body + 1]);
   const at = 3 * (body - plane.n);
   return [{ points: plane.discs.slice(at, at + 2), radius: plane.discs[at + 2] }];
 }
 
-/** Draws the gap between two bodies; returns it [mm]. */
+/** Draws the gap between two bodies; returns the gap [mm]. */
 export function drawGap(ctx, camera, plane, a, b, angles, labelled = true) {
   const { gap, from, to } = gapBetween(hullsOf(plane, a, angles), hullsOf(plane, b, angles));
   const [p, q] = [camera.toPixel(...from), camera.toPixel(...to)];

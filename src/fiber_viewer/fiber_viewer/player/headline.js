@@ -1,4 +1,4 @@
-// What an observer reads first: what became of the robots, how long it took, how near they came.
+// The head of the page: outcomes, makespan and clearance of the plan.
 import { bodyName } from "./recording.js";
 
 /** Returns the numbers of the headline: {reached, held, failed, asked, makespan, bound, ...}. */
@@ -12,9 +12,9 @@ export function figuresOf(recording) {
   };
 }
 
-/** Returns one sentence on how it went. */
+/** Returns the outcomes in one sentence. */
 export function verdict({ asked, reached, held, failed }) {
-  if (asked === 0) return "Nothing was asked of any robot.";
+  if (asked === 0) return "No robot had a target.";
   if (reached === asked) return `All ${asked} robots reached their targets.`;
   const rest = [held && `${held} held`, failed && `${failed} failed`].filter(Boolean).join(", ");
   return `${reached} of ${asked} robots reached their targets; ${rest}.`;
@@ -22,8 +22,8 @@ export function verdict({ asked, reached, held, failed }) {
 
 /** Fills title, subtitle and figures of the page. */
 export function showHeadline(app, { title, subtitle, figures, notes }) {
-  const { recording } = app, { about, plane } = recording, told = figuresOf(recording);
-  title.textContent = `${about.report.plane || "Focal plane"}: ${verdict(told)}`;
+  const { recording } = app, { about, plane } = recording, numbers = figuresOf(recording);
+  title.textContent = `${about.report.plane || "Focal plane"}: ${verdict(numbers)}`;
   const when = new Date(about.plan_ns / 1e6).toISOString().slice(0, 19).replace("T", " ");
   subtitle.textContent = [
     `${plane.n} robots`, `${when} UTC`, about.planner && `planner ${about.planner}`,
@@ -35,32 +35,32 @@ export function showHeadline(app, { title, subtitle, figures, notes }) {
     return item;
   }));
   notes.hidden = !about.notes?.length;
-  const nearest = recording.pairs[0];
+  const closest = recording.pairs[0];
   const rows = [
-    ["reached", `${told.reached}`, ` of ${told.asked}`],
-    ["held", `${told.held}`, "", told.held ? "warn" : "", () => app.list.show("missed")],
-    ["failed", `${told.failed}`, "", told.failed ? "bad" : "", () => app.list.show("faults")],
-    ["makespan", told.makespan.toFixed(2), ` s, at least ${told.bound.toFixed(2)}`],
-    ["least clearance", told.clearance === null ? "none near" : told.clearance.toFixed(3),
-      told.clearance === null ? "" : ` mm, margin ${told.margin}`, "",
-      nearest && (() => app.goToApproach(nearest))],
-    ["certified", told.certified ? "yes" : "NO", "", told.certified ? "" : "bad"],
-    ["segments a motor", told.segments.toFixed(2), ""],
-    ["load, verify, go", (1e3 * told.bus).toFixed(0), " ms"],
+    ["reached", `${numbers.reached}`, ` of ${numbers.asked}`],
+    ["held", `${numbers.held}`, "", numbers.held ? "warn" : "", () => app.list.show("missed")],
+    ["failed", `${numbers.failed}`, "", numbers.failed ? "bad" : "", () => app.list.show("faults")],
+    ["makespan", numbers.makespan.toFixed(2), ` s, at least ${numbers.bound.toFixed(2)}`],
+    ["least clearance", numbers.clearance === null ? "no neighbours" : numbers.clearance.toFixed(3),
+      numbers.clearance === null ? "" : ` mm, margin ${numbers.margin}`, "",
+      closest && (() => app.goToApproach(closest))],
+    ["certified", numbers.certified ? "yes" : "NO", "", numbers.certified ? "" : "bad"],
+    ["segments per motor", numbers.segments.toFixed(2), ""],
+    ["load, verify, go", (1e3 * numbers.bus).toFixed(0), " ms"],
   ];
-  figures.replaceChildren(...rows.map(([name, value, unit, kind, act]) => figure(name, value, unit, kind, act)));
-  if (nearest) figures.querySelector("[data-name='least clearance'] dd").title =
-    `robots ${bodyName(recording, nearest.a)} and ${bodyName(recording, nearest.b)}`;
+  figures.replaceChildren(...rows.map(([name, value, unit, kind, action]) => figure(name, value, unit, kind, action)));
+  if (closest) figures.querySelector("[data-name='least clearance'] dd").title =
+    `robots ${bodyName(recording, closest.a)} and ${bodyName(recording, closest.b)}`;
 }
 
-function figure(name, value, unit, kind, act) {
+function figure(name, value, unit, kind, action) {
   const box = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
   box.dataset.name = name;
   if (kind) box.className = kind;
   dt.textContent = name;
-  const number = document.createElement(act ? "button" : "span");
+  const number = document.createElement(action ? "button" : "span");
   number.textContent = value;
-  if (act) number.addEventListener("click", act);
+  if (action) number.addEventListener("click", action);
   const small = document.createElement("small");
   small.textContent = unit ?? "";
   dd.append(number, small);

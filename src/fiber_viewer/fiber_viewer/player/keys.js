@@ -1,8 +1,8 @@
-// What the keyboard does; the same list stands in the page's help.
+// Actions of the keyboard; page.html lists them in its help.
 
-const STEPS = 200; // that a motion is cut into for the arrow keys
+const STEPS = 200; // steps of the arrow keys from begin to end
 
-/** Listens to keys; `current` returns the page, which may change when another file is dropped. */
+/** Listens to keys; `current` returns the app, which changes when another file is dropped. */
 export function listenToKeys(current, { search, keys, otherTheme }) {
   document.addEventListener("keydown", (event) => {
     const app = current();
@@ -11,14 +11,14 @@ export function listenToKeys(current, { search, keys, otherTheme }) {
     if (["INPUT", "SELECT", "TEXTAREA"].includes(event.target.tagName) || keys.open) return;
     const { begin, end, pairs } = app.recording;
     const step = ((end - begin) / STEPS) * (event.shiftKey ? 10 : 1);
-    const acts = {
+    const actions = {
       " ": () => app.play(!app.playing),
       ArrowLeft: () => app.seek(app.t - step),
       ArrowRight: () => app.seek(app.t + step),
       Home: () => app.seek(0),
       End: () => app.seek(end),
-      c: () => pairs.length && app.goToApproach(turn(app, pairs, 1)),
-      C: () => pairs.length && app.goToApproach(turn(app, pairs, -1)),
+      c: () => pairs.length && app.goToApproach(nextApproach(app, pairs, 1)),
+      C: () => pairs.length && app.goToApproach(nextApproach(app, pairs, -1)),
       f: () => app.list.faults.length && app.goToFault(nextFault(app)),
       "/": () => search.focus(),
       "+": () => app.plane.zoom(1.5),
@@ -29,22 +29,22 @@ export function listenToKeys(current, { search, keys, otherTheme }) {
       "?": () => keys.showModal(),
       Escape: () => app.panel && app.alone(app.panel),
     };
-    for (const number of [1, 2, 3, 4, 5, 6]) acts[number] = () => app.alone(number);
-    // a focused button keeps its own space and enter
+    for (const number of [1, 2, 3, 4, 5, 6]) actions[number] = () => app.alone(number);
+    // the space key presses a focused button
     if (event.target.tagName === "BUTTON" && event.key === " ") return;
-    if (!acts[event.key]) return;
+    if (!actions[event.key]) return;
     event.preventDefault();
-    acts[event.key]();
+    actions[event.key]();
   });
 }
 
-function turn(app, pairs, by) {
-  app.turned = ((app.turned ?? (by > 0 ? -1 : 0)) + by + pairs.length) % pairs.length;
-  return pairs[app.turned];
+function nextApproach(app, pairs, step) {
+  app.approachIndex = ((app.approachIndex ?? (step > 0 ? -1 : 0)) + step + pairs.length) % pairs.length;
+  return pairs[app.approachIndex];
 }
 
 function nextFault(app) {
   const { faults } = app.list;
-  app.fault = ((app.fault ?? -1) + 1) % faults.length;
-  return faults[app.fault];
+  app.faultIndex = ((app.faultIndex ?? -1) + 1) % faults.length;
+  return faults[app.faultIndex];
 }

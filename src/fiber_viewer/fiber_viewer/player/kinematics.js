@@ -1,10 +1,10 @@
-// Where joints, elbows and fibres are at a time. The same numbers as fiber_core.kinematics
-// and fiber_core.motion.SegmentMotion, which the tests hold it against.
+// Joint angles at a time, and places of elbows and tips. The tests compare the numbers with
+// fiber_core.kinematics and fiber_core.motion.SegmentMotion.
 //
-// A recording has profiles 2 row (theta) and 2 row + 1 (phi); profile p owns the segments
+// The profiles of a robot are 2 row (theta) and 2 row + 1 (phi). Profile p has the segments
 // offsets[p] .. offsets[p + 1].
 
-/** Adds the instant and the angle at which every segment begins, and when each profile ends. */
+/** Adds begin time and begin angle of every segment, end time of every profile, and makespan. */
 export function unroll(motion) {
   const { start, offsets, duration, velocity } = motion;
   motion.begin = new Float64Array(duration.length);
@@ -25,7 +25,7 @@ export function unroll(motion) {
   return motion;
 }
 
-/** Returns the segment a profile is in at time t, -1 when it rests. */
+/** Returns the segment of a profile at time t, -1 before the first and after the last. */
 export function segmentAt(motion, profile, t) {
   if (!(t >= 0 && t < motion.end[profile])) return -1;
   let low = motion.offsets[profile], high = motion.offsets[profile + 1] - 1;
@@ -46,7 +46,7 @@ export function angleAt(motion, profile, t) {
   return motion.angle[k] + (t - motion.begin[k]) * motion.velocity[k];
 }
 
-/** Returns the speed of a profile at time t [rad/s]. */
+/** Returns the velocity of a profile at time t [rad/s]. */
 export function velocityAt(motion, profile, t) {
   const k = segmentAt(motion, profile, t);
   return k < 0 ? 0 : motion.velocity[k];
@@ -58,47 +58,47 @@ export function anglesOfAll(motion, t, out) {
   return out;
 }
 
-/** Returns elbow and tip [mm] of a robot for joint angles: equation 1 of both papers. */
+/** Returns elbow and tip [mm] of a robot for joint angles: equation 1 of Makarem et al. (2014a). */
 export function forward(plane, row, theta, phi) {
   const elbowX = plane.center[2 * row] + plane.arm[2 * row] * Math.cos(theta);
   const elbowY = plane.center[2 * row + 1] + plane.arm[2 * row] * Math.sin(theta);
-  const both = theta + phi;
+  const direction = theta + phi;
   return [
     elbowX, elbowY,
-    elbowX + plane.arm[2 * row + 1] * Math.cos(both),
-    elbowY + plane.arm[2 * row + 1] * Math.sin(both),
+    elbowX + plane.arm[2 * row + 1] * Math.cos(direction),
+    elbowY + plane.arm[2 * row + 1] * Math.sin(direction),
   ];
 }
 
 /** Writes elbow x, y and tip x, y [mm] of every robot into `out`, shape (n, 4). */
 export function placesOfAll(plane, angles, out) {
   for (let row = 0; row < plane.n; row++) {
-    const theta = angles[2 * row], both = theta + angles[2 * row + 1];
+    const theta = angles[2 * row], direction = theta + angles[2 * row + 1];
     const x = plane.center[2 * row] + plane.arm[2 * row] * Math.cos(theta);
     const y = plane.center[2 * row + 1] + plane.arm[2 * row] * Math.sin(theta);
     out[4 * row] = x;
     out[4 * row + 1] = y;
-    out[4 * row + 2] = x + plane.arm[2 * row + 1] * Math.cos(both);
-    out[4 * row + 3] = y + plane.arm[2 * row + 1] * Math.sin(both);
+    out[4 * row + 2] = x + plane.arm[2 * row + 1] * Math.cos(direction);
+    out[4 * row + 3] = y + plane.arm[2 * row + 1] * Math.sin(direction);
   }
   return out;
 }
 
 /**
- * Returns the outlines of a robot [mm] as hulls {points: [x, y, ...], radius}, phi link first.
- * A robot without a theta outline has one.
+ * Returns the outlines of a robot [mm] as hulls {points: [x, y, ...], radius}, phi arm first.
+ * A robot without a theta outline has one hull.
  */
 export function outlinesOf(plane, row, theta, phi) {
   const [elbowX, elbowY] = forward(plane, row, theta, phi);
-  const hulls = [placed(plane.phi, row, elbowX, elbowY, theta + phi)];
+  const hulls = [placedHull(plane.phi, row, elbowX, elbowY, theta + phi)];
   if (plane.theta.count) {
-    hulls.push(placed(plane.theta, row, plane.center[2 * row], plane.center[2 * row + 1], theta));
+    hulls.push(placedHull(plane.theta, row, plane.center[2 * row], plane.center[2 * row + 1], theta));
   }
   return hulls;
 }
 
-function placed(outline, row, x, y, turn) {
-  const c = Math.cos(turn), s = Math.sin(turn);
+function placedHull(outline, row, x, y, angle) {
+  const c = Math.cos(angle), s = Math.sin(angle);
   const points = new Float64Array(2 * outline.count);
   for (let v = 0; v < outline.count; v++) {
     const at = 2 * (row * outline.count + v);

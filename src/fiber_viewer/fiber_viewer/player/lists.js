@@ -1,7 +1,7 @@
-// Where to look: closest approaches, faults, robots that did not reach their targets.
+// Lists to choose from: closest approaches, faults, and robots that did not reach their targets.
 import { HELD, FAILED, bodyName, eventText, faultsOf, reasonOf, stateAt, stopsOf } from "./recording.js";
 
-const SHOWN = 200; // entries of a list; more are found by id
+const MOST_SHOWN = 200; // entries of a list; other robots are found by id
 
 export class Lists {
   constructor({ tabs, list, search, watched }, app) {
@@ -14,9 +14,9 @@ export class Lists {
     this.missed = missed;
     this.faults = faultsOf(recording);
     this.contents = {
-      closest: { name: "Closest", entries: pairs.map((pair) => this.approach(pair)) },
-      faults: { name: "Faults", count: this.faults.length, entries: this.story() },
-      missed: { name: "Not reached", entries: missed.map((row) => this.robot(row)) },
+      closest: { name: "Closest", entries: pairs.map((pair) => this.approachEntry(pair)) },
+      faults: { name: "Faults", count: this.faults.length, entries: this.faultAndStopEntries() },
+      missed: { name: "Not reached", entries: missed.map((row) => this.robotEntry(row)) },
     };
     tabs.replaceChildren(...Object.entries(this.contents).map(([key, { name, entries, count }]) => {
       const tab = document.createElement("button");
@@ -30,39 +30,39 @@ export class Lists {
     this.show("closest");
   }
 
-  approach(pair) {
+  approachEntry(pair) {
     const { recording } = this.app;
     return {
       cells: [`${pair.gap.toFixed(3)} mm`, `${bodyName(recording, pair.a)} – ${bodyName(recording, pair.b)}`, `at ${pair.time.toFixed(3)} s`],
-      act: () => this.app.goToApproach(pair),
+      action: () => this.app.goToApproach(pair),
     };
   }
 
-  /** Faults, and the stops and new starts that came of them, in order of time. */
-  story() {
-    const faults = this.faults.map((fault) => ({ time: fault.time, ...this.fault(fault) }));
-    const stops = stopsOf(this.app.recording).map(({ time, what }) => ({
-      time, cells: [`${time.toFixed(3)} s`, "", what], act: () => this.app.goToStop(time),
+  /** Faults, stops of all robots, and resumed motion, in order of time. */
+  faultAndStopEntries() {
+    const faults = this.faults.map((fault) => ({ time: fault.time, ...this.faultEntry(fault) }));
+    const stops = stopsOf(this.app.recording).map(({ time, text }) => ({
+      time, cells: [`${time.toFixed(3)} s`, "", text], action: () => this.app.goToStop(time),
     }));
     return [...faults, ...stops].sort((a, b) => a.time - b.time);
   }
 
-  fault(fault) {
-    const who = fault.row >= 0 ? `robot ${this.app.recording.plane.ids[fault.row]}` : `bus ${fault.bus}`;
-    const what = eventText(this.app.recording, fault);
-    return { cells: [`${fault.time.toFixed(3)} s`, who, what], act: () => this.app.goToFault(fault) };
+  faultEntry(fault) {
+    const subject = fault.row >= 0 ? `robot ${this.app.recording.plane.ids[fault.row]}` : `bus ${fault.bus}`;
+    const text = eventText(this.app.recording, fault);
+    return { cells: [`${fault.time.toFixed(3)} s`, subject, text], action: () => this.app.goToFault(fault) };
   }
 
-  robot(row) {
+  robotEntry(row) {
     const { recording } = this.app, error = recording.error[row];
-    const far = Number.isFinite(error) ? `, ${error.toFixed(2)} mm off` : "";
-    return { cells: [`${recording.plane.ids[row]}`, "", reasonOf(recording, row) + far], act: () => this.app.goToRobot(row) };
+    const distance = Number.isFinite(error) ? `, ${error.toFixed(2)} mm from the target` : "";
+    return { cells: [`${recording.plane.ids[row]}`, "", reasonOf(recording, row) + distance], action: () => this.app.goToRobot(row) };
   }
 
   show(key) {
     for (const tab of this.tabs.children) tab.setAttribute("aria-selected", String(tab.dataset.tab === key));
     const { entries } = this.contents[key];
-    const rows = entries.slice(0, SHOWN).map(({ cells, act }) => {
+    const rows = entries.slice(0, MOST_SHOWN).map(({ cells, action }) => {
       const item = document.createElement("li"), button = document.createElement("button");
       button.append(...cells.map((text) => {
         const cell = document.createElement("span");
@@ -72,17 +72,17 @@ export class Lists {
       button.addEventListener("click", () => {
         for (const other of this.list.querySelectorAll("[aria-current]")) other.removeAttribute("aria-current");
         button.setAttribute("aria-current", "true");
-        act();
+        action();
       });
       item.append(button);
       return item;
     });
     const rest = entries.length - rows.length;
-    const words = rest > 0 ? `and ${rest} more` : { closest: "nobody comes near", faults: "none", missed: "none" }[key];
+    const text = rest > 0 ? `and ${rest} more` : { closest: "no robot has neighbours", faults: "none", missed: "none" }[key];
     if (rest > 0 || !entries.length) {
       const item = document.createElement("li");
       item.className = "none";
-      item.textContent = words;
+      item.textContent = text;
       rows.push(item);
     }
     this.list.replaceChildren(...rows);
@@ -97,7 +97,7 @@ export class Lists {
     if (row !== undefined) this.app.watch(row, event.shiftKey);
   }
 
-  /** Shows who is watched; a chip brings its robot's curves up. */
+  /** Shows the watched robots as chips; a click on a chip shows the curves of its robot. */
   showWatched() {
     const { robots, recording } = this.app;
     this.watched.replaceChildren(...robots.map((row, at) => {
@@ -105,7 +105,7 @@ export class Lists {
       chip.textContent = recording.plane.ids[row];
       chip.title = reasonOf(recording, row);
       chip.setAttribute("aria-pressed", String(at === 0));
-      chip.addEventListener("click", () => this.app.front(row));
+      chip.addEventListener("click", () => this.app.bringToFront(row));
       return chip;
     }));
   }

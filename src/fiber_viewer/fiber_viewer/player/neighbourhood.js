@@ -1,4 +1,4 @@
-// Panels 2 and 3: the watched robot among its neighbours, now and at six moments.
+// Panels 2 and 3: the watched robots among their neighbours, now and at six moments.
 import { anglesOfAll } from "./kinematics.js";
 import { bodyName } from "./recording.js";
 import { Camera } from "./camera.js";
@@ -8,8 +8,8 @@ import { drawDiscs, drawGap, drawMark, drawRing, drawRobot, drawTarget, hullsOf,
 
 const MOMENTS = 6;
 
-/** The pair a robot comes nearest to others in; of several robots, the pair they make. */
-export function nearestPair(recording, robots) {
+/** Returns the closest approach of the first robot; of several robots, the closest between two of them. */
+export function closestApproach(recording, robots) {
   const all = recording.pairs;
   if (robots.length > 1) {
     const among = all.find((pair) => robots.includes(pair.a) && robots.includes(pair.b));
@@ -44,11 +44,11 @@ export class NeighbourhoodPanel {
     [this.camera.width, this.camera.height] = [width, height];
     this.camera.fit(left - 1.5 * reach, bottom - 1.5 * reach, right + 1.5 * reach, top + 1.5 * reach, 1);
     drawScene(ctx, this.camera, recording, robots, angles, t);
-    const gaps = this.gaps(ctx, angles);
+    const gaps = this.drawClosestGap(ctx, angles);
     const near = gaps[0];
     this.note.textContent = near
       ? `robot ${plane.ids[robots[0]]} is ${near.gap.toFixed(3)} mm from ${bodyName(recording, near.body)}`
-      : `nobody is near robot ${plane.ids[robots[0]]}`;
+      : `robot ${plane.ids[robots[0]]} has no neighbours`;
     for (const row of robots) {
       const [x, y] = this.camera.toPixel(plane.center[2 * row], plane.center[2 * row + 1]);
       label(ctx, String(plane.ids[row]), x, y + 14, colors.ink, "center");
@@ -56,11 +56,11 @@ export class NeighbourhoodPanel {
     drawScale(ctx, this.camera, width, height);
   }
 
-  /** Draws the gap from the first watched robot to whoever is nearest now; all gaps, least first. */
-  gaps(ctx, angles) {
-    const { recording, robots, partners } = this.app, { plane } = recording;
+  /** Draws the smallest gap of the first watched robot now; returns all its gaps, smallest first. */
+  drawClosestGap(ctx, angles) {
+    const { recording, robots, neighbours } = this.app, { plane } = recording;
     const own = hullsOf(plane, robots[0], angles);
-    const found = (partners.get(robots[0]) ?? [])
+    const found = (neighbours.get(robots[0]) ?? [])
       .map((body) => ({ body, gap: gapBetween(own, hullsOf(plane, body, angles)).gap }))
       .sort((a, b) => a.gap - b.gap);
     if (found.length) drawGap(ctx, this.camera, plane, robots[0], found[0].body, angles);
@@ -85,7 +85,7 @@ export class SnapshotsPanel {
   }
 
   draw(t) {
-    // only a moment that is reached or left, another robot, size or theme changes the picture
+    // the picture changes only with the chosen moment, the robots, the size and the theme
     const reached = this.moments.findIndex(({ time }) => Math.abs(t - time) < 1e-9);
     const { clientWidth, clientHeight } = this.canvas;
     const chosen = [this.app.pair?.a, this.app.pair?.b, ...this.app.robots];
@@ -94,10 +94,10 @@ export class SnapshotsPanel {
     this.picture = picture;
     const { ctx, width, height } = cleared(this.canvas);
     const { recording, robots } = this.app, { plane, motion } = recording;
-    const pair = robots.length ? this.app.pair ?? nearestPair(recording, robots) : null;
+    const pair = robots.length ? this.app.pair ?? closestApproach(recording, robots) : null;
     this.moments = [];
     if (!pair) {
-      write(ctx, "Nobody comes near", width / 2, height / 2, colors.soft, "center");
+      write(ctx, "No neighbours", width / 2, height / 2, colors.soft, "center");
       this.note.textContent = "";
       return;
     }
@@ -144,12 +144,12 @@ export class SnapshotsPanel {
   }
 }
 
-/** Six times with the nearest one among them, while the pair moves: from 0 to `ends`. */
+/** Returns six times from 0 to `ends`, with the time of the closest approach among them. */
 export function momentsAround(time, ends) {
   const step = 0.12 * Math.max(ends, 1e-3);
   const first = Math.min(Math.max(0, time - 3 * step), Math.max(0, ends - (MOMENTS - 1) * step));
   const times = Array.from({ length: MOMENTS }, (_, i) => first + i * step);
-  // the moment nearest to the approach is the approach itself
+  // replace the time nearest to the approach by the time of the approach
   const at = times.reduce((best, now, i) => (Math.abs(now - time) < Math.abs(times[best] - time) ? i : best), 0);
   times[at] = time;
   return times;

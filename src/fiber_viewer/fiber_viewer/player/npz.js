@@ -1,11 +1,11 @@
-// Reads .npz files: a zip of numpy arrays. Only what numpy.savez_compressed writes.
+// Reads .npz files, zips of numpy arrays, as numpy.savez_compressed writes them.
 
 const END_OF_DIRECTORY = 0x06054b50;
 const DIRECTORY_ENTRY = 0x02014b50;
 const STORED = 0;
 const DEFLATED = 8;
 
-// How to read each numpy type. Numbers of 64 bits become doubles: ids and counts stay exact.
+// Typed arrays for the numpy types. 64-bit integers become doubles; ids and counts stay exact.
 const COLUMN_TYPES = {
   "|b1": Uint8Array, "|u1": Uint8Array, "|i1": Int8Array,
   "<i2": Int16Array, "<u2": Uint16Array, "<i4": Int32Array, "<u4": Uint32Array,
@@ -34,7 +34,7 @@ function directoryOf(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   let end = bytes.length - 22;
   while (end >= 0 && view.getUint32(end, true) !== END_OF_DIRECTORY) end--;
-  if (end < 0) throw new Error("this file is no recording: it is not an .npz file");
+  if (end < 0) throw new Error("this file is not a recording: it is not an .npz file");
   const count = view.getUint16(end + 10, true);
   const entries = [];
   let at = view.getUint32(end + 16, true);
@@ -57,7 +57,7 @@ async function contentOf(bytes, { name, method, size, header }) {
   const begin = header + 30 + view.getUint16(header + 26, true) + view.getUint16(header + 28, true);
   const packed = bytes.subarray(begin, begin + size);
   if (method === STORED) return packed.slice();
-  if (method !== DEFLATED) throw new Error(`${name}: packed in a way this page does not know`);
+  if (method !== DEFLATED) throw new Error(`${name}: this compression method is not supported`);
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }

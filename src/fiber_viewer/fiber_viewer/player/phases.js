@@ -1,25 +1,25 @@
-// From the orders of a recording to the motion as it was carried out: what robots were sent, as
-// far as they got with it, the rests between. The same as fiber_recording.phases in Python.
+// The executed motion of a recording: its orders, cut where robots stopped, and the rests between
+// phases. The same as fiber_recording.phases in Python.
 import { unroll } from "./kinematics.js";
 
-const SAME_S = 1e-7; // instants this near to each other are one
-const SETTLING_S = 1e-4; // in which a robot comes from where its orders were cut to where it stood
+const SAME_INSTANT_S = 1e-7; // instants this close to each other are the same
+const SETTLING_S = 1e-4; // time in which a robot moves from the cut of its orders to where it stopped
 const MICROSECOND = 1e-6;
 
 /**
- * Returns the motion of all phases, with `phases` [{begin, stop}] in seconds (stop is null where
- * nobody was stopped), and `active.ends`: when each robot of each phase came to its end or was
- * stopped, at [phase * n + row], NaN where it had no orders.
+ * Returns the motion of all phases, with two more members. `phases` is [{begin, stop}] in seconds;
+ * stop is null if no robot was stopped. `active.ends[phase * n + row]` is when a robot reached the
+ * end of its orders or was stopped, NaN if it had no orders.
  */
 export function motionOf(arrays, units) {
   const quantum = units.quantum_prad * 1e-12, tick = units.tick_us * MICROSECOND;
-  const from = Array.from(arrays.start_counts.data), profiles = from.length, n = profiles / 2;
+  const start = Array.from(arrays.start_counts.data), profiles = start.length, n = profiles / 2;
   const begins = arrays.leg_begin_us ? Array.from(arrays.leg_begin_us.data, (us) => us * MICROSECOND) : [0];
   const pieces = Array.from({ length: profiles }, () => []);
-  const ends = new Float64Array(begins.length * n).fill(NaN), counts = from.slice();
-  const place = Float64Array.from(from, (count) => count * quantum);
+  const ends = new Float64Array(begins.length * n).fill(NaN), counts = start.slice();
+  const place = Float64Array.from(start, (count) => count * quantum);
   const phases = begins.map((begin, phase) => {
-    let last = null;
+    let lastStop = null;
     for (let p = 0; p < profiles; p++) {
       const row = p >> 1, own = phase * n + row;
       const us = arrays.leg_stop_us ? arrays.leg_stop_us.data[own] : -1;
@@ -37,7 +37,7 @@ export function motionOf(arrays, units) {
       }
       if (after > first) ends[own] = Math.max(Number.isNaN(ends[own]) ? 0 : ends[own], Math.min(t, stop));
       if (stop === Infinity) continue;
-      last = Math.max(last ?? 0, stop);
+      lastStop = Math.max(lastStop ?? 0, stop);
       counts[p] = arrays.leg_stop_counts.data[phase * profiles + p];
       const off = counts[p] * quantum - place[p];
       if (Math.abs(off) <= 1e-3 * quantum) continue;
@@ -45,23 +45,23 @@ export function motionOf(arrays, units) {
       pieces[p].push([stop, lasts, off / lasts]);
       place[p] += off;
     }
-    return { begin, stop: last };
+    return { begin, stop: lastStop };
   });
-  return unroll({ ...joined(pieces), start: Float64Array.from(from, (c) => c * quantum), quantum, tick, phases, active: { ends } });
+  return unroll({ ...segmentsOf(pieces), start: Float64Array.from(start, (c) => c * quantum), quantum, tick, phases, active: { ends } });
 }
 
-// All pieces one after the other, with rests where one does not begin at the end of another.
-function joined(pieces) {
+// Segments from pieces [begin, duration, velocity] of each profile, with rests between them.
+function segmentsOf(pieces) {
   const offsets = [0], duration = [], velocity = [];
   for (const own of pieces) {
     let end = 0;
-    for (const [begin, lasts, turn] of own) {
-      if (begin - end > SAME_S) {
+    for (const [begin, lasts, speed] of own) {
+      if (begin - end > SAME_INSTANT_S) {
         duration.push(begin - end);
         velocity.push(0);
       }
       duration.push(lasts);
-      velocity.push(turn);
+      velocity.push(speed);
       end = begin + lasts;
     }
     offsets.push(duration.length);
@@ -69,7 +69,7 @@ function joined(pieces) {
   return { offsets: Int32Array.from(offsets), duration: Float64Array.from(duration), velocity: Float64Array.from(velocity) };
 }
 
-/** Returns the times from a stop of all to where some went on: [[from, to], ...]. */
+/** Returns the times in which all robots were stopped: [[from, to], ...]. */
 export function pausesOf(motion) {
   return motion.phases.slice(1).map(({ begin }, phase) => [motion.phases[phase].stop ?? begin, begin]);
 }

@@ -1,12 +1,12 @@
-// Panel 1: the whole focal plane. Thin lines from afar, true outlines near by.
+// Panel 1: the whole focal plane. Arms are lines, or outlines if they are large enough.
 import { STATE_NAMES, stateAt } from "./recording.js";
 import { Camera } from "./camera.js";
 import { cleared, colors } from "./theme.js";
 import { drawDiscs, drawMark, drawRing, drawRobot, drawTarget, reachOf } from "./drawing.js";
 
-const OUTLINES_FROM_PX = 6; // width of an arm from which outlines are drawn
-const ARMS_A_PATH = 250; // longer paths are slower to stroke
-const CLICK_PX = 5; // a pointer that moves less than this between down and up has clicked
+const OUTLINES_FROM_PX = 6; // least width of an arm to draw its outline
+const ARMS_PER_PATH = 250; // longer paths are slower to stroke
+const CLICK_PX = 5; // a pointer that moves less than this between down and up is a click
 
 export class PlanePanel {
   constructor(canvas, app) {
@@ -38,7 +38,7 @@ export class PlanePanel {
     this.app.redraw();
   }
 
-  /** Brings a robot into view. */
+  /** Moves the view to a robot that is not visible. */
   reveal(row) {
     const { center } = this.app.recording.plane;
     if (this.camera.sees(center[2 * row], center[2 * row + 1], 0)) return;
@@ -84,9 +84,9 @@ export class PlanePanel {
     ctx.lineWidth = Math.max(1, 0.35 * scale);
     byState.forEach((inState, state) => {
       ctx.strokeStyle = colors.states[state];
-      for (let begin = 0; begin < inState.length; begin += ARMS_A_PATH) {
+      for (let begin = 0; begin < inState.length; begin += ARMS_PER_PATH) {
         ctx.beginPath();
-        for (const row of inState.slice(begin, begin + ARMS_A_PATH)) {
+        for (const row of inState.slice(begin, begin + ARMS_PER_PATH)) {
           ctx.moveTo(px(center[2 * row]), py(center[2 * row + 1]));
           ctx.lineTo(px(places[4 * row]), py(places[4 * row + 1]));
           ctx.lineTo(px(places[4 * row + 2]), py(places[4 * row + 3]));
@@ -96,7 +96,7 @@ export class PlanePanel {
     });
   }
 
-  /** The robot under a pixel, -1 where there is none: the one whose arms are nearest. */
+  /** Returns the robot with the arms nearest to a pixel, -1 if no robot reaches it. */
   robotAt(px, py) {
     const { center, n } = this.app.recording.plane, { places } = this.app;
     const [x, y] = this.camera.toPlane(px, py);
@@ -105,7 +105,7 @@ export class PlanePanel {
       const [cx, cy] = [center[2 * row], center[2 * row + 1]];
       if (Math.hypot(x - cx, y - cy) > this.reach[row]) continue;
       const [ex, ey, tx, ty] = places.subarray(4 * row, 4 * row + 4);
-      const away = Math.min(awayFrom(x, y, cx, cy, ex, ey), awayFrom(x, y, ex, ey, tx, ty));
+      const away = Math.min(distanceTo(x, y, cx, cy, ex, ey), distanceTo(x, y, ex, ey, tx, ty));
       if (away < least) [best, least] = [row, away];
     }
     return best;
@@ -140,15 +140,15 @@ export class PlanePanel {
   onMove(event, [x, y]) {
     const before = this.pointers.get(event.pointerId);
     if (!before) {
-      this.app.point(this.robotAt(x, y));
+      this.app.showHint(this.robotAt(x, y));
       return;
     }
     this.travelled += Math.hypot(x - before[0], y - before[1]);
     if (this.pointers.size === 2) {
-      // two fingers: zoom about the one that rests
+      // two fingers: zoom about the one that does not move
       const [other] = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
-      const was = Math.hypot(before[0] - other[0], before[1] - other[1]);
-      this.zoom(Math.hypot(x - other[0], y - other[1]) / Math.max(was, 1), ...other);
+      const distance = Math.hypot(before[0] - other[0], before[1] - other[1]);
+      this.zoom(Math.hypot(x - other[0], y - other[1]) / Math.max(distance, 1), ...other);
     } else if (this.travelled >= CLICK_PX) {
       this.camera.x -= (x - before[0]) / this.camera.scale;
       this.camera.y += (y - before[1]) / this.camera.scale;
@@ -170,14 +170,14 @@ export class PlanePanel {
   }
 }
 
-// How wide the phi link of the first robot is [mm].
+// Width of the phi arm of the first robot [mm].
 function widthOf({ n, phi }) {
   if (!n) return 1;
   const across = Array.from({ length: phi.count }, (_, v) => phi.vertices[2 * v + 1]);
   return Math.max(...across) - Math.min(...across) + 2 * phi.radius[0] || 1;
 }
 
-function awayFrom(x, y, ax, ay, bx, by) {
+function distanceTo(x, y, ax, ay, bx, by) {
   const [ux, uy] = [bx - ax, by - ay], square = ux * ux + uy * uy;
   const s = square > 0 ? Math.min(1, Math.max(0, ((x - ax) * ux + (y - ay) * uy) / square)) : 0;
   return Math.hypot(x - ax - s * ux, y - ay - s * uy);

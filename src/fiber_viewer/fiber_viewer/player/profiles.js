@@ -1,14 +1,14 @@
-// Panels 4 and 5: velocities and positions of both motors of the watched robot.
+// Panels 4 and 5: velocity and position profiles of both joints of the first watched robot.
 import { angleAt, velocityAt } from "./kinematics.js";
 import { pausesOf } from "./phases.js";
 import { Axes } from "./axes.js";
 import { cleared, colors, write } from "./theme.js";
 
 const DEGREE = Math.PI / 180;
-const MOST_RINGS = 40; // encoder readings drawn of a joint
+const MOST_RINGS = 40; // encoder readings that are drawn of a joint
 const JOINTS = ["theta", "phi"];
 
-/** Speeds of the segments of a profile as steps: time, deg/s, time, deg/s, ... */
+/** Returns the velocities of the segments of a profile as steps: time, deg/s, time, deg/s, ... */
 export function velocitySteps(motion, profile, end) {
   const points = [0, 0];
   for (let k = motion.offsets[profile]; k < motion.offsets[profile + 1]; k++) {
@@ -19,7 +19,7 @@ export function velocitySteps(motion, profile, end) {
   return points;
 }
 
-/** Angles at the ends of the segments of a profile: time, deg, ... */
+/** Returns the angles at the ends of the segments of a profile: time, deg, ... */
 export function breakPoints(motion, profile) {
   const points = [0, motion.start[profile] / DEGREE];
   for (let k = motion.offsets[profile]; k < motion.offsets[profile + 1]; k++) {
@@ -29,7 +29,7 @@ export function breakPoints(motion, profile) {
   return points;
 }
 
-/** The planner's curve of a profile: its angles [deg] or its speeds [deg/s] over time. */
+/** Returns planned angles [deg], or velocities [deg/s], of a profile: time, value, ... */
 export function plannedCurve(planned, profile, speeds) {
   const { times, angles } = planned, count = times.length, first = profile * count;
   const points = [];
@@ -43,7 +43,7 @@ export function plannedCurve(planned, profile, speeds) {
   return points;
 }
 
-/** Encoder readings of a joint: time, deg, ... A reading is where the orders lead plus what it is off. */
+/** Returns encoder readings of a joint: time, deg, ... The file has their distances from the motion. */
 export function readings(recording, row, joint) {
   const { measured, motion } = recording, points = [];
   for (let i = measured.offsets[row]; i < measured.offsets[row + 1]; i++) {
@@ -54,17 +54,17 @@ export function readings(recording, row, joint) {
   return points;
 }
 
-/** How far a joint could turn beside what was sent: time, low, high [deg], ... until a stop. */
-export function marginBand(recording, row, joint) {
-  const { margins, motion } = recording, band = [];
-  if (!margins || !(margins.lasts[row] > 0)) return band;
-  const { count, low, high } = margins, first = (2 * row + joint) * count;
+/** Returns the corridor of a joint until its robot was stopped: time, low, high [deg], ... */
+export function corridorBand(recording, row, joint) {
+  const { corridors, motion } = recording, band = [];
+  if (!corridors || !(corridors.lasts[row] > 0)) return band;
+  const { count, low, high } = corridors, first = (2 * row + joint) * count;
   const until = motion.phases[0].stop === null ? Infinity : motion.active.ends[row];
   for (let k = 0; k < count; k++) {
-    const time = (k / (count - 1)) * margins.lasts[row];
+    const time = (k / (count - 1)) * corridors.lasts[row];
     const [l, h] = [low[first + k] / DEGREE, high[first + k] / DEGREE];
     if (time > until) {
-      // what was not carried out has no margin: the band ends at the stop
+      // the corridor belongs to the orders, which end at the stop
       const [t0, l0, h0] = band.slice(-3), share = (until - t0) / (time - t0);
       band.push(until, l0 + share * (l - l0), h0 + share * (h - h0));
       break;
@@ -74,10 +74,10 @@ export function marginBand(recording, row, joint) {
   return band;
 }
 
-// From below to above the curves, with their margins as far as these leave them legible.
-function rangeOf(values, margin) {
+// Range of a plot: the curves, and as much of the corridor as keeps them legible.
+function rangeOf(values, band) {
   const low = Math.min(...values), high = Math.max(...values), most = Math.max(high - low, 15);
-  const walls = (wall) => margin.filter((_, i) => i % 3 === wall);
+  const walls = (wall) => band.filter((_, i) => i % 3 === wall);
   const below = Math.min(low - Math.min(low, ...walls(1)), most);
   const above = Math.min(Math.max(high, ...walls(2)) - high, most);
   const pad = Math.max(0.06 * (high - low + below + above), 1);
@@ -103,7 +103,7 @@ class ProfilesPanel {
       return;
     }
     const row = robots[0], { motion } = recording;
-    // not the whole plane's time: others may move for long after this one
+    // other robots may move for much longer than this one
     const own = Math.max(motion.end[2 * row], motion.end[2 * row + 1]) || motion.makespan;
     const end = Math.max(Math.min(1.15 * own, motion.makespan), 1e-3);
     const stacked = width < 560, gap = 52;
@@ -118,7 +118,7 @@ class ProfilesPanel {
     this.note.textContent = `robot ${recording.plane.ids[row]} — ${this.legend}`;
   }
 
-  /** Shades the times between a stop of all and going on. */
+  /** Shades the times in which all robots were stopped. */
   shadePauses(ctx, axes) {
     for (const [from, to] of pausesOf(this.app.recording.motion)) {
       axes.band(ctx, [from, axes.yLow, axes.yHigh, to, axes.yLow, axes.yHigh], colors.stopped, 0.16);
@@ -145,22 +145,22 @@ export class VelocityPanel extends ProfilesPanel {
 }
 
 export class PositionPanel extends ProfilesPanel {
-  legend = "sent bold, planned thin, rings: encoders, band: margin";
+  legend = "sent bold, planned thin, rings: encoders, band: corridor";
 
   plot(ctx, box, row, joint, end, t) {
     const { recording } = this.app, { motion, planned } = recording, profile = 2 * row + joint;
     const sent = breakPoints(motion, profile), read = readings(recording, row, joint);
     const plan = planned ? plannedCurve(planned, profile, false) : [];
     const values = [...sent, ...read, ...plan].filter((_, i) => i % 2);
-    const margin = marginBand(recording, row, joint);
-    const axes = new Axes(box, [0, end], rangeOf(values, margin));
+    const corridor = corridorBand(recording, row, joint);
+    const axes = new Axes(box, [0, end], rangeOf(values, corridor));
     const now = angleAt(motion, profile, t) / DEGREE;
     axes.frame(ctx, "s", `${JOINTS[joint]}: ${now.toFixed(2)} deg`);
     const color = colors[JOINTS[joint]];
     this.shadePauses(ctx, axes);
-    if (margin.length) {
-      axes.band(ctx, margin, colors.plan, 0.2);
-      for (const wall of [1, 2]) axes.curve(ctx, margin.filter((_, i) => i % 3 === 0 || i % 3 === wall), colors.plan, 0.8);
+    if (corridor.length) {
+      axes.band(ctx, corridor, colors.plan, 0.2);
+      for (const wall of [1, 2]) axes.curve(ctx, corridor.filter((_, i) => i % 3 === 0 || i % 3 === wall), colors.plan, 0.8);
     }
     axes.curve(ctx, [...sent, end, sent.at(-1)], color, 2.4);
     axes.curve(ctx, plan, colors.plan, 1.2);

@@ -1,23 +1,23 @@
-// A recording opened: plain typed arrays by name. docs/recording.md describes the file.
+// Opens a recording: from the bytes of the file to typed arrays. docs/recording.md describes the file.
 import { readNpz } from "./npz.js";
 import { motionOf } from "./phases.js";
 
 const NEWEST_VERSION = 2;
 const MICRORADIAN = 1e-6, MILLIRADIAN = 1e-3;
-const FEW = 3; // robots that fail together on a bus and are named one by one
+const MOST_NAMED = 3; // of robots that fail together on a bus: more are one entry
 
-// What a robot looks like at a time.
+// The state of a robot at a time.
 export const MOVING = 0, REACHED = 1, HELD = 2, FAILED = 3, IDLE = 4, DISABLED = 5, STOPPED = 6;
 export const STATE_NAMES = ["moving", "reached", "held", "failed", "no target", "disabled", "stopped"];
 
-/** Opens the bytes of a recording. Throws an Error that says what is wrong with them. */
+/** Returns a recording from the bytes of its file. Throws an Error if they are not a recording. */
 export async function openRecording(bytes) {
   const arrays = await readNpz(bytes);
-  if (!arrays.about) throw new Error("this file is no recording");
+  if (!arrays.about) throw new Error("this file is not a recording");
   const about = JSON.parse(new TextDecoder().decode(arrays.about.data));
-  if (about.format !== "fiber recording") throw new Error("this file is no recording");
+  if (about.format !== "fiber recording") throw new Error("this file is not a recording");
   if (about.version > NEWEST_VERSION) {
-    throw new Error(`version ${about.version} is newer than this page, which reads ${NEWEST_VERSION}`);
+    throw new Error(`the recording has version ${about.version}, newer than this page, which reads up to ${NEWEST_VERSION}`);
   }
   const plane = planeOf(arrays);
   const motion = motionOf(arrays, about.units);
@@ -26,7 +26,7 @@ export async function openRecording(bytes) {
     plane,
     motion,
     planned: plannedOf(arrays),
-    margins: marginsOf(arrays),
+    corridors: corridorsOf(arrays),
     measured: measuredOf(arrays, about.units, plane.n),
     load: loadOf(arrays, about),
     events: eventsOf(arrays, about),
@@ -66,7 +66,7 @@ function planeOf(arrays) {
   };
 }
 
-// The planner's curves: angle k of profile p is angles[p * times.length + k].
+// The planner's trajectory: angle k of profile p is angles[p * times.length + k].
 function plannedOf(arrays) {
   if (!arrays.planned_time_s) return null;
   const times = arrays.planned_time_s.data, steps = arrays.planned_step_urad.data;
@@ -78,9 +78,9 @@ function plannedOf(arrays) {
   return { times, angles };
 }
 
-// How far joints could turn: walls of joint j of a row at instant k of `count` equally spaced
-// ones are low[(2 row + j) count + k] and high[...]; the last instant is at lasts[row].
-function marginsOf(arrays) {
+// Corridors: joint j of a robot must stay between low[(2 row + j) count + k] and high[...] at
+// instant k of `count` equally spaced instants; the last instant is at lasts[row].
+function corridorsOf(arrays) {
   if (!arrays.margin_lasts_s) return null;
   const steps = arrays.margin_step_mrad.data, count = arrays.margin_step_mrad.shape[3];
   const low = new Float64Array(steps.length / 2), high = new Float64Array(steps.length / 2);
@@ -91,7 +91,7 @@ function marginsOf(arrays) {
   return { count, low, high, lasts: arrays.margin_lasts_s.data };
 }
 
-// Encoder readings by robot: those of a row are order[offsets[row] .. offsets[row + 1]].
+// Encoder readings by robot: the readings of a row are order[offsets[row] .. offsets[row + 1]].
 function measuredOf(arrays, units, n) {
   const row = arrays.measured_row.data, off = arrays.measured_off_counts.data;
   const time = new Float64Array(row.length);
@@ -122,11 +122,11 @@ function eventsOf(arrays, about) {
     bus: arrays.event_bus.data[i],
     row: arrays.event_row.data[i],
     detail: arrays.event_detail.data[i],
-    bad: !["go", "stop"].includes(names[kind[i]]),
+    unexpected: !["go", "stop"].includes(names[kind[i]]),
   }));
 }
 
-// Pairs of robots by how near they came, nearest first; pairs with a disc have b >= n.
+// Pairs of neighbours by their smallest gap, closest first; pairs with a disc have b >= n.
 function pairsOf(arrays) {
   const rows = arrays.pair_row.data;
   return Array.from(arrays.pair_gap_mm.data, (gap, i) => ({
@@ -140,12 +140,12 @@ export function stateAt(recording, row, t) {
   if (!plane.enabled[row]) return DISABLED;
   if (started[row]) {
     const { active, phases } = motion, n = plane.n;
-    for (let phase = 0, before = false; phase < phases.length; phase++) {
+    for (let phase = 0, hasMoved = false; phase < phases.length; phase++) {
       const ends = active.ends[phase * n + row];
       if (Number.isNaN(ends)) continue; // not in this phase
-      if (before && t < phases[phase].begin) return STOPPED;
+      if (hasMoved && t < phases[phase].begin) return STOPPED;
       if (t < ends) return MOVING;
-      before = true;
+      hasMoved = true;
     }
   }
   if (outcome[row] === 0) return REACHED;
@@ -153,7 +153,7 @@ export function stateAt(recording, row, t) {
   return recording.about.names.reason[reason[row]] === "no_target" ? IDLE : HELD;
 }
 
-/** Returns why a robot ended as it did, in words. */
+/** Returns outcome and reason of a robot, in words. */
 export function reasonOf(recording, row) {
   const { names } = recording.about;
   const word = (name) => (name ?? "unknown").replaceAll("_", " ");
@@ -162,13 +162,13 @@ export function reasonOf(recording, row) {
   return reason === "ok" ? outcome : `${outcome}: ${reason}`;
 }
 
-/** Returns the name of a body of a pair: a robot's id, or the number of a disc. */
+/** Returns the name of a member of a pair: the id of a robot, or the number of a disc. */
 export function bodyName(recording, body) {
   const { n, ids } = recording.plane;
   return body < n ? String(ids[body]) : `disc ${body - n}`;
 }
 
-/** Returns what happened in an event, in words. */
+/** Returns the kind and the detail of an event, in words. */
 export function eventText(recording, { kind, detail }) {
   const codes = recording.about.codes ?? {}, word = (name) => name.replaceAll("_", " ");
   if (!detail) return word(kind);
@@ -179,42 +179,42 @@ export function eventText(recording, { kind, detail }) {
   return `${word(kind)} ${word(codes[kind]?.[detail] ?? String(detail))}`;
 }
 
-/** Returns when all were stopped and when some went on: [{time, what}, ...]. */
+/** Returns when all robots were stopped and when robots were resumed: [{time, text}, ...]. */
 export function stopsOf(recording) {
   const { motion, plane } = recording, { phases, active } = motion;
   return phases.flatMap(({ begin, stop }, phase) => {
     const ends = active.ends.subarray(phase * plane.n, (phase + 1) * plane.n);
     const moving = ends.reduce((count, end) => count + !Number.isNaN(end), 0);
-    const told = phase ? [{ time: begin, what: `${moving} robots go on` }] : [];
-    return stop === null ? told : [...told, { time: stop, what: "all are stopped" }];
+    const resumed = phase ? [{ time: begin, text: `${moving} robots resumed` }] : [];
+    return stop === null ? resumed : [...resumed, { time: stop, text: "all robots stopped" }];
   });
 }
 
-/** Returns everything that went wrong: bad events, then robots that failed without one. */
+/** Returns all faults: unexpected events, and robots that failed without one. */
 export function faultsOf(recording) {
-  const bad = recording.events.filter((event) => event.bad);
-  const explained = new Set(bad.filter(({ kind }) => kind === "fault").map(({ row, time }) => `${row} ${time}`));
-  // a robot that reports a fault raises alerts with it
-  const faults = bad.filter(({ kind, row, time }) => kind !== "alert" || !explained.has(`${row} ${time}`));
-  const told = new Set(faults.map((fault) => fault.row));
-  const together = new Map(); // robots that failed without a word, by bus, instant and reason
+  const unexpected = recording.events.filter((event) => event.unexpected);
+  const explained = new Set(unexpected.filter(({ kind }) => kind === "fault").map(({ row, time }) => `${row} ${time}`));
+  // the alerts that a robot raises with a fault add nothing
+  const faults = unexpected.filter(({ kind, row, time }) => kind !== "alert" || !explained.has(`${row} ${time}`));
+  const withEvent = new Set(faults.map((fault) => fault.row));
+  const together = new Map(); // robots that failed without an event, by bus, instant and reason
   recording.outcome.forEach((outcome, row) => {
-    if (outcome !== 2 || told.has(row)) return;
-    const time = stoodSince(recording, row), kind = reasonOf(recording, row), bus = recording.plane.bus[row];
+    if (outcome !== 2 || withEvent.has(row)) return;
+    const time = lastMotionEnd(recording, row), kind = reasonOf(recording, row), bus = recording.plane.bus[row];
     const key = [bus, time.toFixed(3), kind].join();
     if (!together.has(key)) together.set(key, []);
     together.get(key).push({ time, kind, row, bus });
   });
   for (const group of together.values()) {
     const [{ time, kind, bus }] = group;
-    if (group.length > FEW) faults.push({ time, kind: `${group.length} robots ${kind}`, row: -1, bus });
+    if (group.length > MOST_NAMED) faults.push({ time, kind: `${group.length} robots ${kind}`, row: -1, bus });
     else faults.push(...group);
   }
   return faults.sort((a, b) => a.time - b.time);
 }
 
-// When a robot last moved; without any motion, the end.
-function stoodSince({ motion, plane, end }, row) {
+// When the last motion of a robot ended; the end of the recording if it never moved.
+function lastMotionEnd({ motion, plane, end }, row) {
   const ends = motion.phases.map((_, phase) => motion.active.ends[phase * plane.n + row]);
   return ends.filter((time) => !Number.isNaN(time)).at(-1) ?? end;
 }

@@ -1,30 +1,30 @@
-// Colours and canvases: what all panels draw with.
+// Colours and canvases for all panels.
 
 const NAMES = [
   "ground", "card", "ink", "soft", "line", "faint", "accent", "watch", "moving", "reached",
   "held", "failed", "idle", "disabled", "stopped", "theta", "phi", "plan", "gap",
 ];
 
-/** Colours by name, and those of states in the order of STATE_NAMES; see readColors. */
+/** Colours by name, and `states` in the order of STATE_NAMES; set by readColors. */
 export const colors = {};
 
-/** Reads the colours of the style sheet again, after the theme has changed. */
+/** Reads the colours from the style sheet, after a change of the theme. */
 export function readColors() {
   const style = getComputedStyle(document.documentElement);
   for (const name of NAMES) colors[name] = style.getPropertyValue(`--${name}`).trim();
   colors.states = ["moving", "reached", "held", "failed", "idle", "disabled", "stopped"].map((n) => colors[n]);
 }
 
-/** Sets light or dark; null for what the system prefers. */
+/** Sets the theme "light" or "dark"; null: the preference of the system. */
 export function setTheme(theme) {
   const dark = theme ? theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
   document.documentElement.dataset.theme = dark ? "dark" : "light";
   readColors();
 }
 
-const MAX_RATIO = 2; // finer pixels cost time and show nothing
+const MAX_RATIO = 2; // canvas pixels per CSS pixel; more cost time and are not visible
 
-/** Fits a canvas to its place and clears it; returns {ctx, width, height} in CSS pixels. */
+/** Sets the size of a canvas to its place on the page and clears it; returns {ctx, width, height} in CSS pixels. */
 export function cleared(canvas) {
   const ratio = Math.min(globalThis.devicePixelRatio || 1, MAX_RATIO);
   const width = canvas.clientWidth, height = canvas.clientHeight;
@@ -39,7 +39,7 @@ export function cleared(canvas) {
   return { ctx, width, height };
 }
 
-/** Writes text that stays legible on whatever is below it. */
+/** Writes text with a border that keeps it legible on any ground. */
 export function label(ctx, text, x, y, color, align = "left") {
   ctx.textAlign = align;
   ctx.strokeStyle = colors.card;

@@ -1,12 +1,12 @@
-// The line at the bottom: how many robots move, closest approaches, faults, and the time.
+// The line at the bottom: number of moving robots, closest approaches, faults, and the time.
 import { MOVING, faultsOf, stateAt } from "./recording.js";
 import { pausesOf } from "./phases.js";
 import { cleared, colors, write } from "./theme.js";
 import { disc, line } from "./drawing.js";
 
 const SAMPLES = 240;
-const APPROACHES = 20; // marked
-const CATCH_PX = 6; // a click this near to a mark goes to the mark
+const APPROACHES = 20; // that are marked
+const SNAP_PX = 6; // a click this close to a mark goes to the mark
 
 export class Timeline {
   constructor(canvas, app) {
@@ -34,12 +34,12 @@ export class Timeline {
     return inset + ((t - begin) / (end - begin)) * (this.canvas.clientWidth - 2 * inset);
   }
 
-  scrub(event, mayCatch) {
+  scrub(event, maySnap) {
     const { begin, end } = this.app.recording, inset = 8;
     const px = event.clientX - this.canvas.getBoundingClientRect().left;
     const time = begin + ((px - inset) / (this.canvas.clientWidth - 2 * inset)) * (end - begin);
-    const near = (marks) => marks.find((mark) => Math.abs(this.x(mark.time) - px) < CATCH_PX);
-    const fault = mayCatch && near(this.faults), approach = mayCatch && near(this.approaches);
+    const near = (marks) => marks.find((mark) => Math.abs(this.x(mark.time) - px) < SNAP_PX);
+    const fault = maySnap && near(this.faults), approach = maySnap && near(this.approaches);
     if (fault) this.app.goToFault(fault);
     else if (approach) this.app.goToApproach(approach);
     else this.app.seek(time);
