@@ -57,6 +57,16 @@ def _lower_bound(g0: float, g1: float, way: float) -> float:
 
 
 @nb.njit(cache=True, error_model="numpy")
+def _most_segments(first: Ints, stop: Ints) -> int:
+    # number of segments of the joint that has most of them
+    most = 0
+    for i in range(len(first)):
+        for joint in range(2):
+            most = max(most, stop[i, joint] - first[i, joint])
+    return most
+
+
+@nb.njit(cache=True, error_model="numpy")
 def _cut(
     start: Angles,
     first: Ints,
@@ -135,10 +145,7 @@ def minimum_gaps(
     begins, ends = profiles.begins_s, profiles.ends_s
     angle, velocity = profiles.angle, profiles.velocity
     tolerance = max(tolerance, FINEST_MM)
-    longest = 0
-    for i in range(len(start)):
-        for joint in range(2):
-            longest = max(longest, stop[i, joint] - first[i, joint])
+    longest = _most_segments(first, stop)
     piece_t = np.empty(4 * longest + 1)
     piece_q, piece_w = np.empty((4 * longest + 1, 4)), np.empty((4 * longest + 1, 4))
     row: int
