@@ -72,7 +72,7 @@ def planned(plane: FocalPlane, planner: str, seed: int) -> Orders:
 def of_methods(plane: FocalPlane, motion: SampledMotion) -> list[dict]:
     """Return a row for each rule and method: lines of each joint, in the steps of the paper.
 
-    The share of a robot is half of the free space beside a neighbour, which is by rule: the gap
+    The share of a robot is half of the free space to a neighbour, which is by rule: the gap
     less the required gap, the distance of the tips less d (half the spacing of targets), or the
     whole distance of the tips, as printed.
     """

@@ -1,4 +1,4 @@
-"""The corridor of a joint: how far it can turn either way at each sample beside its neighbours."""
+"""The corridor of a joint: how far it can turn at each sample without touching a neighbour."""
 
 import math
 from typing import NamedTuple
@@ -81,8 +81,8 @@ def corridor_walls(
         times: sample times of each robot [s], shape (m, t).
         desired: desired angles of both joints at these times [rad], shape (m, 2, t).
         side: where to pass a neighbour: +1 at higher angles, -1 at lower ones, 0 not at all.
-        reach: largest distance of a wall from the desired angle, or from the free angle
-            beside it [rad].
+        reach: largest distance of a wall from the desired angle, or from the nearest free
+            angle [rad].
 
     Returns:
         Low and high walls [rad], shape (m, t), and whether each corridor is open, shape (m,).

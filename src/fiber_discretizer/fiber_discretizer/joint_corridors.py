@@ -1,4 +1,4 @@
-"""The corridors of the orders that are sent: how far each joint could turn beside all others."""
+"""Corridors of the orders that are sent: how far each joint could turn among the others."""
 
 import numpy as np
 

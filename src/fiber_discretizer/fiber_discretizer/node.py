@@ -31,7 +31,7 @@ class DiscretizerNode(Node):
         self._safety = declare_parameters(self, Safety, "safety")
         self._newest: Attempt | None = None
         self._report = Reporter(self, "discretizer")
-        self._view = PlaneCache(self, self._report)
+        self._plane_cache = PlaneCache(self, self._report)
         self._attempts = AttemptListener(self)
         self._held = topics.HELD_BY_DISCRETIZER.publisher(self)
         self._segments = topics.SEGMENTS.publisher(self)
@@ -46,7 +46,7 @@ class DiscretizerNode(Node):
             return
 
         def discretize_when_current(attempt: Attempt) -> None:
-            self._view.when_current(attempt, lambda: self._discretize(attempt, message))
+            self._plane_cache.when_current(attempt, lambda: self._discretize(attempt, message))
 
         if not self._attempts.when_announced(stamp, discretize_when_current):
             self._report.waiting(f"trajectory {stamp} waits for targets with its stamp")
@@ -59,18 +59,18 @@ class DiscretizerNode(Node):
                 return
             ids, motion, velocities = trajectory.decode(message)
             result = discretize_trajectory(
-                self._view.plane,
-                self._view.angles,
+                self._plane_cache.plane,
+                self._plane_cache.angles,
                 ids,
                 motion,
-                self._view.units,
+                self._plane_cache.units,
                 self._safety,
                 options=self._options,
                 progress=lambda fraction, text: self._report.progress(attempt, fraction, text),
                 velocities=velocities,
             )
             self._newest = attempt
-            self._publish(result, self._view.plane.ids, attempt)
+            self._publish(result, self._plane_cache.plane.ids, attempt)
         except FiberError as error:
             self._report.refuse(f"trajectory refused: {error}")
 
@@ -100,7 +100,7 @@ class DiscretizerNode(Node):
             f"least clearance {clearance} mm",
         )
         if self._corridors.get_subscription_count():  # corridors take longer than all the rest
-            found = joint_corridors(self._view.plane, wire.decoded(), self._safety)
+            found = joint_corridors(self._plane_cache.plane, wire.decoded(), self._safety)
             self._corridors.publish(corridors.encode(ids, found, stamp))
 
 

@@ -30,7 +30,7 @@ class DiscretizeOptions:
         rule: what "makarem2014" counts as free space, "safe" or "printed" (see
             `makarem2014.share`).
         first_joint: the joint that is fitted first where both are, 0 theta or 1 phi; the
-            corridor of the other joint is found beside the new profile of the first.
+            corridor of the other joint is found with the new profile of the first.
         max_segments: largest number of segments of one joint that an order can carry.
         rounds: how often robots without a safe motion are tried again; "makarem2014" halves
             their share each time and tries the last time without any.

@@ -24,7 +24,7 @@ def random_motion(rng, n):
 
 
 def walls(plane, motion, joint, side, desired=None):
-    """Walls of a joint of robot 0 beside the others, by default around its own motion."""
+    """Walls of a joint of robot 0 among the others, by default around its own motion."""
     times = np.linspace(0.0, 1.5, SAMPLES)[None]
     angles = np.stack([motion(t) for t in times[0]], axis=-1)
     desired = angles[:1] if desired is None else desired

@@ -29,7 +29,7 @@ def pushed_apart(plane, start, goal, seconds=3.0, step_s=0.01, least_mm=2.0, rea
     """Joint angles pulled to their goals while tips push each other: curved, uneven paths.
 
     In the spirit of the navigation function of the papers: goals in joint space, a barrier
-    between tips, both motors slowed down together at the speed limit.
+    between tips, both joints slowed down together at the speed limit.
     """
     angles, path = np.array(start, dtype=float), []
     for _ in range(int(seconds / step_s) + 1):

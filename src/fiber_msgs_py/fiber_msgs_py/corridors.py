@@ -1,4 +1,4 @@
-"""Corridors: how far each joint could turn either way beside all orders that are sent.
+"""Corridors: how far each joint could turn while all others move as ordered.
 
 For viewers; no node acts on them.
 """

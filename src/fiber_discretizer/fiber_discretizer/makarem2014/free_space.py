@@ -104,10 +104,10 @@ def _fill(
     pairs = pairs[rows].astype(np.int64)
     reach_phi = np.hypot(*np.moveaxis(plane.phi_vertices, -1, 0)).max(axis=1) + plane.phi_radius
     levers = np.stack([plane.reach_mm, reach_phi], axis=1)
-    concerned = np.unique(pairs)
-    first = second = (angles, _travel(concerned, levers, angles))
+    affected = np.unique(pairs)
+    first = second = (angles, _travel(affected, levers, angles))
     if others is not None:
-        second = (others, _travel(concerned, levers, others))
+        second = (others, _travel(affected, levers, others))
     _free_space(bodies_of(plane), pairs, rows, required_mm[rows], first, second, space)
 
 

@@ -47,8 +47,8 @@ def _foremost(meetings: Pairs, free: Mask, free_space: FreeSpace) -> Rows:
     candidates = np.unique(meetings[free[meetings]])
     score = np.bincount(meetings.ravel(), minlength=len(free))
     score[candidates] -= _blocked_pairs(candidates, free_space)
-    hopeless = meetings[~free[meetings].all(axis=1)].ravel()
-    score[hopeless] = len(free_space.pairs) + 1
+    unavoidable = meetings[~free[meetings].all(axis=1)].ravel()
+    score[unavoidable] = len(free_space.pairs) + 1
     rank = np.where(free, score * len(free) - np.arange(len(free)), np.iinfo(np.int64).min)
     a, b = meetings.T
     return np.setdiff1d(candidates, np.where(rank[a] < rank[b], a, b))
@@ -59,14 +59,14 @@ def _blocked_pairs(candidates: Rows, free_space: FreeSpace) -> Ints:
     which = free_space.pairs_with(np.isin(np.arange(free_space.plane.n), candidates))
     pairs, required = free_space.pairs[which], free_space.required_mm[which]
     both_ways = np.concatenate([pairs, pairs[:, ::-1]])
-    concerned = np.isin(both_ways[:, 0], candidates)
+    affected = np.isin(both_ways[:, 0], candidates)
     resting = np.repeat(free_space.angles[:, :, :1], free_space.angles.shape[2], axis=2)
     space = free_space_mm(
         free_space.plane,
-        both_ways[concerned],
-        np.tile(required, 2)[concerned],
+        both_ways[affected],
+        np.tile(required, 2)[affected],
         resting,
         free_space.angles,
     )
-    blocked = both_ways[concerned, 0][space.min(axis=1) < 0.0]
+    blocked = both_ways[affected, 0][space.min(axis=1) < 0.0]
     return np.bincount(blocked, minlength=free_space.plane.n)[candidates]

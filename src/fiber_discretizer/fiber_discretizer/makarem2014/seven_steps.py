@@ -1,7 +1,7 @@
 """The seven steps of the paper: each of two neighbours has half of the space between them.
 
 Makarem et al. 2014 (SPIE, arXiv 1410.1181) as it is understood here: planned trajectory;
-share of the first joint; its profile fitted by lines; share of the second joint beside the new
+share of the first joint; its profile fitted by lines; share of the second joint with the new
 profile of the first; its profile fitted by lines; both in wire units; checked. Added: robots
 with trajectories that meet are held first, and robots with a decoded motion that cannot be
 certified are tried again with smaller shares, then held.
@@ -163,10 +163,10 @@ class _SevenSteps:
         return certify(self.plane, self.wire.decoded(), self.safety, pairs).unsafe_robots
 
     def _shares(self, joint: int, robots: Mask) -> Floats:
-        concerned: Bools = self.free_space.pairs_with(robots)
-        pairs, angles = self.free_space.pairs[concerned], self.free_space.angles
+        affected: Bools = self.free_space.pairs_with(robots)
+        pairs, angles = self.free_space.pairs[affected], self.free_space.angles
         if self.options.rule == "safe":
-            free = self.free_space.space_mm(concerned)
+            free = self.free_space.space_mm(affected)
         else:
             free = tip_distances_mm(self.plane, pairs, angles)
         return joint_shares(self.plane, joint, pairs, free, angles[:, 1], robots, _CAP_RAD)

@@ -24,7 +24,7 @@ def joint_shares(
 ) -> Floats:
     """Return how far one joint of some robots may be from its profile [rad], shape (m, t).
 
-    The free space of a pair is shared by halves; a robot beside an obstacle, or beside
+    The free space of a pair is shared by halves; a robot next to an obstacle, or to
     a robot that will not leave its profile any more, has all of the space. Divided by the
     lever arm it is an angle, because every point of a robot that turns a joint by x moves by
     at most x times the lever.
@@ -75,7 +75,7 @@ def lever_arms_mm(plane: FocalPlane, joint: int, phi: Floats, robots: Mask) -> F
         plane: the focal plane.
         joint: 0 theta, 1 phi.
         phi: phi angles at each sample [rad], shape (n, t).
-        robots: the robots concerned, shape (n,), m of them.
+        robots: the robots, shape (n,), m of them.
     """
     x, y = np.moveaxis(plane.phi_vertices[robots], -1, 0)
     around_elbow = np.hypot(x, y).max(axis=1) + plane.phi_radius[robots]

@@ -5,7 +5,7 @@ need none: a straight line is enough. So all robots begin with straight lines. A
 comes too close to a neighbour on its straight line follows its trajectory instead, and so do
 the robots that are in the way of these trajectories, until the motion is as safe as the
 trajectories are. From there robots are discretized one after another, never two neighbours at
-a time. Each selects the fewest segments that are proven safe beside the present motion of all
+a time. Each selects the fewest segments that are proven safe with the present motion of all
 others: straight lines, one joint around what is in its way, both joints along the trajectory.
 A robot that is in no conflict stays so; the order decides which of two robots bends.
 """
@@ -156,7 +156,7 @@ class _Search:
         return changed
 
     def follow_trajectories(self) -> None:
-        # A robot without a motion beside the present ones follows its trajectory, the robots
+        # A robot without a safe motion among the present ones follows its trajectory, the robots
         # then in its way follow theirs, and so on: where all trajectories together are safe,
         # this succeeds.
         plan, candidates = self.plan, self.candidates

@@ -164,8 +164,8 @@ class SegmentPlan:
         self.segments = self.segments.replaced(profile_rows(rows), segments)
         self.is_rounded[rows] = is_rounded
         self._profiles = None
-        concerned = self.pairs_of(rows)
-        self.unsafe[concerned] = self.unproven(concerned)
+        affected = self.pairs_of(rows)
+        self.unsafe[affected] = self.unproven(affected)
 
     def snapshot(self) -> Snapshot:
         """Return the present state, for `restore`."""
