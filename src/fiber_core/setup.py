@@ -3,7 +3,7 @@ from setuptools import find_packages, setup
 setup(
     name="fiber_core",
     version="0.1.0",
-    description="What a focal plane of fibre positioners is and how things move on it.",
+    description="The focal plane of fibre positioners, its motions and their certificates.",
     maintainer="fiber positioner team",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
@@ -16,5 +16,5 @@ setup(
     # package.xml names the ROS packages as well
     install_requires=["numpy", "numba", "scipy", "astropy"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
-    zip_safe=False,  # compiled loops are cached beside the modules
+    zip_safe=False,  # compiled loops are cached next to the modules
 )

@@ -1,4 +1,4 @@
-"""Names of array types that tell the shape and the unit of an array.
+"""Names of array types that state the shape and the unit of an array.
 
 In the shapes, n stands for all robots, k for some of them, p for pairs, m for segments and t for
 instants. A type checker sees the kind of the elements; `fiber_core.validation` checks shapes
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 Floats: TypeAlias = NDArray[np.floating[Any]]
-Ints: TypeAlias = NDArray[np.integer[Any]]  # rows are np.intp, which type checkers tell apart
+Ints: TypeAlias = NDArray[np.integer[Any]]  # rows are np.intp, another type to checkers
 Bools: TypeAlias = NDArray[np.bool_]
 
 Angles = Annotated[Floats, "joint angles theta, phi [rad], shape (n, 2)"]

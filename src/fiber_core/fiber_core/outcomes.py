@@ -53,7 +53,7 @@ class Reason(IntEnum):
     NOT_VERIFIED = 62
     UNSAFE_AS_LOADED = 63  # the loaded bytes, decoded, could not be certified
     STOPPED = 64
-    OFF_TARGET = 65  # the orders have ended, and the encoders are not at the end of the orders
+    OFF_TARGET = 65  # the orders have ended, and the fibre is not within tolerance of its target
     REFUSED = 66  # the robot refused the order
 
 

@@ -11,7 +11,7 @@ from fiber_core.focal_plane import FocalPlane
 
 __all__ = ["Bodies", "bodies_of"]
 
-# Columns of Bodies.table: a body's numbers, then the records of its phi and theta link.
+# Columns of Bodies.table: the numbers of a body, then the records of its phi and theta link.
 X, Y, ARM1, THETA, PHI = range(5)  # THETA holds the column of the theta record
 COUNT, RADIUS, DISC, VERTICES = 0, 1, 2, 5  # columns of a record from its first
 
@@ -63,7 +63,7 @@ class Bodies(NamedTuple):
 
 
 def bodies_of(plane: FocalPlane) -> Bodies:
-    """Return the outlines of a plane's robots, then of its obstacles as rows n, n+1, ...
+    """Return the outlines of all robots of a plane, then of its obstacles as rows n, n+1, ...
 
     Args:
         plane: the focal plane.
