@@ -45,7 +45,9 @@ ARROWS = {
     "fiber_discretizer": {"fiber_core"},
     "fiber_discretizer.node": {"fiber_discretizer", "fiber_node"} | ROS,
     "fiber_bus_bridge": {"fiber_core", "yaml", "vcd", "smbus2"},
-    "fiber_bus_bridge.node": {"fiber_bus_bridge", "fiber_node"} | ROS,
+    "fiber_bus_bridge.simulation": {"fiber_bus_bridge"},
+    "fiber_bus_bridge.node": {"fiber_bus_bridge.node.hardware"},
+    "fiber_bus_bridge.node.hardware": {"fiber_bus_bridge.simulation", "fiber_node"} | ROS,
     "fiber_client": {"fiber_node", "rich"} | ROS,
     "fiber_recording": {"fiber_bus_bridge"},
     "fiber_recording.node": {"fiber_recording.received_plans", "fiber_node"} | ROS,
@@ -54,17 +56,32 @@ ARROWS = {
     "fiber_recording.bag": {"fiber_recording", "fiber_msgs_py", "rosbags"} | ROS,
     "fiber_viewer": {"fiber_recording", "matplotlib"},
     "fiber_viewer.node": {"fiber_viewer", "fiber_node", "visualization_msgs"} | ROS,
-    "fiber_positioners": {"fiber_planner", "fiber_discretizer", "fiber_viewer", "rich"},
+    "fiber_positioners": {
+        "fiber_planner",
+        "fiber_discretizer",
+        "fiber_bus_bridge.simulation",
+        "fiber_viewer",
+        "rich",
+    },
     "fiber_bringup": {"fiber_client", "fiber_viewer", "fiber_viewer.node", "ament_index_python"}
     | NODES,
     "bench": {
         "fiber_planner",
         "fiber_discretizer",
-        "fiber_bus_bridge",
+        "fiber_bus_bridge.simulation",
         "fiber_viewer",
         "fiber_positioners",
     },
 }
+# Compartments that may import the simulated plant directly. Run-time code for real buses may not;
+# the demonstration may, because it checks the names of faults before it starts the bridge.
+SIMULATION_USERS = (
+    "fiber_bus_bridge.simulation",
+    "fiber_bus_bridge.node.hardware",
+    "fiber_positioners",
+    "fiber_bringup.demo",
+    "bench",
+)
 # import name -> rosdep key or package name, where they differ
 KEYS = {
     name: f"python3-{name}" for name in ("numpy", "numba", "scipy", "astropy", "matplotlib", "rich")
@@ -141,6 +158,8 @@ def test_no_import_leaves_the_allowed_arrows():
         ("fiber_msgs_py.table", "from rclpy.node import Node"),
         ("fiber_msgs_py.table", "from fiber_bus_bridge.wire import Frames"),
         ("fiber_bus_bridge.wire.frames", "from ...fiber_planner import dnf"),
+        ("fiber_bus_bridge.session", "from fiber_bus_bridge.simulation import Positioners"),
+        ("fiber_bus_bridge.simulation.lines", "import rclpy"),
         ("fiber_viewer.snapshot", "import fiber_planner"),
         ("bench.plan_field", "import fiber_msgs_py.topics"),
         ("fiber_core.kinematics", "import pandas"),
@@ -165,6 +184,27 @@ def test_a_planted_import_is_caught(module, source):
 def test_an_allowed_import_is_let_through(module, source):
     is_package = module == "fiber_bus_bridge.wire"
     assert not forbidden(module, imports(source, module, is_package, set(MODULES)))
+
+
+def simulation_imports(module: str, targets: list[str]) -> list[str]:
+    if any(starts(module, user) for user in SIMULATION_USERS):
+        return []
+    return [f"{module} -> {t}" for t in targets if starts(t, "fiber_bus_bridge.simulation")]
+
+
+def test_the_simulated_plant_is_imported_only_where_hardware_is_chosen():
+    assert "fiber_bus_bridge.simulation.positioners" in MODULES
+    wrong = [
+        arrow for module in MODULES for arrow in simulation_imports(module, imports_of(module))
+    ]
+    assert not wrong, "\n".join(wrong)
+    planted = "from fiber_bus_bridge.simulation import Positioners"
+    for module in (
+        "fiber_bus_bridge.session",
+        "fiber_bus_bridge.node.bridge",
+        "fiber_viewer.scene",
+    ):
+        assert simulation_imports(module, imports(planted, module, False, set(MODULES)))
 
 
 def manifest(package: str) -> ElementTree.Element:
