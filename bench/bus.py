@@ -1,20 +1,28 @@
 #!/usr/bin/env python3
-"""Measure the bus: one plan of a whole plane, loaded, verified and started, on bad buses too.
+"""Measure the buses: one plan of a whole plane is loaded, verified and started, with faults too.
 
-Bus time is simulated by the standard's formulas, from the first LOAD to the end of GO; the
-lower bound is that of the bytes of LOAD, VERIFY and GO alone. The plan comes from the default
-planner and discretizer. Results are a table in markdown.
+Bus time is simulated by the formulas of the standard, from the first LOAD to the end of GO. Its
+lower bound is the time of the bytes of LOAD, VERIFY and GO. The plan comes from the default
+planner and discretizer. The result is a table in markdown.
 """
 
 import argparse
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from fiber_bus_bridge import TOPOLOGIES, Session, SessionState, addresses_of, bus_timing
+from fiber_bus_bridge import (
+    TOPOLOGIES,
+    LoadedPlan,
+    Session,
+    SessionState,
+    addresses_of,
+    bus_timing,
+)
 from fiber_bus_bridge.bus import Recovery
 from fiber_bus_bridge.simulation import Faults, LineFault, Positioners, SimulatedBuses
 from fiber_bus_bridge.wire import VERIFY_BYTES, decode_load, encode_load
@@ -35,14 +43,21 @@ CASES = {
 
 
 def plan_of(robots: int, seed: int, topology: str) -> Orders:
-    """Return orders of the default planner for a random field."""
+    """Return orders of the default planner and discretizer for a random problem."""
     bus, address = TOPOLOGIES[topology].assign(robots)
     plane = replace(preset("desi", robots), bus=bus, address=address)
     return make_orders(random_problem(plane, seed))
 
 
-def carry_out(plan: Orders, faults: Faults, clock: str, seed: int) -> dict:
-    """Configure, then load, verify and go one second later; returns the figures."""
+def carry_out(plan: Orders, faults: Faults, clock: str, seed: int) -> dict[str, float | str]:
+    """Configure, then load, verify and start one second later; return the figures by name.
+
+    Args:
+        plan: the orders.
+        faults: faults of the buses.
+        clock: bus clock, as in bus_timing.
+        seed: seed of bit errors.
+    """
     plane, to = plan.plane, addresses_of(plan.plane)
     robots = Positioners(to, plane.ids, plan.units.quantum_prad, plan.counts)
     buses = SimulatedBuses(robots, bus_timing(clock), faults, np.random.default_rng(seed))
@@ -53,13 +68,14 @@ def carry_out(plan: Orders, faults: Faults, clock: str, seed: int) -> dict:
     t = session.start(begin_s)
     cpu = time.process_time() - cpu
     loaded_plan = session.loaded_plan
+    assert loaded_plan is not None  # start() sets it
     wrong = _wrong(robots, loaded_plan, plan)
-    watch_cpu = time.process_time()
+    monitor_cpu = time.process_time()
     while session.state is SessionState.MOVING:
         t = session.advance(t + 0.1)
-    watch_cpu = time.process_time() - watch_cpu
+    monitor_cpu = time.process_time() - monitor_cpu
     result, ids = session.take_result(), np.unique(to.bus)
-    free = session.transactions.given_up
+    assert result is not None  # a plan that has ended has one
     busy = np.bincount(
         np.searchsorted(ids, to.bus[loaded_plan.started]),
         buses.timing.message_s(loaded_plan.frames.lengths, 0, to.ten_bit[loaded_plan.started])
@@ -72,19 +88,19 @@ def carry_out(plan: Orders, faults: Faults, clock: str, seed: int) -> dict:
         "not answered": int((result.reason == Reason.NOT_ACKNOWLEDGED).sum()),
         "unsafe then": int((result.reason == Reason.UNSAFE_AS_LOADED).sum()),
         "wrong orders": wrong,
-        "buses given up": int(free.sum()),
+        "buses given up": int(session.transactions.given_up.sum()),
         "bytes": float(loaded_plan.frames.lengths.mean()),
         "bound ms": 1e3 * float(bound),
         "to GO ms": 1e3 * (loaded_plan.go_s - begin_s),
         "to motion ms": 1e3 * (loaded_plan.start_s - begin_s),
         "bridge cpu s": cpu,
-        "watch cpu s": watch_cpu,
+        "monitor cpu s": monitor_cpu,
         "ended": session.state.name,
     }
 
 
-def _wrong(robots, loaded_plan, plan):
-    """Orders running that are not, byte for byte, what was meant for that robot."""
+def _wrong(robots: Positioners, loaded_plan: LoadedPlan, plan: Orders) -> int:
+    """Number of orders on robots that are not, byte for byte, the orders of the plan."""
     memory, rows = robots.memory, np.flatnonzero(loaded_plan.started)
     moves = (memory["started_s"] > 0) & memory["counts"].any(axis=1)
     wrong = int((moves & ~loaded_plan.started).sum())
@@ -92,21 +108,21 @@ def _wrong(robots, loaded_plan, plan):
         payload = loaded_plan.frames.payload(k)
         wrong += memory["order"][row, : len(payload)].tobytes() != payload
     orders = decode_load(plan.units, loaded_plan.frames)
-    meant = plan.wire
+    intended = plan.wire
     for k, row in enumerate(rows):
-        part = slice(meant.offsets[2 * row], meant.offsets[2 * row + 2])
+        part = slice(intended.offsets[2 * row], intended.offsets[2 * row + 2])
         sent = slice(orders.offsets[2 * k], orders.offsets[2 * k + 2])
-        wrong += not np.array_equal(orders.ticks[sent], meant.ticks[part])
-        wrong += not np.array_equal(orders.velocity[sent], meant.velocity[part])
+        wrong += not np.array_equal(orders.ticks[sent], intended.ticks[part])
+        wrong += not np.array_equal(orders.velocity[sent], intended.velocity[part])
     return int(wrong)
 
 
-def codec_ms(plan: Orders) -> dict:
-    """Median processor time to encode and to decode every order [ms]."""
+def codec_ms(plan: Orders) -> dict[str, float]:
+    """Return the median processor time to encode and to decode all orders [ms]."""
     to, wire, units = addresses_of(plan.plane), plan.wire, plan.units
     frames = encode_load(units, to, 1, wire.offsets, wire.ticks, wire.velocity)
 
-    def median(work):
+    def median(work: Callable[[], object]) -> float:
         work()
         times = []
         for _ in range(51):
@@ -124,7 +140,7 @@ def codec_ms(plan: Orders) -> dict:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Throw random and mutated bytes at a positioner and at the bridge's decoders.
+"""Send random and mutated bytes to a positioner and to the decoders of the bridge.
 
-Nothing may crash, and whatever is accepted must be, byte for byte, what our own encoder
-writes for the values decoded from it. Mutations of valid frames: bits turned over, cut off,
+No input may cause a crash, and an accepted frame must be, byte for byte, the frame that the encoder
+writes for the decoded values. Mutations of valid frames: flipped bits, frames cut short or
 lengthened, two frames spliced, bytes exchanged.
 """
 
@@ -18,6 +18,7 @@ from fiber_bus_bridge.simulation import Positioners, SimulatedBuses
 from fiber_bus_bridge.wire import (
     VERIFY_BYTES,
     Addresses,
+    Bytes,
     Configuration,
     Frames,
     Opcode,
@@ -33,17 +34,18 @@ from fiber_bus_bridge.wire import (
     encode_status,
     general_call,
 )
+from fiber_core.array_types import Bools
 from fiber_core.wire_units import WireUnits
 
 __all__ = ["fuzz_positioner", "fuzz_replies", "main"]
 
 _UNITS = WireUnits()
-_ROBOT = Addresses([0], [300], [True])
+_ROBOT = Addresses(np.array([0]), np.array([300]), np.array([True]))
 _BATCH = 5000
 
 
 def mutated(payload: bytes, other: bytes, rng: np.random.Generator) -> bytes:
-    """Return bytes like these but a little wrong."""
+    """Return a valid frame with one or two mutations; `other` supplies bytes to splice."""
     data = bytearray(payload)
     for _ in range(rng.integers(1, 3)):
         kind = rng.integers(5)
@@ -53,7 +55,7 @@ def mutated(payload: bytes, other: bytes, rng: np.random.Generator) -> bytes:
         elif kind == 1:
             del data[rng.integers(len(data) + 1) :]
         elif kind == 2:
-            data += rng.bytes(rng.integers(1, 4))
+            data += rng.bytes(int(rng.integers(1, 4)))
         elif kind == 3:
             data[rng.integers(len(data) + 1) :] = other[rng.integers(len(other)) :]
         elif len(data) > 1:
@@ -62,7 +64,7 @@ def mutated(payload: bytes, other: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def _valid(to, rng):
+def _valid(to: Addresses, rng: np.random.Generator) -> list[bytes]:
     """Valid frames of every kind to one target."""
     called = to.address[0] == 0
     short = (Opcode.STOP, Opcode.CLEAR, Opcode.RESET, Opcode.IDENTIFY, Opcode.HEARTBEAT)
@@ -79,8 +81,8 @@ def _valid(to, rng):
     return [f.payload(0) for f in frames]
 
 
-def _stands(payload, to):
-    """Whether bytes are what our encoders write for the values in them."""
+def _is_canonical(payload: bytes, to: Addresses) -> bool:
+    """Whether a frame is the one that the encoders write for its decoded values."""
     address, ten_bit = int(to.address[0]), bool(to.ten_bit[0])
     orders = decode_load(_UNITS, Frames.from_bytes(to, [payload]))
     if orders.ok[0]:
@@ -96,46 +98,55 @@ def _stands(payload, to):
         return encode_command(opcode, to, low, countdown).payload(0) == payload
     if opcode == Opcode.ADDRESS:
         form = int.from_bytes(body[5:7], "big")
-        new = Addresses([0], [form & 0x7FFF], [form >> 15])
-        again = encode_address(to, [int.from_bytes(body[1:5], "big")], new)
-        return again.payload(0) == payload
-    # a CONFIG is its fields, one after the other: its checksum is all there is to break
+        new = Addresses(np.array([0]), np.array([form & 0x7FFF]), np.array([form >> 15 == 1]))
+        encoded = encode_address(to, [int.from_bytes(body[1:5], "big")], new)
+        return encoded.payload(0) == payload
+    # a CONFIG is its fields one after the other: only its checksum can be wrong
     return opcode == Opcode.CONFIG or encode_command(opcode, to).payload(0) == payload
 
 
-def fuzz_positioner(count: int, rng: np.random.Generator) -> tuple[Counter, list[str]]:
-    """Send frames to a configured robot; returns what was accepted, and what should not have."""
+def fuzz_positioner(count: int, rng: np.random.Generator) -> tuple[Counter[str], list[str]]:
+    """Send frames to a configured robot.
+
+    Args:
+        count: number of frames.
+        rng: source of randomness.
+
+    Returns:
+        The numbers of accepted and refused frames, and the frames that were wrongly accepted.
+    """
     robots = Positioners(_ROBOT, [1], _UNITS.quantum_prad, [[0, 1_000_000]])
-    buses, told, wrong = SimulatedBuses(robots), Counter(), []
-    done = 0
+    buses, wrong, done = SimulatedBuses(robots), [], 0
+    counts: Counter[str] = Counter()
     while done < count:
         to = (_ROBOT, general_call([0]))[rng.integers(2)]
         valid = _valid(to, rng)
         size = min(_BATCH, count - done)
         payloads = [
-            rng.bytes(rng.integers(1, 40))
+            rng.bytes(int(rng.integers(1, 40)))
             if rng.random() < 0.3
             else mutated(valid[rng.integers(len(valid))], valid[rng.integers(len(valid))], rng)
             for _ in range(size)
         ]
         payloads = [p or b"\x00" for p in payloads]
         frames = Frames.from_bytes(to[np.zeros(size, dtype=int)], payloads)
-        # configured anew each time: most of what is accepted stops or clears it
+        # configured for each batch: most accepted frames stop or clear the robot
         setup = [p for p in _valid(_ROBOT, rng) if p[0] >> 4 in (Opcode.CLEAR, Opcode.CONFIG)]
         buses.transfer(Frames.from_bytes(_ROBOT[np.zeros(len(setup), int)], setup), 0, 0.0)
         ack = buses.transfer(frames, 0, 0.0).ack
-        told["refused"] += int((ack == Ack.REFUSED).sum())
+        counts["refused"] += int((ack == Ack.REFUSED).sum())
         for row in np.flatnonzero(ack == Ack.OK):
-            told["accepted"] += 1
-            if not _stands(payloads[row], to):
+            counts["accepted"] += 1
+            if not _is_canonical(payloads[row], to):
                 wrong.append(f"accepted {payloads[row].hex(' ')} to {to.address[0]}")
         done += size
-    return told, wrong
+    return counts, wrong
 
 
-def fuzz_replies(count: int, rng: np.random.Generator) -> tuple[Counter, list[str]]:
-    """Decode random and mutated replies; returns what was accepted, and what should not have."""
-    told, wrong, done = Counter(), [], 0
+def fuzz_replies(count: int, rng: np.random.Generator) -> tuple[Counter[str], list[str]]:
+    """Decode random and mutated replies; arguments and result as in fuzz_positioner."""
+    counts: Counter[str] = Counter()
+    wrong, done = [], 0
     while done < count:
         to = _ROBOT[np.zeros(_BATCH, dtype=int)]
         state, boot = rng.integers(1, 8, _BATCH), rng.integers(256, size=_BATCH)
@@ -144,10 +155,10 @@ def fuzz_replies(count: int, rng: np.random.Generator) -> tuple[Counter, list[st
             rng.integers(-(2**31), 2**31, (_BATCH, 2)),
         )  # fmt: skip
         identity = encode_identity(to, rng.integers(2**32, size=_BATCH), boot)
-        for table, decode, encode in (
-            (status, decode_status, _status_again),
-            (status[:, :VERIFY_BYTES], decode_status, _verify_again),
-            (identity, decode_identity, lambda t, r: encode_identity(t, r.serial, r.boot)),
+        for table, encode_decoded in (
+            (status, _decoded_status),
+            (status[:, :VERIFY_BYTES], _decoded_verify),
+            (identity, _decoded_identity),
         ):
             data = table.copy()
             for _ in range(rng.integers(1, 8)):
@@ -155,38 +166,46 @@ def fuzz_replies(count: int, rng: np.random.Generator) -> tuple[Counter, list[st
                 data[np.arange(_BATCH), at] ^= (1 << rng.integers(8, size=_BATCH)).astype(np.uint8)
             noise = rng.random(_BATCH) < 0.3
             data[noise] = rng.integers(256, size=(noise.sum(), data.shape[1]))
-            decoded = decode(to, data)
-            ok = np.flatnonzero(decoded.ok)
-            again = encode(to, decoded)[ok]
-            off = (again != data[ok]).any(axis=1)
-            told["accepted"] += len(ok)
-            told["refused"] += _BATCH - len(ok)
+            valid, encoded = encode_decoded(to, data)
+            ok = np.flatnonzero(valid)
+            off = (encoded[ok] != data[ok]).any(axis=1)
+            counts["accepted"] += len(ok)
+            counts["refused"] += _BATCH - len(ok)
             wrong += [f"decoded {data[row].tobytes().hex(' ')}" for row in ok[off]]
             done += _BATCH
-    return told, wrong
+    return counts, wrong
 
 
-def _status_again(to, s):
+def _decoded_status(to: Addresses, data: Bytes) -> tuple[Bools, Bytes]:
+    """Whether each reply is valid, and the encoding of its decoded values."""
+    s = decode_status(to, data)
     columns = s.state, s.sequence, s.order_crc, s.boot, s.fault, s.alerts, s.position
-    return encode_status(to, *columns)
+    return s.ok, encode_status(to, *columns)
 
 
-def _verify_again(to, s):
-    return _status_again(to, s)[:, :VERIFY_BYTES]
+def _decoded_verify(to: Addresses, data: Bytes) -> tuple[Bools, Bytes]:
+    valid, encoded = _decoded_status(to, data)
+    return valid, encoded[:, :VERIFY_BYTES]
+
+
+def _decoded_identity(to: Addresses, data: Bytes) -> tuple[Bools, Bytes]:
+    identity = decode_identity(to, data)
+    return identity.ok, encode_identity(to, identity.serial, identity.boot)
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command; returns 1 when something wrong was accepted."""
+    """Run the command; return 1 when a wrong frame was accepted."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument("--frames", type=int, default=1_000_000, help="half to each side")
+    parser.add_argument("--frames", type=int, default=1_000_000, help="half for each side")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args(argv)
     failed = 0
     for name, fuzz in (("positioner", fuzz_positioner), ("decoders", fuzz_replies)):
-        told, wrong = fuzz(args.frames // 2, np.random.default_rng(args.seed))
-        print(f"{name}: {told['refused']} refused, {told['accepted']} accepted, {len(wrong)} wrong")
+        counts, wrong = fuzz(args.frames // 2, np.random.default_rng(args.seed))
+        refused, accepted = counts["refused"], counts["accepted"]
+        print(f"{name}: {refused} refused, {accepted} accepted, {len(wrong)} wrong")
         print("\n".join(wrong[:20]))
         failed += len(wrong)
     return 1 if failed else 0

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Measure how far apart in time robots stop when one of them fails on its way.
+"""Measure the time between the first and the last stop when one of many moving robots fails.
 
-Two full buses of robots turn, all of them; one fails at a random instant, and those that have
-orders left stop. The table is of the longest time between the first stop and the last, by the
-robots' own memory. What the certificate contains is `Safety.stop_skew_s`.
+All robots on two full buses turn; one robot fails at a random instant, and all robots with
+remaining orders stop. The table holds the longest time between the first stop and the last, by the
+memory of the robots. The certificate allows for `Safety.stop_skew_s`.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from fiber_bus_bridge import (
 )
 from fiber_bus_bridge.bus import Recovery, Topology
 from fiber_bus_bridge.simulation import Event, Faults, LineFault, Positioners, SimulatedBuses
+from fiber_bus_bridge.simulation.faults import LineTrouble, Stretch
 from fiber_core.clearance import Safety
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireMotion, WireUnits
@@ -35,7 +36,14 @@ _EVENTS = {"stalls": Event.JAM_THETA, "loses power": Event.POWER, "goes deaf": E
 
 
 def apart_ms(topology: str, clock: str, failure: str, rng: np.random.Generator) -> float:
-    """Let one of two buses of robots fail; returns how far apart they stop [ms]."""
+    """Let one robot on two buses fail; return the time between the first and the last stop [ms].
+
+    Args:
+        topology: one of TABLE.
+        clock: bus clock, as in bus_timing.
+        failure: one of FAILURES.
+        rng: source of the robot and the instant.
+    """
     n = 2 * TABLE[topology].robots_per_bus
     bus, address = TABLE[topology].assign(n)
     plane = replace(preset("desi", n), bus=bus, address=address)
@@ -43,7 +51,8 @@ def apart_ms(topology: str, clock: str, failure: str, rng: np.random.Generator) 
     counts = units.encoder_counts(plane, np.tile([0.0, 2.9], (n, 1)))
     robots = Positioners(addresses_of(plane), plane.ids, units.quantum_prad, counts)
     row, at = int(rng.integers(n)), 1.0 + rng.uniform(0.0, 0.1)
-    lines, stretches = (), ()
+    lines: tuple[LineTrouble, ...] = ()
+    stretches: tuple[Stretch, ...] = ()
     if failure == "bus stuck":
         lines = ((LineFault.SCL_LOW, int(bus[row]), at, np.inf, Recovery.NOTHING),)
     elif failure == "holds the clock":
@@ -62,12 +71,13 @@ def apart_ms(topology: str, clock: str, failure: str, rng: np.random.Generator) 
     while session.state is SessionState.MOVING:
         t = session.advance(t + 0.1)
     robots.advance(t + 0.1)
+    assert session.loaded_plan is not None  # start() sets it
     stops = robots.memory["halted_s"][session.loaded_plan.started]
     return 1e3 * float(np.ptp(stops[stops >= 1.0]))
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )

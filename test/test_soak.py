@@ -29,8 +29,8 @@ def test_a_campaign_ends_with_nothing_wrong(soak, kind):
 
 
 def test_a_campaign_is_its_kind_and_its_seed(soak):
-    told = [soak.run_campaign("mixed", seed, robots=37).told for seed in (5, 5, 6)]
-    assert told[0] == told[1] != told[2]
+    logs = [soak.run_campaign("mixed", seed, robots=37).log for seed in (5, 5, 6)]
+    assert logs[0] == logs[1] != logs[2]
 
 
 def test_the_judge_sees_robots_that_were_not_stopped(soak, monkeypatch):
@@ -53,7 +53,7 @@ def test_the_judge_sees_orders_that_were_not_verified(soak):
     campaign = soak.Campaign("none", 0)
     ones = np.ones((1, 2, 15), dtype=np.int64)
     odd = Movements(np.array([3]), np.array([1.0]), np.array([2.0]), np.array([[1, 1]]), ones, ones)
-    soak._judge_runs(campaign, odd, [])
+    soak._judge_movements(campaign, odd, [])
     assert campaign.wrong == ["robot 3 moved at 1.0000 s unverified"]
 
 

@@ -12,7 +12,7 @@ from fiber_bus_bridge.simulation.config import (
 from fiber_bus_bridge.simulation.events import EVENT, Event
 from fiber_bus_bridge.simulation.faults import FaultKind, Faults, LineFault, draw_faults
 from fiber_bus_bridge.simulation.positioners import Positioners
-from fiber_bus_bridge.simulation.true_motion import Movements, TrueMotion
+from fiber_bus_bridge.simulation.true_motion import Movements, ObservedBuses, TrueMotion
 
 __all__ = [
     "EVENT",
@@ -22,6 +22,7 @@ __all__ = [
     "LineFault",
     "Positioners",
     "Movements",
+    "ObservedBuses",
     "SimulatedBuses",
     "SimulationConfig",
     "TrueMotion",

@@ -3,13 +3,16 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fiber_bus_bridge.bus import BusBackend, Recovery, Replies
 from fiber_bus_bridge.simulation.memory import Memory
 from fiber_bus_bridge.simulation.positioners import Positioners
+from fiber_bus_bridge.wire import Frames
 from fiber_core.array_types import Floats, Ints, Rows
 from fiber_core.motion import SegmentMotion
 
-__all__ = ["Movements", "TrueMotion"]
+__all__ = ["Movements", "ObservedBuses", "TrueMotion"]
 
 
 class Movements(NamedTuple):
@@ -117,3 +120,29 @@ class TrueMotion:
         offsets = np.concatenate([[0], np.cumsum([len(d) for d in durations])])
         flat = [np.array([x for part in parts for x in part]) for parts in (durations, speeds)]
         return SegmentMotion(self._start * self._quantum_rad, offsets, *flat)
+
+
+class ObservedBuses:
+    """A bus backend that observes the true motion after every batch.
+
+    Args:
+        backend: the backend that carries the messages.
+        true_motion: the observer of the robots on it.
+    """
+
+    def __init__(self, backend: BusBackend, true_motion: TrueMotion):
+        self._backend, self._true_motion = backend, true_motion
+
+    def transfer(self, frames: Frames, read_bytes: ArrayLike, not_before_s: ArrayLike) -> Replies:
+        """Carry a batch of messages and observe; see BusBackend.transfer."""
+        replies = self._backend.transfer(frames, read_bytes, not_before_s)
+        self._true_motion.observe()
+        return replies
+
+    def recover(self, bus: int, recovery: Recovery, t: float) -> tuple[float, bool]:
+        """Try to free the lines of a bus; see BusBackend.recover."""
+        return self._backend.recover(bus, recovery, t)
+
+    def alert_lines(self, t: float) -> Ints:
+        """Return the buses with a low alert line; see BusBackend.alert_lines."""
+        return self._backend.alert_lines(t)
