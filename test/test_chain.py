@@ -1,4 +1,4 @@
-"""From a plan to what is sent, on cores alone: nobody whose plan is certified is lost."""
+"""From a plan to its orders, on cores alone: every robot with a certified plan gets orders."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,9 @@ from fiber_planner import make_planner
         ("moons", 60, 5, 1.85, 2.2),
     ],
 )
-def test_everybody_planned_is_sent_in_few_segments_and_certified(name, robots, seed, ratio, mean):
+def test_all_planned_robots_get_few_segments_and_a_certified_motion(
+    name, robots, seed, ratio, mean
+):
     problem = random_problem(preset(name, robots), np.random.default_rng(seed))
     plane, units, safety = problem.plane, WireUnits.for_plane(problem.plane), Safety()
     counts = units.encoder_counts(plane, problem.start)

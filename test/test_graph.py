@@ -1,4 +1,4 @@
-"""The whole graph in one process, asked through its topics and services only."""
+"""The whole graph in one process, used through its topics and services only."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ TOLERANCE_MM = 0.1  # the bridge's default
 
 @pytest.fixture(scope="module")
 def fast(problem_file, new_domain):
-    """A graph whose robots move as fast as can be computed, and a client of it."""
+    """A graph that simulates motions as fast as it can, and a client."""
     domain = new_domain()
     bridge = {"problem": problem_file, "time_scale": 0.0}
     with Graph(bridge=bridge, domain=domain) as graph, PlaneClient(domain) as client:
@@ -35,35 +35,35 @@ def fast(problem_file, new_domain):
 
 @pytest.fixture
 def client(fast):
-    """The client, with no orders left over from the test before."""
+    """The client, without orders from the test before."""
     yield fast
     fast.call_service(topics.CLEAR, WAIT_S)
 
 
 def new_targets(client, seed):
-    """Random targets that can all be taken from where the robots are."""
+    """Random targets that all robots can reach from where they are."""
     rng = np.random.default_rng(seed)
     drawn = random_field(client.plane, rng, start=client.angles).problem
     return client.plane.ids[drawn.asked], drawn.targets[drawn.asked]
 
 
 def check_good_plan(client, seed, timeout_s=WAIT_S):
-    """Take the plane to new targets and return what became of it."""
+    """Take the plane to new targets; return the outcome and the replay of the frames."""
     before = client.units.to_counts(client.angles)
     ids, xy_mm = new_targets(client, seed)
     ended = client.reconfigure(ids, xy_mm, timeout_s)
-    told = settled_replay(client, ended, before, WAIT_S)
-    assert told.started.any() and (ended.of(ids).outcome == Outcome.REACHED).mean() > 0.5
-    return ended, told
+    replayed = settled_replay(client, ended, before, WAIT_S)
+    assert replayed.started.any() and (ended.of(ids).outcome == Outcome.REACHED).mean() > 0.5
+    return ended, replayed
 
 
-def test_every_robot_ends_once_and_its_encoders_agree(client, problem):
+def test_every_robot_has_one_outcome_that_agrees_with_its_encoders(client, problem):
     plane, before = client.plane, client.angles
-    # the disabled are asked as well, three others are not
+    # disabled robots get targets as well, three others get none
     asked_mm = np.where(problem.asked[:, None], problem.targets, plane.centers + [2.0, 0.0])
     ids, xy_mm = plane.ids[:-3], asked_mm[:-3]
     ended = client.reconfigure(ids, xy_mm, WAIT_S)
-    told = settled_replay(client, ended, client.units.to_counts(before), WAIT_S)
+    replayed = settled_replay(client, ended, client.units.to_counts(before), WAIT_S)
 
     assert np.array_equal(ended.ids, plane.ids)
     error_mm = np.hypot(*(forward(plane, client.angles)[1] - asked_mm).T)[:-3]
@@ -78,14 +78,14 @@ def test_every_robot_ends_once_and_its_encoders_agree(client, problem):
     assert np.all(of_asked.outcome[~reached] == Outcome.HELD)
     assert np.all(ended.reason[-3:] == Reason.NO_TARGET)
 
-    # what moved is what the bytes started, and the bytes are safe
-    assert np.array_equal(client.angles[~told.started], before[~told.started])
-    assert np.all(client.angles[told.started] != before[told.started], axis=1).any()
-    assert not told.started[~plane.enabled].any()
-    assert certify(plane, told.motion.decoded(), Safety()).ok
+    # the robots that moved are those that the bytes started, and the bytes are safe
+    assert np.array_equal(client.angles[~replayed.started], before[~replayed.started])
+    assert np.all(client.angles[replayed.started] != before[replayed.started], axis=1).any()
+    assert not replayed.started[~plane.enabled].any()
+    assert certify(plane, replayed.motion.decoded(), Safety()).ok
 
 
-def test_the_stamp_of_the_targets_is_on_every_message(client):
+def test_every_derived_message_carries_the_stamp_of_the_targets(client):
     derived = {
         topic.name: client.collect(topic)
         for topic in (
@@ -99,14 +99,14 @@ def test_the_stamp_of_the_targets_is_on_every_message(client):
     }
     ended, _ = check_good_plan(client, 1)
 
-    def silent():
+    def missing():
         return [
             name
             for name, heard in derived.items()
             if all(PlanStamp.of(message) < PlanStamp(ended.stamp_ns) for message in heard)
         ]
 
-    client.wait_for(lambda: not silent(), WAIT_S, lambda: f"this plan on {silent()}")
+    client.wait_for(lambda: not missing(), WAIT_S, lambda: f"this plan on {missing()}")
     for name, heard in derived.items():
         stamps = {PlanStamp.of(message) for message in heard}
         assert {stamp for stamp in stamps if stamp >= PlanStamp(ended.stamp_ns)} == {
@@ -117,7 +117,7 @@ def test_the_stamp_of_the_targets_is_on_every_message(client):
     )
 
 
-def test_home_folds(client):
+def test_home_folds_the_robots(client):
     ended = client.home(WAIT_S)
     client.wait_for(lambda: not client.moving, WAIT_S)
     folded = ended.outcome == Outcome.REACHED
@@ -190,7 +190,7 @@ def test_the_client_itself_refuses_to_send_a_bad_table(client):
 
 
 @pytest.mark.usefixtures("fast")
-def test_in_the_middle_of_a_motion(problem_file, new_domain):
+def test_during_a_motion_only_stop_is_accepted(problem_file, new_domain):
     domain = new_domain()
     bridge = {"problem": problem_file, "time_scale": 1.0}
     with Graph(bridge=bridge, domain=domain) as graph, PlaneClient(domain) as client:
@@ -202,7 +202,7 @@ def test_in_the_middle_of_a_motion(problem_file, new_domain):
         client.start(WAIT_S)
         client.wait_for(lambda: client.moving, WAIT_S, "motion")
 
-        # targets, and every call but stop, are refused
+        # targets, and every service but stop, are refused
         with pytest.raises(PlaneRefusal, match="moving"):
             client.wait_until_ready(client.send_targets(ids, xy_mm), WAIT_S)
         for service in (topics.START, topics.HOME, topics.CLEAR, topics.CONFIGURE):
@@ -215,10 +215,10 @@ def test_in_the_middle_of_a_motion(problem_file, new_domain):
         client.wait_for(lambda: not client.moving, WAIT_S, "rest")
         stopped = ended.reason == Reason.STOPPED
         assert stopped.any() and not ended.count(Outcome.FAILED)
-        told = replay(
+        replayed = replay(
             client.plane, client.units, client.units.to_counts(before), client.frames[stamp]
         )
-        ordered = told.motion.decoded().end
+        ordered = replayed.motion.decoded().end
         there = client.angles
         travel = np.abs(ordered - before)[stopped]
         gone = np.abs(there - before)[stopped]
@@ -250,14 +250,16 @@ def test_two_domains_do_not_see_each_other_and_send_the_same_bytes(
         other.wait_for_graph(WAIT_S)
         before = one.units.to_counts(one.angles)
         first = one.reconfigure(ids, xy_mm, WAIT_S)
-        told = settled_replay(one, first, before, WAIT_S)
-        assert told.started.any()
-        # the other plane stands where it stood, and a plan of its own is the first it hears of
+        replayed = settled_replay(one, first, before, WAIT_S)
+        assert replayed.started.any()
+        # the other plane has not moved, and has received no plan
         assert np.array_equal(other.units.to_counts(other.angles), before)
         second = other.reconfigure(ids, xy_mm, WAIT_S)
-        told_again = settled_replay(other, second, before, WAIT_S)
+        replayed_again = settled_replay(other, second, before, WAIT_S)
         assert set(one.outcomes) == set(one.frames) == {PlanStamp(first.stamp_ns)}
         assert set(other.outcomes) == set(other.frames) == {PlanStamp(second.stamp_ns)}
     for name in ("offsets", "ticks", "velocity"):
-        assert np.array_equal(getattr(told.motion, name), getattr(told_again.motion, name)), name
+        assert np.array_equal(
+            getattr(replayed.motion, name), getattr(replayed_again.motion, name)
+        ), name
     assert np.array_equal(first.outcome, second.outcome)

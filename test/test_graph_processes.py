@@ -113,9 +113,13 @@ class Demo:
 
     def __init__(self, folder, command, domain):
         options = ["--robots", "37", "--time-scale", "0", "--seed", "5", "--out", str(folder)]
-        told = {"COLUMNS": "200", "NUMBA_DEBUG_CACHE": "1", "ROS_DOMAIN_ID": str(domain)}
+        environment = {"COLUMNS": "200", "NUMBA_DEBUG_CACHE": "1", "ROS_DOMAIN_ID": str(domain)}
         run = subprocess.run(
-            [command, *options], capture_output=True, text=True, check=False, env=os.environ | told
+            [command, *options],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=os.environ | environment,
         )
         assert run.returncode == 0, run.stdout + run.stderr
         self.folder, self.said = folder, run.stdout

@@ -1,4 +1,4 @@
-"""The campaigns of bench/soak.py: they pass, they repeat, and they see what must not happen."""
+"""The campaigns of bench/soak.py: they pass, they repeat, and they detect what must not happen."""
 
 import importlib
 import json
@@ -33,7 +33,7 @@ def test_a_campaign_is_its_kind_and_its_seed(soak):
     assert logs[0] == logs[1] != logs[2]
 
 
-def test_the_judge_sees_robots_that_were_not_stopped(soak, monkeypatch):
+def test_the_judge_detects_robots_that_were_not_stopped(soak, monkeypatch):
     # in this campaign arms touch if the others are not stopped after a robot has lost power
     decide_stop = MotionMonitor._decide_stop
 
@@ -49,7 +49,7 @@ def test_the_judge_sees_robots_that_were_not_stopped(soak, monkeypatch):
     assert soak.run_campaign("brown_out", 26).wrong == []
 
 
-def test_the_judge_sees_orders_that_were_not_verified(soak):
+def test_the_judge_detects_orders_that_were_not_verified(soak):
     campaign = soak.Campaign("none", 0)
     ones = np.ones((1, 2, 15), dtype=np.int64)
     odd = Movements(np.array([3]), np.array([1.0]), np.array([2.0]), np.array([[1, 1]]), ones, ones)
@@ -57,7 +57,7 @@ def test_the_judge_sees_orders_that_were_not_verified(soak):
     assert campaign.wrong == ["robot 3 moved at 1.0000 s unverified"]
 
 
-def test_a_run_that_was_cut_off_goes_on_and_the_table_is_of_all_lines(soak, tmp_path, capsys):
+def test_an_interrupted_run_continues_and_the_table_has_all_campaigns(soak, tmp_path, capsys):
     lines, out = tmp_path / "lines.jsonl", tmp_path / "table.md"
     some = ["--kind", "none", "stall", "--robots", "37", "--lines", str(lines), "--out", str(out)]
     assert soak.main([*some, "--campaigns", "1"]) == 0
@@ -70,7 +70,7 @@ def test_a_run_that_was_cut_off_goes_on_and_the_table_is_of_all_lines(soak, tmp_
     ]  # fmt: skip
     assert out.read_text() == soak.table(told)
     assert "| all | 4 | 0 |" in out.read_text()
-    # a campaign of a line is replayed by its kind and seed
+    # kind and seed of a line replay its campaign
     capsys.readouterr()
     assert soak.main(["--replay", "stall:1", "--robots", "37"]) == 0
     words = capsys.readouterr().out
@@ -83,7 +83,7 @@ def test_a_run_that_was_cut_off_goes_on_and_the_table_is_of_all_lines(soak, tmp_
     [("absent", 5), ("brown_out", 4), ("reset", 40), ("stretch", 5), ("scl_stuck", 9)],
 )
 def test_stops_are_no_farther_apart_than_what_is_certified(soak, kind, seed):
-    # in these somebody stops on the way
+    # in these campaigns a robot stops during the motion
     campaign = soak.run_campaign(kind, seed)
     assert campaign.wrong == []
     assert 0.0 < campaign.apart_ms <= 1e3 * soak.SAFETY.stop_skew_s

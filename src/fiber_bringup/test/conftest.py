@@ -1,4 +1,4 @@
-"""Plans of a small plane with a recorder beside the graph: done, home, replaced, stopped."""
+"""Plans of a small plane with a recorder in the graph: done, home, replaced, stopped."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ class Run:
             self.plane, self.before = client.plane, client.units.to_counts(client.angles)
             self.targets = new_targets(client, 1)
             self.ended = client.reconfigure(*self.targets, COMPILE_S)
-            self.told = settled_replay(client, self.ended, self.before, WAIT_S)
+            self.replayed = settled_replay(client, self.ended, self.before, WAIT_S)
             self.after = client.units.to_counts(client.angles)
             self.done = recorded(client, folder, PlanStamp(self.ended.stamp_ns))
             self.home = recorded(client, folder, PlanStamp(client.home(WAIT_S).stamp_ns))

@@ -1,4 +1,4 @@
-"""A bag says what the recording says, to a library that knows nothing of ours and to ROS."""
+"""A bag holds what the recording holds, read by an independent library and by ROS."""
 
 from dataclasses import replace
 
@@ -32,8 +32,8 @@ VIEW = {f"/{topic.name}" for topic in (topics.VIEW_ARMS, topics.VIEW_PLANE, topi
 TOPICS = {f"/{topic.name}": topic for topic in vars(topics).values() if isinstance(topic, Topic)}
 
 
-def heard(folder):
-    """Messages of a bag by topic, decoded by a library that knows nothing of ours."""
+def messages_of(folder):
+    """Messages of a bag by topic, decoded by an independent library."""
     store = get_typestore(Stores.ROS2_JAZZY)
     found = {}
     with Reader(folder) as reader:
@@ -43,9 +43,9 @@ def heard(folder):
     return found
 
 
-def test_a_bag_says_the_same(run, tmp_path):
+def test_a_bag_holds_what_the_recording_holds(run, tmp_path):
     write_bag(tmp_path / "bag", run.done)
-    found = heard(tmp_path / "bag")
+    found = messages_of(tmp_path / "bag")
     names = ("layout", "targets", "trajectory", "segments", "corridors", "joint_states", "outcome")
     assert set(found) == {f"/focal_plane/{name}" for name in names} | VIEW
     stamp_ns = run.ended.stamp_ns
@@ -67,11 +67,11 @@ def test_a_bag_says_the_same(run, tmp_path):
     np.testing.assert_allclose(moved.end, run.done.executed.end)
 
 
-def test_speeds_keep_their_limits_and_add_up_however_seldom_encoders_were_read(run, tmp_path):
+def test_speeds_keep_their_limits_and_add_up_with_few_encoder_readings(run, tmp_path):
     read = run.done.measured
     seldom = Measured(read.row[::7], read.time_us[::7], read.counts[::7])
     write_bag(tmp_path / "bag", replace(run.done, measured=seldom))
-    states = [message for _, message in heard(tmp_path / "bag")["/focal_plane/joint_states"]]
+    states = [message for _, message in messages_of(tmp_path / "bag")["/focal_plane/joint_states"]]
     speeds = np.stack([message.velocity.reshape(-1, 2) for message in states])
     limits = run.done.problem.plane.speeds
     assert (np.abs(speeds) <= limits + 1e-6).all() and not speeds[-1].any()
@@ -81,7 +81,7 @@ def test_speeds_keep_their_limits_and_add_up_however_seldom_encoders_were_read(r
 
 def test_a_bag_shows_the_arms_as_they_moved(run, tmp_path):
     write_bag(tmp_path / "bag", run.done)
-    found = heard(tmp_path / "bag")
+    found = messages_of(tmp_path / "bag")
     plane, moved = run.done.problem.plane, run.done.executed
     pictures = found["/focal_plane/view/arms"]
     stamp_ns = run.ended.stamp_ns
@@ -128,11 +128,11 @@ def test_metadata_are_as_rosbag2_of_jazzy_reads_them(run, tmp_path):
     assert about["compression_mode"] == "", "chunks are compressed; a mode would need a plugin"
     assert about["relative_file_paths"] == [file["path"] for file in about["files"]] == ["bag.mcap"]
     for entry in about["topics_with_message_count"]:
-        told = entry["topic_metadata"]
-        topic, (offered,) = TOPICS[told["name"]], told["offered_qos_profiles"]
-        assert told["type"].split("/")[-1] == topic.type.__name__
-        assert told["serialization_format"] == "cdr"
-        assert told["type_description_hash"].startswith("RIHS01_")
+        about_topic = entry["topic_metadata"]
+        topic, (offered,) = TOPICS[about_topic["name"]], about_topic["offered_qos_profiles"]
+        assert about_topic["type"].split("/")[-1] == topic.type.__name__
+        assert about_topic["serialization_format"] == "cdr"
+        assert about_topic["type_description_hash"].startswith("RIHS01_")
         assert offered["durability"] == topic.qos.durability.name.lower()
         assert (offered["history"], offered["reliability"]) == ("keep_last", "reliable")
         assert offered["depth"] == topic.qos.depth

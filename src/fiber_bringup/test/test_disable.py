@@ -51,16 +51,16 @@ def test_robots_go_out_of_use_and_come_back(run, graph):
     ]
 
 
-def test_what_cannot_be_is_an_error_by_id(run, graph):
+def test_an_impossible_change_is_an_error_with_the_id(run, graph):
     code, out, err = run(disable, "3", "99")
-    assert code == 1 and not out and "robot 99: no such robot" in err
+    assert code == 1 and not out and "robot 99 cannot be disabled: the plane has no such robot" in err
     code, out, err = run(enable, "4")
     assert code == 1 and not out and "robot 4 is not on the list" in err
     assert run(disable, "--list")[:2] == (0, "no robot is left out\n")
 
 
 @pytest.mark.parametrize("command", [disable, enable])
-def test_help_says_what_it_does(command, capsys):
+def test_help_describes_the_command(command, capsys):
     with pytest.raises(SystemExit) as left:
         command(["--help"])
     text = capsys.readouterr().out
@@ -70,7 +70,7 @@ def test_help_says_what_it_does(command, capsys):
     assert left.value.code == 2 and "name robots by their ids" in capsys.readouterr().err
 
 
-def test_without_a_bridge_it_says_so(new_domain, monkeypatch, capsys):
+def test_without_a_bridge_the_command_fails_with_the_reason(new_domain, monkeypatch, capsys):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(new_domain()))
     assert disable(["3", "--timeout", "0.3"]) == 1
     assert "parameters of bridge did not come within 0.3 s" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Launch file, parameter file and nodes agree, checked without running any of it."""
+"""Launch file, parameter file and nodes agree, checked without launching."""
 
 import array
 import ast
@@ -99,7 +99,7 @@ def test_the_parameter_file_holds_the_defaults_of_parameters_that_exist(declared
             assert name not in nodes()[node], f"{name} is set by the launch file anyway"
 
 
-def test_files_the_launch_file_names_are_shipped():
+def test_files_of_the_launch_file_are_installed():
     named = set(re.findall(r'"([\w.]+\.(?:yaml|xml|rviz))"', ast.unparse(TREE).replace("'", '"')))
     packages = {"focal_plane.yaml": "fiber_bringup", "fastdds.xml": "fiber_node"}
     assert named == set(packages)

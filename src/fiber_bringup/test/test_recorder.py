@@ -1,4 +1,4 @@
-"""The recorder beside a running graph: what it writes is what happened."""
+"""The recorder in a running graph: its recordings agree with the graph and the frames."""
 
 import numpy as np
 import pytest
@@ -16,17 +16,17 @@ from fiber_recording.node import RecorderNode, recording_name
 pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
 
 
-def test_the_motion_is_that_of_the_bytes(run):
+def test_the_recorded_motion_is_that_of_the_bytes(run):
     motion = run.done.motion
     for name in ("start", "offsets", "ticks", "velocity"):
-        np.testing.assert_array_equal(getattr(motion, name), getattr(run.told.motion, name))
+        np.testing.assert_array_equal(getattr(motion, name), getattr(run.replayed.motion, name))
     np.testing.assert_array_equal(motion.start, run.before)
     np.testing.assert_array_equal(motion.end, run.after)
-    np.testing.assert_array_equal(run.done.started, run.told.started)
+    np.testing.assert_array_equal(run.done.started, run.replayed.started)
     assert run.done.started.all() and np.diff(motion.offsets).any()
 
 
-def test_what_was_asked_and_what_became_of_it(run):
+def test_the_recording_has_targets_and_outcomes(run):
     problem = run.done.problem
     np.testing.assert_array_equal(problem.plane.ids[problem.asked], run.targets[0])
     np.testing.assert_allclose(problem.targets[problem.asked], run.targets[1])
@@ -38,20 +38,20 @@ def test_what_was_asked_and_what_became_of_it(run):
     assert about["report"]["reached"] == run.ended.count(Outcome.REACHED)
 
 
-def test_the_certificate_is_that_of_the_motion(run):
+def test_the_certificate_belongs_to_the_motion(run):
     certificate = certify(run.done.problem.plane, run.done.executed, Safety())
     assert run.done.about["certificate"]["ok"] is certificate.ok is True
     assert run.done.about["report"]["min_clearance_mm"] == certificate.min_gap_mm
 
 
-def test_the_margins_are_those_of_the_orders(run):
+def test_the_corridors_belong_to_the_orders(run):
     recording = run.done
     exact = joint_corridors(recording.problem.plane, recording.executed, Safety())
     for name in ("low", "high"):
         recorded, wall = getattr(recording.corridors, name), getattr(exact, name)
         np.testing.assert_allclose(recorded, wall, atol=1.1e-3)  # rounded inwards
     assert (exact.high - exact.low).max() > 1.0
-    assert run.home.corridors is None  # nobody discretized it
+    assert run.home.corridors is None  # home does not pass the discretizer
     assert run.replaced.corridors is not None
 
 
@@ -75,12 +75,12 @@ def test_encoders_follow_the_orders(run):
     assert off.max() < 1e-3
 
 
-def test_all_frames_are_counted_and_a_go_is_told(run):
+def test_all_frames_are_counted_and_go_is_an_event(run):
     load, events = run.done.load, run.done.events
     assert load.frames.sum() > 3 * len(run.before) and load.bytes.sum() > 20 * len(run.before)
     assert load.edges_s[0] < 0 < load.edges_s[-1]
     assert events.kind.tolist() == [EventKind.GO]
-    assert -0.2 < events.time_s[0] < 0.0  # robots count down from there
+    assert -0.2 < events.time_s[0] < 0.0  # the countdown begins there
     assert not events.unexpected.any()
     assert run.done.about["codes"]["fault"]["33"] == "memory"
 
@@ -90,7 +90,7 @@ def test_a_stopped_plan_is_recorded_as_far_as_it_went(run):
     kinds = stopped.events.kind.tolist()
     assert kinds.count(EventKind.GO) == 1 and kinds.count(EventKind.STOP) >= 1
     at_s = stopped.events.time_s[kinds.index(EventKind.STOP)]
-    # robots hear the STOP at its end, and are then where their encoders say
+    # robots receive STOP at its end, and stand where their encoders say
     assert 0 < at_s < stopped.executed.makespan_s < at_s + 3e-4
     assert any("stopped at" in note for note in stopped.about["notes"])
     assert (stopped.reason == Reason.STOPPED).any()
@@ -101,7 +101,7 @@ def test_a_stopped_plan_is_recorded_as_far_as_it_went(run):
     )
 
 
-def test_home_is_recorded_though_nobody_asked_for_targets(run):
+def test_home_is_recorded_without_targets(run):
     home = run.home
     assert not home.problem.asked.any() and home.planned is None
     assert home.started.any() and (home.executed.end[:, 1] > 3.0).any()
@@ -120,7 +120,7 @@ def test_a_plan_that_was_replaced_is_recorded_as_one_that_did_not_run(run):
 def test_a_plan_that_ended_before_the_recorder_began_keeps_the_recording_it_may_have(tmp_path):
     plane = preset("desi", 7)
     still, held = np.zeros((7, 2)), np.full(7, Outcome.HELD)
-    told = held, np.full(7, Reason.NO_TARGET), np.full(7, np.nan)
+    columns = held, np.full(7, Reason.NO_TARGET), np.full(7, np.nan)
     with RosClient("bridge") as peer:
         now_ns = peer.node.get_clock().now().nanoseconds
         ended = topics.OUTCOME.publisher(peer.node)
@@ -130,7 +130,7 @@ def test_a_plan_that_ended_before_the_recorder_began_keeps_the_recording_it_may_
         states.publish(joint_states.encode(plane.ids, still + 3.0, still, now_ns))
         before, after = PlanStamp(now_ns), PlanStamp(now_ns + 3600 * 10**9)
         for stamp in (before, after):
-            ended.publish(outcome.encode(plane.ids, *told, stamp))
+            ended.publish(outcome.encode(plane.ids, *columns, stamp))
         peer.add_node(RecorderNode, folder=str(tmp_path))
         later = tmp_path / recording_name(after)
         peer.wait_for(later.exists, 60.0, "the recording of a plan that ended later")

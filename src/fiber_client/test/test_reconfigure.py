@@ -1,4 +1,4 @@
-"""What the command says and how it ends, given what became of the robots."""
+"""The output and the exit code of the command reconfigure, given the outcome of the robots."""
 
 import io
 
@@ -35,7 +35,7 @@ GOOD = (Outcome.REACHED, Reason.OK)
         ((Outcome.FAILED, Reason.OFF_TARGET), False),
     ],
 )
-def test_one_robot_decides_how_it_went(pair, well):
+def test_one_robot_decides_the_exit_code(pair, well):
     assert went_well(end_of(GOOD, pair, GOOD)) is well
 
 
@@ -76,7 +76,7 @@ def bus(number, frames, level=Level.OK, **counters):
     return Status(f"bridge: bus {number}", level, "n frames failed", {"frames": frames} | counters)
 
 
-def test_totals_of_the_buses_count_from_where_they_were_first_heard():
+def test_totals_of_the_buses_count_from_the_first_status():
     now = [100.0]
     totals = BusCounterTotals(lambda: now[0])
     for number, frames in ((0, 1000), (1, 50), (0, 1010), (1, 70)):
@@ -89,7 +89,7 @@ def test_totals_of_the_buses_count_from_where_they_were_first_heard():
     assert "130 frames" in str(totals) and "3 retries" in str(totals)
 
 
-def test_an_alert_is_told_once_until_it_gets_worse():
+def test_an_alert_is_shown_once_until_it_gets_worse():
     stream = io.StringIO()
     with ProgressDisplay(stream) as display:
         good, warn = bus(0, 1), bus(0, 9, Level.WARN)
@@ -124,7 +124,7 @@ def test_a_terminal_shows_bars_rates_and_alerts(monkeypatch):
     assert "\x1b[" in text
 
 
-def test_help_says_what_targets_may_be(capsys):
+def test_help_describes_the_kinds_of_targets(capsys):
     with pytest.raises(SystemExit) as left:
         main(["--help"])
     assert left.value.code == 0

@@ -1,4 +1,4 @@
-"""What nodes share, on real nodes in a domain of their own."""
+"""The shared parts of nodes, on real nodes in a domain of their own."""
 
 from dataclasses import dataclass
 
@@ -30,7 +30,7 @@ from fiber_node import AttemptListener, PlaneCache, Reporter, declare_parameters
 
 
 @dataclass(frozen=True)
-class _Settings:
+class _Config:
     gain: float = 2.0
     horizon_s: float | None = None
     method: str = "plain"
@@ -70,71 +70,73 @@ def graph():
     context.try_shutdown()
 
 
-def test_settings_are_declared_with_their_defaults(graph):
+def test_parameters_are_declared_with_the_defaults_of_the_dataclass(graph):
     node = graph("plain")
-    assert declare_parameters(node, _Settings, "core") == _Settings()
+    assert declare_parameters(node, _Config, "core") == _Config()
     assert node.get_parameter("core.gain").value == 2.0
     assert node.get_parameter("core.horizon_s").value is None
     assert not node.has_parameter("core.table")
 
 
-def test_settings_take_what_was_set_and_refuse_what_the_core_refuses(graph):
-    assert declare_parameters(graph("set", gain=3.0, horizon_s=9.5), _Settings) == _Settings(
-        3.0, 9.5
-    )
+def test_parameters_take_what_was_set_and_refuse_what_the_core_refuses(graph):
+    assert declare_parameters(graph("set", gain=3.0, horizon_s=9.5), _Config) == _Config(3.0, 9.5)
     with pytest.raises(FiberError, match="gain is -1.0"):
-        declare_parameters(graph("wrong", gain=-1.0), _Settings)
+        declare_parameters(graph("wrong", gain=-1.0), _Config)
 
 
 def test_a_refusal_reaches_the_diagnostics_at_once(graph):
-    heard = []
-    topics.DIAGNOSTICS.subscription(graph("listener"), heard.append)
+    received = []
+    topics.DIAGNOSTICS.subscription(graph("listener"), received.append)
     node = graph("speaker")
     report = Reporter(node, "planner", lambda: [diagnostics.Status("bus 1", Level.WARN, "noisy")])
-    graph.until(lambda: heard)
-    heard.clear()
+    graph.until(lambda: received)
+    received.clear()
     report.refuse("robot 7: target is 9 mm away")
-    graph.until(lambda: any("robot 7" in s.text for m in heard for s in diagnostics.decode(m)))
-    own, more = diagnostics.decode(heard[-1])
+    graph.until(lambda: any("robot 7" in s.text for m in received for s in diagnostics.decode(m)))
+    own, more = diagnostics.decode(received[-1])
     assert (own.name, own.level, own.values["refused"]) == ("planner", Level.ERROR, "1")
     assert (more.name, more.level) == ("bus 1", Level.WARN)
 
 
 def test_progress_names_stage_and_plan(graph):
-    heard = []
-    topics.PROGRESS.subscription(graph("listener"), heard.append)
+    received = []
+    topics.PROGRESS.subscription(graph("listener"), received.append)
     node = graph("speaker")
     report = Reporter(node, "discretizer")
     graph.until(lambda: node.count_subscribers(topics.PROGRESS.name) == 1)
     attempt = Attempt.first(PlanStamp(5))
-    graph.until(lambda: heard or report.progress(attempt, 0.5, "half") is not None)
-    told = progress.decode(heard[0])
-    assert (told.stage, told.fraction, told.text) == ("discretizer", 0.5, "half")
-    assert told.attempt == attempt
+    graph.until(lambda: received or report.progress(attempt, 0.5, "half") is not None)
+    report_received = progress.decode(received[0])
+    assert (report_received.stage, report_received.fraction, report_received.text) == (
+        "discretizer",
+        0.5,
+        "half",
+    )
+    assert report_received.attempt == attempt
 
 
-def test_the_view_is_complete_only_with_joint_states_of_the_same_robots(graph):
-    plane, node, source = preset("desi", robots=7), graph("view"), graph("source")
-    view = PlaneCache(node, Reporter(node, "planner"))
+def test_the_cache_is_complete_only_with_joint_states_of_the_same_robots(graph):
+    plane, node, source = preset("desi", robots=7), graph("cache"), graph("source")
+    cache = PlaneCache(node, Reporter(node, "planner"))
     with pytest.raises(MessageError, match="layout: not received"):
-        _ = view.plane
+        _ = cache.plane
     layouts, states = topics.LAYOUT.publisher(source), topics.JOINT_STATES.publisher(source)
     still = np.zeros((7, 2))
     states.publish(joint_states.encode(plane.ids[:3], still[:3], still[:3], 1))
     layouts.publish(layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(1)))
-    graph.until(lambda: view._layout is not None and view._states is not None)
-    assert not view.complete
+    graph.until(lambda: cache._layout is not None and cache._states is not None)
+    assert not cache.complete
     turning = still.copy()
     turning[4, 1] = 0.1
     states.publish(joint_states.encode(plane.ids, still + 0.5, turning, 2))
-    graph.until(lambda: view.complete)
-    assert view.moving
-    np.testing.assert_array_equal(view.angles, still + 0.5)
-    np.testing.assert_array_equal(view.plane.ids, plane.ids)
+    graph.until(lambda: cache.complete)
+    assert cache.moving
+    np.testing.assert_array_equal(cache.angles, still + 0.5)
+    np.testing.assert_array_equal(cache.plane.ids, plane.ids)
 
 
 def test_work_on_a_later_attempt_waits_for_a_plane_as_new_as_its_targets_say(graph):
-    plane, node, source = preset("desi", robots=7), graph("view"), graph("source")
+    plane, node, source = preset("desi", robots=7), graph("cache"), graph("source")
     cache = PlaneCache(node, Reporter(node, "planner"))
     layouts, states = topics.LAYOUT.publisher(source), topics.JOINT_STATES.publisher(source)
     still, done = np.zeros((7, 2)), []
@@ -159,7 +161,7 @@ def test_work_on_a_later_attempt_waits_for_a_plane_as_new_as_its_targets_say(gra
     assert done == ["first"]
     publish_states(20)
     assert done == ["first", "second"]
-    # newer work takes the place of what waits, and is done once
+    # newer work takes the place of work that waits, and is done once
     third = second.next(PlanStamp(7), since_ns=25)
     cache.when_current(third, lambda: done.append("third"))
     cache.when_current(Attempt.first(PlanStamp(8)), lambda: done.append("newer"))
@@ -198,20 +200,20 @@ def test_work_on_a_trajectory_waits_until_its_attempt_is_announced(graph):
 
 
 def test_a_malformed_layout_is_refused_and_the_old_one_stays(graph):
-    plane, node, source = preset("desi", robots=7), graph("view"), graph("source")
+    plane, node, source = preset("desi", robots=7), graph("cache"), graph("source")
     report = Reporter(node, "planner")
-    view = PlaneCache(node, report)
+    cache = PlaneCache(node, report)
     layouts = topics.LAYOUT.publisher(source)
     good = layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(1))
     layouts.publish(good)
-    graph.until(lambda: view._layout is not None)
+    graph.until(lambda: cache._layout is not None)
     good.header.frame_id = "map"
     layouts.publish(good)
     graph.until(lambda: report.refused == 1)
-    assert view._layout[0].n == 7
+    assert cache._layout[0].n == 7
 
 
-def test_settings_a_core_refuses_end_the_process_with_code_2():
+def test_parameters_that_a_core_refuses_end_the_process_with_code_2():
     def make():
         raise FiberError("gain is -1.0")
 

@@ -1,4 +1,4 @@
-"""The executor of nodes: it ends when told, waits for callbacks, and raises what escapes them."""
+"""The executor of nodes: it ends when stopped, waits for callbacks, raises what escapes them."""
 
 import threading
 

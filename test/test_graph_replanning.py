@@ -20,7 +20,7 @@ from fiber_recording.settled_replay import settled_replay
 pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
 
 COMPILE_S, WAIT_S = 600.0, 60.0
-LOST = [6, 19, 33, 52]  # as they are planned in the first attempt, others cannot pass beside them
+LOST = [6, 19, 33, 52]  # where these stand, others cannot pass as planned in the first attempt
 DERIVED = (
     topics.TARGETS, topics.HELD_BY_PLANNER, topics.TRAJECTORY, topics.HELD_BY_DISCRETIZER,
     topics.SEGMENTS, topics.CORRIDORS, topics.FRAMES,
@@ -58,14 +58,14 @@ def graph(problem_file, new_domain, monkeypatch):
         each.__exit__(None, None, None)
 
 
-def ask(client, problem):
+def send_targets(client, problem):
     stamp = client.send_targets(problem.plane.ids[problem.asked], problem.targets[problem.asked])
     client.wait_until_ready(stamp, COMPILE_S)
     return stamp
 
 
 def check_both_attempts(client, problem, stamp, before):
-    """All but the lost arrive in the second attempt, and the bytes of both are safe."""
+    """All other robots arrive in the second attempt, and the bytes of both attempts are safe."""
     ended = client.wait_for_outcome(stamp, WAIT_S)
     asked, lost = problem.asked, np.isin(problem.plane.ids, LOST)
     assert np.array_equal(ended.ids, problem.plane.ids) and set(client.outcomes) == {stamp}
@@ -76,17 +76,17 @@ def check_both_attempts(client, problem, stamp, before):
     moved = np.zeros(problem.plane.n, dtype=bool)
     for attempt in (stamp, second):
         start = before if attempt == stamp else client.counts_before[second]
-        told = replay(client.plane, client.units, start, client.frames[attempt])
-        assert certify(client.plane, told.motion.decoded(), Safety()).ok
-        moves = (told.motion.end != start).any(axis=1)
+        replayed = replay(client.plane, client.units, start, client.frames[attempt])
+        assert certify(client.plane, replayed.motion.decoded(), Safety()).ok
+        moves = (replayed.motion.end != start).any(axis=1)
         assert moves.any() and not moves[lost].any()
         if attempt == stamp:
-            np.testing.assert_array_equal(told.motion.end, client.counts_before[second])
+            np.testing.assert_array_equal(replayed.motion.end, client.counts_before[second])
             waited = asked & ~lost & ~moves
             assert waited.any()
         else:
             assert moves[waited].all()
-            end = told.motion.end
+            end = replayed.motion.end
         moved |= moves
     client.wait_for(
         lambda: np.array_equal(client.units.to_counts(client.angles), end), WAIT_S, "all at the end"
@@ -99,9 +99,9 @@ def check_both_attempts(client, problem, stamp, before):
 def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tmp_path):
     client, robots = graph(recorder={"folder": str(tmp_path)}, viewer={})
     received = {topic.name: client.collect(topic) for topic in STAMPED}
-    told = client.collect(topics.PROGRESS)
+    reports = client.collect(topics.PROGRESS)
     before = client.units.to_counts(client.angles)
-    stamp = ask(client, problem)
+    stamp = send_targets(client, problem)
     robots.power(LOST, False, 0.0)
     client.start(WAIT_S)
     ended = check_both_attempts(client, problem, stamp, before)
@@ -109,7 +109,7 @@ def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tm
     stamps = client.attempts(stamp)
     for topic in DERIVED:
         client.wait_for(
-            lambda heard=received[topic.name]: {PlanStamp.of(m) for m in heard} == set(stamps),
+            lambda messages=received[topic.name]: set(map(PlanStamp.of, messages)) == set(stamps),
             WAIT_S,
             f"both attempts on {topic.name}",
         )
@@ -121,11 +121,11 @@ def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tm
     assert not set(targets.decode(asked[1])[0]) & set(LOST)
     client.wait_for(lambda: all(received.values()), WAIT_S, "messages on all topics")
     assert [PlanStamp.of(message) for message in received[topics.OUTCOME.name]] == [stamp]
-    announced = {progress.decode(message).attempt for message in told}
+    announced = {progress.decode(message).attempt for message in reports}
     assert set(attempts) <= announced
     # a filter of a bag by frame finds every message, and the frame is that of tf and RViz
-    for name, heard in received.items():
-        assert {message.header.frame_id for message in heard} == {FRAME_ID}, name
+    for name, messages in received.items():
+        assert {message.header.frame_id for message in messages} == {FRAME_ID}, name
     assert client.plane.ids[~client.plane.enabled].tolist() == sorted([3, 17, 40, *LOST])
 
     client.wait_for_recording(stamp, WAIT_S)
@@ -139,20 +139,20 @@ def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tm
 
 
 def test_robots_whose_memory_fails_at_the_load_become_obstacles(graph, problem):
-    # another bit of the stored order turns over every 20 us
+    # every 20 us another bit of the stored order flips
     ticks = np.arange(0.0, 0.5, 20e-6)
     events = [(row, t, Event.FLIP, k) for row in LOST for k, t in enumerate(ticks)]
     client, _ = graph(events)
     before = client.units.to_counts(client.angles)
-    stamp = ask(client, problem)
+    stamp = send_targets(client, problem)
     client.start(WAIT_S)
     ended = check_both_attempts(client, problem, stamp, before)
     assert np.all(ended.of(LOST).reason == Reason.NOT_VERIFIED)
 
 
-def test_with_one_attempt_they_are_left_out_of_the_next_plan_until_cleared(graph, problem):
+def test_with_one_attempt_lost_robots_are_left_out_of_later_plans_until_clear(graph, problem):
     client, robots = graph(attempts=1)
-    stamp = ask(client, problem)
+    stamp = send_targets(client, problem)
     robots.power(LOST, False, 0.0)
     client.start(WAIT_S)
     ended = client.wait_for_outcome(stamp, WAIT_S)
@@ -160,41 +160,43 @@ def test_with_one_attempt_they_are_left_out_of_the_next_plan_until_cleared(graph
     assert len(waited) and client.last_attempt(stamp) == stamp
     client.wait_for(lambda: not client.plane.enabled[LOST].any(), WAIT_S, "their layout")
 
-    stamp = ask(client, problem)
+    stamp = send_targets(client, problem)
     client.start(WAIT_S)
     again = client.wait_for_outcome(stamp, WAIT_S)
     assert np.all(again.of(waited).outcome == Outcome.REACHED)
-    # what they failed by is still their reason
+    # they keep the reason for which they failed
     assert np.all(again.of(LOST).reason == Reason.NOT_ACKNOWLEDGED)
     client.call_service(topics.CLEAR, WAIT_S)
     client.wait_for(lambda: client.plane.enabled[LOST].all(), WAIT_S, "all in the layout again")
 
 
-def test_who_configuration_does_not_find_is_not_planned_for(graph, problem):
+def test_robots_that_configure_does_not_find_are_left_out_of_plans(graph, problem):
     client, robots = graph()
     robots.power(LOST, False, 0.0)
     client.call_service(topics.CONFIGURE, WAIT_S)
     client.wait_for(lambda: not client.plane.enabled[LOST].any(), WAIT_S, "their layout")
-    stamp = ask(client, problem)
+    stamp = send_targets(client, problem)
     client.start(WAIT_S)
     ended = client.wait_for_outcome(stamp, WAIT_S)
     others = ended.of(np.setdiff1d(problem.plane.ids[problem.asked], LOST))
     assert np.all(others.outcome == Outcome.REACHED) and client.last_attempt(stamp) == stamp
     assert np.all(ended.of(LOST).reason == Reason.NOT_ACKNOWLEDGED)
     client.wait_for(
-        lambda: "4 not found" in client.statuses["bridge: left out"].text, WAIT_S, "word of that"
+        lambda: "4 not found" in client.statuses["bridge: left out"].text,
+        WAIT_S,
+        "diagnostics of that",
     )
     robots.power(LOST, True, 0.0)
     client.call_service(topics.CONFIGURE, WAIT_S)
     client.wait_for(lambda: client.plane.enabled[LOST].all(), WAIT_S, "all in the layout again")
 
 
-def test_who_was_stopped_for_one_that_fell_silent_goes_on_in_the_next_attempt(graph, problem):
-    # with no resumes the bridge stops the plan and clears by itself, as no operator has stopped it
+def test_robots_stopped_for_a_lost_robot_continue_in_the_next_attempt(graph, problem):
+    # without resumes the bridge stops the plan, and clears by itself as no operator has stopped it
     silent = 30
     client, _ = graph([(silent, 1.0, Event.POWER, 0)], **{"session.resumes": 0})
     before = client.units.to_counts(client.angles)
-    stamp = ask(client, problem)
+    stamp = send_targets(client, problem)
     client.start(WAIT_S)
     ended = client.wait_for_outcome(stamp, WAIT_S)
     assert [stamp, client.last_attempt(stamp)] == client.attempts(stamp)
@@ -202,12 +204,12 @@ def test_who_was_stopped_for_one_that_fell_silent_goes_on_in_the_next_attempt(gr
         Outcome.FAILED,
         Reason.NOT_ACKNOWLEDGED,
     )
-    # where it stopped is not known: whoever could touch it stays
+    # where it stopped is not known: robots that could touch it stay
     others = problem.asked & (problem.plane.ids != silent)
     assert set(ended.reason[others]) == {Reason.OK, Reason.UNSAFE_AS_LOADED}
     assert (ended.outcome == Outcome.REACHED).sum() > 40
-    told = settled_replay(client, ended, before, WAIT_S)
-    assert (told.motion.end != told.motion.start).any(axis=1).sum() > 40
+    replayed = settled_replay(client, ended, before, WAIT_S)
+    assert (replayed.motion.end != replayed.motion.start).any(axis=1).sum() > 40
     near_mm = np.hypot(*(problem.plane.centers - problem.plane.centers[silent]).T)
     assert near_mm[ended.reason == Reason.UNSAFE_AS_LOADED].max() < 13
 
@@ -215,8 +217,8 @@ def test_who_was_stopped_for_one_that_fell_silent_goes_on_in_the_next_attempt(gr
 def test_robots_disabled_after_they_were_planned_for_are_planned_around(graph, problem):
     client, _ = graph()
     before = client.units.to_counts(client.angles)
-    stamp = ask(client, problem)
-    DisabledRobots(client, WAIT_S).write(LOST, "not tonight")
+    stamp = send_targets(client, problem)
+    DisabledRobots(client, WAIT_S).write(LOST, "in repair")
     client.start(WAIT_S)
     ended = check_both_attempts(client, problem, stamp, before)
     assert np.all(ended.of(LOST).reason == Reason.DISABLED)
