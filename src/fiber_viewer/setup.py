@@ -3,7 +3,7 @@ from setuptools import find_packages, setup
 setup(
     name="fiber_viewer",
     version="0.1.0",
-    description="Recordings of a focal plane's motion, and pictures of it.",
+    description="Shows recordings of a focal plane: player, figures, live view.",
     maintainer="fiber positioner team",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
@@ -21,7 +21,7 @@ setup(
         "numpy",
     ],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
-    zip_safe=False,  # compiled loops are cached beside the modules
+    zip_safe=False,  # compiled loops are cached in the folder of the package
     entry_points={
         "console_scripts": [
             "figures = fiber_viewer.figures.command:main",

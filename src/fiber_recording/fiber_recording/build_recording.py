@@ -60,11 +60,11 @@ def build_recording(
             robots that stopped answering; by default the last reply in the frames does.
         targets: ids, shape (k,), and targets [mm], shape (k, 2); nan: no target.
         planned: ids, shape (k,), and the trajectory that the planner made for these robots.
-        corridors: ids, shape (k,), and the corridors of these robots beside the first orders.
+        corridors: ids, shape (k,), and the corridors of these robots in the first phase.
         safety: the clearance that the recorded motion is certified for; the defaults of Safety
             if not given.
         about: plain values for JSON to keep with the recording, as `seed` and `planner`.
-        notes: sentences to keep with the recording, before those made here.
+        notes: sentences to keep with the recording; notes on stops and lost robots are added.
 
     Returns:
         The recording: phases, certificate and report are of the motion in the frames.

@@ -184,7 +184,7 @@ class Recording:
             one more for each time the robots were resumed.
         started: robots that received a GO for an order that they stored, shape (n,).
         planned: the planner's trajectory, None if the planner published none.
-        corridors: the corridors of all n robots beside the orders of the first phase; None if
+        corridors: the corridors of all n robots in the first phase; None if
             the discretizer published none.
         measured: encoder readings during the plan.
         load: frames and bytes on the buses.

@@ -210,9 +210,9 @@ def test_the_number_of_moving_robots_is_0_from_the_makespan_on(recording):
 def test_no_robot_moves_while_all_are_stopped(resumed):
     (axes,) = figures.makespan(resumed).axes
     values, edges, _ = next(p for p in axes.patches if hasattr(p, "get_data")).get_data()
-    again = resumed.phases[1].motion.decoded().counts.any(axis=1).sum()
+    resuming = resumed.phases[1].motion.decoded().counts.any(axis=1).sum()
     lasts = np.delete(resumed.phases[0].motion.decoded().durations.max(axis=1), 11)  # it had failed
-    for t, moving in ((0.25, (lasts > 0.25).sum()), (0.4, 0), (0.456, again)):
+    for t, moving in ((0.25, (lasts > 0.25).sum()), (0.4, 0), (0.456, resuming)):
         assert values[np.searchsorted(edges, t, side="right") - 1] == moving
 
 

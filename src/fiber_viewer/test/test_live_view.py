@@ -171,13 +171,13 @@ def test_at_rest_it_publishes_for_a_new_subscriber_and_a_new_robot(scene, plane,
     other = [int(plane.ids[7])]
     scene.viewer.set_parameters([Parameter("watch", value=other)])
     peer.wait_for(
-        lambda: watched(outlined[-1]) == {str(other[0])}, WAIT_S, "the outlines asked for"
+        lambda: watched(outlined[-1]) == {str(other[0])}, WAIT_S, "the outlines of the other robot"
     )
 
 
 def test_only_watched_robots_have_outlines(scene, plane, angles):
     peer = scene.peer
-    seen, asked = peer.collect(WATCHED), peer.collect(topics.VIEW_TARGETS)
+    seen, shown = peer.collect(WATCHED), peer.collect(topics.VIEW_TARGETS)
     scene.move(angles, 0 * angles, 1)
     peer.wait_for(lambda: seen, WAIT_S)
     assert watched(seen[-1]) == {str(plane.ids[3])}
@@ -185,6 +185,6 @@ def test_only_watched_robots_have_outlines(scene, plane, angles):
     np.testing.assert_allclose(line * 1e3, outlines(plane, 3, angles)[0], atol=1e-9)
     xy_mm = np.array([[1.0, 2.0], [3.0, 4.0]])
     scene.publish(topics.TARGETS, targets.encode(plane.ids[:2], xy_mm, PlanStamp(5)))
-    peer.wait_for(lambda: asked, WAIT_S)
-    rows = np.frombuffer(asked[-1].data, plane_cloud(plane).dtype)
+    peer.wait_for(lambda: shown, WAIT_S)
+    rows = np.frombuffer(shown[-1].data, plane_cloud(plane).dtype)
     np.testing.assert_allclose(points(rows) * 1e3, xy_mm, atol=1e-4)

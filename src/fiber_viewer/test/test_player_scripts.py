@@ -27,12 +27,12 @@ OUTLINES = Path(__file__).parents[2] / "fiber_recording/test/data/recording-1.np
 
 @pytest.fixture
 def node(tmp_path):
-    """Run a script with `recording` and `asked`, and return the value of its `answer`."""
+    """Run a script with `recording` and `inputs`, and return the value of its `answer`."""
     if shutil.which("node") is None:
         pytest.skip("NOT TESTED: the scripts of the page, because node is not installed")
 
-    def run(recording_file, body, **asked):
-        (tmp_path / "asked.json").write_text(json.dumps(asked))
+    def run(recording_file, body, **inputs):
+        (tmp_path / "inputs.json").write_text(json.dumps(inputs))
         imports = "".join(
             f"import * as {name} from {json.dumps((PLAYER / f'{name}.js').as_uri())};\n"
             for name in ("recording", "kinematics", "clearance", "neighbourhood", "profiles")
@@ -42,7 +42,7 @@ def node(tmp_path):
             imports.replace("* as recording", "* as opened")
             + f"""
             import fs from "node:fs";
-            const asked = JSON.parse(fs.readFileSync({json.dumps(str(tmp_path / "asked.json"))}));
+            const inputs = JSON.parse(fs.readFileSync({json.dumps(str(tmp_path / "inputs.json"))}));
             const bytes = new Uint8Array(fs.readFileSync({json.dumps(str(recording_file))}));
             const recording = await opened.openRecording(bytes);
             let answer;
@@ -78,8 +78,8 @@ def test_angles_velocities_and_segments_are_those_of_the_motion(node, request, n
         recording_file,
         """
         const { motion } = recording, { angleAt, segmentAt, velocityAt } = kinematics;
-        const asking = [angleAt, velocityAt, segmentAt];
-        answer = asked.times.map((t, i) => asking.map((f) => f(motion, asked.profiles[i], t)));
+        const functions = [angleAt, velocityAt, segmentAt];
+        answer = inputs.times.map((t, i) => functions.map((f) => f(motion, inputs.profiles[i], t)));
         """,
         times=times.tolist(),
         profiles=profiles.tolist(),
@@ -112,10 +112,10 @@ def test_elbows_tips_and_outlines_agree_with_the_kinematics(node, recording_file
         path,
         """
         const { plane } = recording, n = plane.n;
-        const angles = Float64Array.from(asked.angles.flat());
+        const angles = Float64Array.from(inputs.angles.flat());
         answer = [
           Array.from(kinematics.placesOfAll(plane, angles, new Float64Array(4 * n))),
-          asked.angles.map((both, row) => kinematics.outlinesOf(plane, row, ...both)
+          inputs.angles.map((both, row) => kinematics.outlinesOf(plane, row, ...both)
             .map((hull) => [Array.from(hull.points), hull.radius])),
         ];
         """,
@@ -149,9 +149,9 @@ def test_gaps_are_those_of_the_core(node, recording_file, file):
         path,
         """
         const { plane } = recording;
-        answer = asked.poses.flatMap((angles) => {
+        answer = inputs.poses.flatMap((angles) => {
           const hulls = angles.map((both, row) => kinematics.outlinesOf(plane, row, ...both));
-          return asked.pairs.map(([a, b]) => {
+          return inputs.pairs.map(([a, b]) => {
             const { gap, from, to } = clearance.gapBetween(hulls[a], hulls[b]);
             return [gap, Math.hypot(from[0] - to[0], from[1] - to[1])];
           });
@@ -180,7 +180,7 @@ def test_the_page_reads_all_that_python_wrote(node, recording, recording_file):
           planned: Array.from(planned.angles), times: Array.from(planned.times),
           readings: rows.map((row) => both.map((j) => profiles.readings(recording, row, j))),
           nearest: [pairs[0].a, pairs[0].b, pairs[0].gap], kinds: events.map((e) => e.kind),
-          reason: opened.reasonOf(recording, asked.failed), frames: Array.from(load.frames),
+          reason: opened.reasonOf(recording, inputs.failed), frames: Array.from(load.frames),
           faults: opened.faultsOf(recording).map((f) => [f.row, f.time]),
           texts: events.map((event) => opened.eventText(recording, event)),
           alert: opened.eventText(recording, { kind: "alert", detail: 5 }),
@@ -221,7 +221,7 @@ def test_the_page_reads_all_that_python_wrote(node, recording, recording_file):
 
 
 def test_states_follow_a_stop_and_resumed_motion(node, resumed, resumed_file):
-    first, again = resumed.phases
+    first, second = resumed.phases
     stop_s, on_s = 300_300e-6, 455_001e-6
     times = [0.1, 0.2, 0.212, stop_s - 1e-3, stop_s + 1e-3, on_s - 1e-3, on_s + 1e-3, 9.0]
     answer = node(
@@ -230,7 +230,7 @@ def test_states_follow_a_stop_and_resumed_motion(node, resumed, resumed_file):
         const { plane, motion } = recording;
         const all = (t) => Array.from(plane.ids, (_, row) => opened.stateAt(recording, row, t));
         answer = {
-          states: asked.times.map(all),
+          states: inputs.times.map(all),
           pauses: phases.pausesOf(motion),
         };
         """,
@@ -239,7 +239,7 @@ def test_states_follow_a_stop_and_resumed_motion(node, resumed, resumed_file):
     states = dict(zip(times, np.array(answer["states"])))
     moving, reached, _, failed, _, _, stopped = range(7)
     np.testing.assert_allclose(answer["pauses"], [[stop_s, on_s]])
-    resumes = first.stopped & again.motion.decoded().counts.any(axis=1)
+    resumes = first.stopped & second.motion.decoded().counts.any(axis=1)
     assert resumes.sum() > 20
     for t, state in zip(times[3:7], (moving, stopped, stopped, moving)):
         assert (states[t][resumes] == state).all(), t
@@ -256,7 +256,7 @@ def test_the_corridor_is_that_of_the_recording_and_ends_at_a_stop(node, request,
         file,
         """
         const { corridorBand } = profiles;
-        answer = asked.rows.map((row) => [0, 1].map((j) => corridorBand(recording, row, j)));
+        answer = inputs.rows.map((row) => [0, 1].map((j) => corridorBand(recording, row, j)));
         """,
         rows=rows,
     )
@@ -276,7 +276,7 @@ def test_the_closest_approach_is_one_of_six_moments_inside_the_motion(node, reco
     cases = [(0.0, 2.0), (0.04, 0.8), (1.0, 2.0), (2.0, 2.0), (0.0, 0.0)]
     answer = node(
         recording_file,
-        "answer = asked.cases.map(([t, ends]) => neighbourhood.momentsAround(t, ends));",
+        "answer = inputs.cases.map(([t, ends]) => neighbourhood.momentsAround(t, ends));",
         cases=cases,
     )
     for (time, ends), moments in zip(cases, answer):

@@ -47,7 +47,7 @@ export class NeighbourhoodPanel {
     const gaps = this.drawClosestGap(ctx, angles);
     const near = gaps[0];
     this.note.textContent = near
-      ? `robot ${plane.ids[robots[0]]} is ${near.gap.toFixed(3)} mm from ${bodyName(recording, near.body)}`
+      ? `robot ${plane.ids[robots[0]]} is ${near.gap.toFixed(3)} mm from ${near.body < plane.n ? "robot " : ""}${bodyName(recording, near.body)}`
       : `robot ${plane.ids[robots[0]]} has no neighbours`;
     for (const row of robots) {
       const [x, y] = this.camera.toPixel(plane.center[2 * row], plane.center[2 * row + 1]);
