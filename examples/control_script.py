@@ -9,7 +9,8 @@ import sys
 
 import numpy as np
 
-from fiber_client import DisabledRobots, PlaneClient, PlaneError, PlaneRefusal
+from fiber_client import DisabledRobots, PlaneClient
+from fiber_core.errors import FiberError
 from fiber_core.fields import random_problem
 from fiber_core.outcomes import Outcome, Reason
 from fiber_msgs_py import Progress, topics
@@ -67,14 +68,15 @@ def main() -> int:
             robot = int(client.plane.ids[0])
             print(f"robot {robot} is taken out of use: it stays where it is, others avoid it")
             disabled = DisabledRobots(client, TIMEOUT_S)
-            disabled.disable({robot: "shown in an example"})
+            before = disabled.read()
+            disabled.write([*before, robot], why="shown in an example")
             client.wait_for(lambda: not client.plane.enabled[0], TIMEOUT_S, "the new layout")
             reconfigure(client, seed=2)
 
             print("a stop in motion")
             stop_in_motion(client, seed=3)
-            disabled.enable([robot])
-        except (PlaneRefusal, PlaneError) as error:
+            disabled.write(before)
+        except FiberError as error:
             print(f"control_script: {error}", file=sys.stderr)
             return 1
     return 0

@@ -26,7 +26,7 @@ folded = [0.0, 3.0]  # theta, phi
 start = np.array([folded, folded, folded])
 
 # The targets of robots 10 and 11 are between the two; robot 12 has no target.
-targets = np.array([[5.0, 1.5], [4.0, -3.0], [np.nan, np.nan]])
+targets = np.array([[3.0, 3.0], [5.0, -3.5], [np.nan, np.nan]])
 result = reconfigure(Problem(plane, start, targets))
 
 for robot, outcome, reason in zip(plane.ids, result.outcome, result.reason):
