@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Run the navigation function as printed, corrected and cured, and its rival, side by side.
 
-One row for each variant and plane, over some random fields: who arrives and when, how long
+One row for each variant and plane, over some random fields: robots that arrive and when, how long
 the motion is, how near tips and arms come. The claims of the papers stand above, marked.
 Motions are judged as planned, sampled at every time step and between; the arrival of a
 robot is the instant from which on it stays within 0.1 mm of its target. Results are JSON

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Take planners through planes and seeds to the bytes: who arrives, how fast, how safe.
+"""Compare planners over planes and seeds: robots that arrive, makespan, clearance, computing time.
 
 Every plan is discretized and rounded as it would be sent; the certificate judges the motion
 decoded from that. A small plan is made first, so that compilation is not counted; cpu_s is
