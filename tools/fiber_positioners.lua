@@ -3,7 +3,8 @@
 -- Opens buses.pcap of a capture (link type 209): copy this file into the folder "Personal Lua
 -- Plugins" of Help > About Wireshark > Folders, or
 --   wireshark -X lua_script:tools/fiber_positioners.lua buses.pcap
--- Shows `bus/address` and what is said. Checksums are shown and not judged, and answers are told apart by their length.
+-- Shows `bus/address` and the decoded message. Checksums are shown and not verified; the kind of a
+-- reply follows from its length.
 
 local fiber = Proto("fiber", "Fibre positioners over I2C")
 
@@ -48,7 +49,7 @@ local f = {
   watchdog = ProtoField.uint16("fiber.watchdog_ms", "Watchdog (ms)"),
   silence = ProtoField.uint16("fiber.silence_ms", "Silence (ms)"),
   serial = ProtoField.uint32("fiber.serial", "Serial number"),
-  new_address = ProtoField.uint16("fiber.new_address", "Address there", base.DEC, nil, 0x7FFF),
+  new_address = ProtoField.uint16("fiber.new_address", "New address", base.DEC, nil, 0x7FFF),
   state = ProtoField.uint8("fiber.state", "State", base.DEC, STATES, 0xF0),
   order_crc = ProtoField.uint16("fiber.order_crc", "CRC of the stored order", base.HEX),
   boot = ProtoField.uint8("fiber.boot", "Boot counter"),
@@ -63,7 +64,7 @@ local list = {}
 for _, field in pairs(f) do list[#list + 1] = field end
 fiber.fields = list
 
--- adds fields one after the other: { field, size }, the same size 0 for one that shares its byte
+-- adds fields one after the other: { field, size }, size 0 for a field that shares the next one's byte
 local function fill(tree, data, at, layout)
   for _, item in ipairs(layout) do
     tree:add(item[1], data(at, math.max(item[2], 1)))
@@ -100,7 +101,7 @@ end
 
 local function command(tree, data, at)
   local left = data:len() - at
-  if left < 2 then return "a frame cut off" end
+  if left < 2 then return "frame cut short" end
   local opcode = data(at, 1):bitfield(0, 4)
   local name = OPCODES[opcode] or "unknown"
   if opcode == 1 and left >= 4 then
@@ -115,25 +116,25 @@ local function command(tree, data, at)
   return name
 end
 
-local function answer(tree, data, at)
+local function reply(tree, data, at)
   local left = data:len() - at
   if left == size_of(IDENTITY) then
     fill(tree, data, at, IDENTITY)
     return "identity"
   elseif left ~= 5 and left ~= 17 then
-    return left == 0 and "not acknowledged" or "an answer cut off"
+    return left == 0 and "not acknowledged" or "reply cut short"
   end
-  local state = STATES[data(at, 1):bitfield(0, 4)] or "no state"
+  local state = STATES[data(at, 1):bitfield(0, 4)] or "unknown state"
   at = fill(tree, data, at, VERIFY)
   if left == 17 then fill(tree, data, at, STATUS) end
   return (left == 17 and "status " or "verify ") .. state
 end
 
--- Wireshark keeps bus and flags to itself; its own dissector tells them.
+-- Wireshark removes bus and flags from the data; its own dissector makes them fields.
 local i2c = DissectorTable.get("wtap_encap"):get_dissector(wtap.I2C_LINUX)
 local i2c_bus = Field.new("i2c.bus")
 
--- A read names only the two high bits of a ten-bit address: the write before it names all.
+-- A read carries only the two high bits of a ten-bit address; the write before it carries all bits.
 local written, known = {}, {}
 
 function fiber.dissector(data, packet, root)
@@ -149,7 +150,7 @@ function fiber.dissector(data, packet, root)
   local ten_bit = head >= 0xF0 and head < 0xF8
   local address = math.floor(head / 2)
   if ten_bit then
-    -- the head of a read holds only the two high bits
+    -- the first byte of a read carries only the two high bits
     address = data(0, 1):bitfield(5, 2) * 256
     if not read and data:len() > 1 then
       address = address + data(1, 1):uint()
@@ -170,7 +171,7 @@ function fiber.dissector(data, packet, root)
   if called then at = at + 1 end
   local words
   if read then
-    words = answer(tree, data, at)
+    words = reply(tree, data, at)
   elseif data:len() == at then
     words = "address only"
   else
