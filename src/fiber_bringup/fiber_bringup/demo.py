@@ -13,7 +13,6 @@ reached it or is held with a reason.
 """
 
 import argparse
-import json
 import os
 import signal
 import sys
@@ -30,16 +29,16 @@ from fiber_bus_bridge.simulation import FaultKind, SimulationConfig
 from fiber_client.client import PlaneClient
 from fiber_client.reconfigure import summary, went_well
 from fiber_client.terminal import ProgressDisplay, table
-from fiber_core.assignment import assign
 from fiber_core.errors import FiberError
 from fiber_core.metrics import ORDER_BYTES_BOUND
 from fiber_core.outcomes import PlanOutcome
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem, save_plan, save_problem
 from fiber_core.problem_sources import problem_from
-from fiber_core.tables import read_targets
 from fiber_node.ros_environment import own_domain, use_loopback
 from fiber_planner import DEFAULT_PLANNER, planners
+from fiber_positioners import with_targets
+from fiber_positioners.report import save_report
 from fiber_recording import Recording, load_recording
 from fiber_recording.node import recording_name
 from fiber_viewer import before_and_after, write_player
@@ -145,11 +144,7 @@ def _problem(options: argparse.Namespace) -> Problem:
     problem = problem_from(
         layout=options.layout, preset=options.preset, robots=options.robots, seed=options.seed
     )
-    if options.targets is None:
-        return problem
-    plane = problem.plane
-    ids, xy_mm = read_targets(options.targets)
-    return Problem(plane, problem.start, assign(plane, problem.start, ids, xy_mm).asked_mm)
+    return problem if options.targets is None else with_targets(problem, options.targets)
 
 
 def _reconfigure(problem: Problem, options: argparse.Namespace, display: ProgressDisplay) -> _Run:
@@ -216,14 +211,7 @@ def _write(out: Path, run: _Run, report: dict[str, Any]) -> None:
     save_plan(out / "plan.npz", motion, outcome.outcome, outcome.reason)
     before_and_after(recording.problem, motion, outcome.outcome).savefig(out / "plane.png", dpi=110)
     write_player(out / "player.html", out / "recording.npz")
-    (out / "report.json").write_text(json.dumps(_plain(report), indent=2) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    # JSON has no number for infinity or nan
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    save_report(out / "report.json", report)
 
 
 def _figures(report: dict[str, Any]) -> str:

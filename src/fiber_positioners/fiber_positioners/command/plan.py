@@ -1,7 +1,6 @@
 """The subcommand `plan`: one reconfiguration, one JSON line."""
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from fiber_positioners.command.exit_codes import DONE
 from fiber_positioners.command.progress import ProgressLine
 from fiber_positioners.problems import with_targets
 from fiber_positioners.reconfiguration import reconfigure
+from fiber_positioners.report import report_line
 
 __all__ = ["DESCRIPTION", "SUMMARY", "add_arguments", "run"]
 
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         if args.player is not None:
             progress(1.0, f"writing {args.player}")
             result.player(args.player)
-    print(json.dumps(result.report))
+    print(report_line(result.report))
     return DONE
 
 
