@@ -35,7 +35,9 @@ def write_player(page: Path, recording: Path) -> None:
         OSError: a file cannot be read or written.
     """
     about = load_recording(recording).about  # refuses a file that the page cannot show
-    title = f"{about['report']['plane'] or 'Focal plane'}, plan {about['plan_ns']}"
+    title = about["report"]["plane"] or "Focal plane"
+    if about["plan_ns"]:  # a plan made without ROS has no stamp
+        title += f", plan {about['plan_ns']}"
     text = (_SOURCES / "page.html").read_text()
     for mark, value in {
         "TITLE": html.escape(title),

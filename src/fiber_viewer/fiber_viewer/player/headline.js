@@ -26,7 +26,7 @@ export function showHeadline(app, { title, subtitle, figures, notes }) {
   title.textContent = `${about.report.plane || "Focal plane"}: ${verdict(numbers)}`;
   const when = new Date(about.plan_ns / 1e6).toISOString().slice(0, 19).replace("T", " ");
   subtitle.textContent = [
-    `${plane.n} robots`, `${when} UTC`, about.planner && `planner ${about.planner}`,
+    `${plane.n} robots`, about.plan_ns > 0 && `${when} UTC`, about.planner && `planner ${about.planner}`,
     about.seed >= 0 && `seed ${about.seed}`, about.software,
   ].filter(Boolean).join("  ·  ");
   notes.replaceChildren(...(about.notes ?? []).map((note) => {
