@@ -38,12 +38,13 @@ INSTALLED := source install/setup.bash
 OUT ?= out/demo
 OPTIONS = $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) \
 	$(if $(SEED),--seed $(SEED)) $(if $(PLANNER),--planner $(PLANNER)) \
-	$(if $(LAYOUT),--layout $(LAYOUT))
+	$(if $(LAYOUT),--layout $(LAYOUT)) $(if $(STARTS),--starts $(STARTS)) \
+	$(if $(TARGETS),--targets $(TARGETS))
 
 .PHONY: help
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /|/' | column -t -s '|'
-	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file.csv OUT=folder; demo TARGETS=file FAULTS=stall:2,reset"
+	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file STARTS=file TARGETS=file OUT=folder; demo FAULTS=stall:2,reset"
 
 .PHONY: venv
 venv: $(ENV_STAMP) ## make .venv from requirements.lock (PY=python3.12 chooses the Python)
@@ -83,7 +84,7 @@ build/.built: $(ENV_STAMP) tools/compile_loops.py build/.sources $(shell test -f
 .PHONY: demo
 demo: build ## take 5000 simulated robots through one reconfiguration, into out/demo
 	@$(INSTALLED) && install/fiber_bringup/lib/fiber_bringup/demo $(OPTIONS) \
-		$(if $(TARGETS),--targets $(TARGETS)) $(if $(FAULTS),--faults $(FAULTS)) --out $(OUT)
+		$(if $(FAULTS),--faults $(FAULTS)) --out $(OUT)
 
 .PHONY: screenshots
 screenshots: build ## take the pictures of docs/images from the last demo, and out/faults (needs chromium)

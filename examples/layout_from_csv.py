@@ -1,7 +1,7 @@
 """A whole instrument from tables: robots, fixed discs and targets.
 
 Run it with `python examples/layout_from_csv.py`. The tables beside it are made up; the columns
-that a layout may have are listed in src/fiber_core/README.md.
+that a layout may have are listed in src/fiber_formats/README.md.
 """
 
 from pathlib import Path
@@ -18,7 +18,9 @@ from fiber_positioners import (
 )
 
 here = Path(__file__).parent
-plane = read_layout(here / "layout.csv", preset="desi", obstacles=here / "fiducials.csv")
+layout = read_layout(here / "layout.csv", preset="desi", obstacles=here / "fiducials.csv")
+plane = layout.plane
+print(layout.summary)
 print(f"{plane.n} robots, {plane.enabled.sum()} enabled, {len(plane.obstacles)} fixed discs")
 print(f"theta arms of {plane.arms[:, 0].min():.2f} to {plane.arms[:, 0].max():.2f} mm")
 

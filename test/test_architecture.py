@@ -36,7 +36,7 @@ NODES = {
 }
 ROS = {"rclpy", "rcl_interfaces"}
 ARROWS = {
-    "fiber_core": {"numpy", "numba", "scipy", "astropy"},
+    "fiber_core": {"numpy", "numba", "scipy"},
     "fiber_formats": {"fiber_core", "numpy", "astropy"},
     "fiber_msgs_py": {"fiber_core", "rclpy.qos"} | STOCK_MESSAGES,
     "fiber_node": {"fiber_core", "fiber_msgs_py", "ament_index_python"} | ROS,
@@ -45,10 +45,10 @@ ARROWS = {
     "fiber_discretizer": {"fiber_core"},
     "fiber_discretizer.node": {"fiber_discretizer", "fiber_node"} | ROS,
     "fiber_bus_bridge": {"fiber_core", "yaml", "vcd", "smbus2"},
-    "fiber_bus_bridge.simulation": {"fiber_bus_bridge"},
+    "fiber_bus_bridge.simulation": {"fiber_bus_bridge", "fiber_formats"},
     "fiber_bus_bridge.node": {"fiber_bus_bridge.node.hardware"},
     "fiber_bus_bridge.node.hardware": {"fiber_bus_bridge.simulation", "fiber_node"} | ROS,
-    "fiber_client": {"fiber_node", "rich"} | ROS,
+    "fiber_client": {"fiber_node", "fiber_formats", "rich"} | ROS,
     "fiber_recording": {"fiber_bus_bridge"},
     "fiber_recording.node": {"fiber_recording.received_plans", "fiber_node"} | ROS,
     "fiber_recording.received_plans": {"fiber_recording", "fiber_msgs_py"},
@@ -63,13 +63,7 @@ ARROWS = {
         "fiber_viewer",
         "rich",
     },
-    "fiber_bringup": {
-        "fiber_client",
-        "fiber_positioners",
-        "fiber_viewer",
-        "fiber_viewer.node",
-        "ament_index_python",
-    }
+    "fiber_bringup": {"fiber_client", "fiber_viewer", "fiber_viewer.node", "ament_index_python"}
     | NODES,
     "bench": {
         "fiber_planner",

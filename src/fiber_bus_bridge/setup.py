@@ -14,7 +14,7 @@ setup(
         ("share/fiber_bus_bridge", ["package.xml"]),
     ],
     # package.xml names the ROS packages as well
-    install_requires=["fiber_core", "numpy", "numba", "pyyaml"],
+    install_requires=["fiber_core", "fiber_formats", "numpy", "numba", "pyyaml"],
     extras_require={
         "test": ["pytest", "hypothesis"],
         "capture": ["pyvcd"],

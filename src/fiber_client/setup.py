@@ -16,6 +16,7 @@ setup(
     # package.xml names the ROS packages as well
     install_requires=[
         "fiber_core",
+        "fiber_formats",
         "fiber_msgs_py",
         "fiber_node",
         "numpy",

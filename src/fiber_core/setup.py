@@ -14,7 +14,7 @@ setup(
         ("share/fiber_core", ["package.xml"]),
     ],
     # package.xml names the ROS packages as well
-    install_requires=["numpy", "numba", "scipy", "astropy"],
+    install_requires=["numpy", "numba", "scipy"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
     zip_safe=False,  # compiled loops are cached next to the modules
 )

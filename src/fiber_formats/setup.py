@@ -16,6 +16,5 @@ setup(
     # package.xml names the ROS packages as well
     install_requires=["fiber_core", "numpy", "astropy"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
-    entry_points={"console_scripts": ["convert = fiber_formats.command:main"]},
     zip_safe=True,
 )

@@ -13,6 +13,7 @@ reached it or is held with a reason.
 """
 
 import argparse
+import json
 import os
 import signal
 import sys
@@ -34,11 +35,9 @@ from fiber_core.metrics import ORDER_BYTES_BOUND
 from fiber_core.outcomes import PlanOutcome
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem, save_plan, save_problem
-from fiber_core.problem_sources import problem_from
+from fiber_formats import FoundProblem, problem_from
 from fiber_node.ros_environment import own_domain, use_loopback
 from fiber_planner import DEFAULT_PLANNER, planners
-from fiber_positioners import with_targets
-from fiber_positioners.report import save_report
 from fiber_recording import Recording, load_recording
 from fiber_recording.node import recording_name
 from fiber_viewer import before_and_after, write_player
@@ -92,7 +91,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _simulate(options: argparse.Namespace, display: ProgressDisplay) -> tuple[Problem, _Run]:
     SimulationConfig(faults=options.faults)  # refuses an unknown fault before anything is started
-    problem = _problem(options)
+    found = _found_problem(options)
+    for line in found.lines:
+        display.say(line)
+    problem = found.problem
     save_problem(options.out / "problem.npz", problem)
     display.say(
         f"{problem.plane.name}: {problem.plane.n} robots, "
@@ -114,12 +116,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--robots", type=int, help="number of robots; by default all of the instrument"
     )
-    parser.add_argument(
-        "--layout", type=Path, help="table of robots instead of a preset (CSV, ECSV, FITS)"
-    )
-    parser.add_argument(
-        "--targets", type=Path, help="table with columns id, x_mm, y_mm; by default random targets"
-    )
+    parser.add_argument("--layout", help="files of robots instead of a preset, joined by commas")
+    parser.add_argument("--starts", help="files with the present angles; by default random")
+    parser.add_argument("--targets", help="files with targets; by default random targets")
     parser.add_argument("--seed", type=int, default=0, help="seed of random starts and targets")
     parser.add_argument("--planner", choices=planners(), default=DEFAULT_PLANNER)
     parser.add_argument(
@@ -140,11 +139,15 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _problem(options: argparse.Namespace) -> Problem:
-    problem = problem_from(
-        layout=options.layout, preset=options.preset, robots=options.robots, seed=options.seed
+def _found_problem(options: argparse.Namespace) -> FoundProblem:
+    return problem_from(
+        layout=options.layout,
+        preset=options.preset,
+        robots=options.robots,
+        seed=options.seed,
+        starts=options.starts,
+        targets=options.targets,
     )
-    return problem if options.targets is None else with_targets(problem, options.targets)
 
 
 def _reconfigure(problem: Problem, options: argparse.Namespace, display: ProgressDisplay) -> _Run:
@@ -211,7 +214,14 @@ def _write(out: Path, run: _Run, report: dict[str, Any]) -> None:
     save_plan(out / "plan.npz", motion, outcome.outcome, outcome.reason)
     before_and_after(recording.problem, motion, outcome.outcome).savefig(out / "plane.png", dpi=110)
     write_player(out / "player.html", out / "recording.npz")
-    save_report(out / "report.json", report)
+    (out / "report.json").write_text(json.dumps(_plain(report), indent=2) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    # JSON has no number for infinity or nan
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _figures(report: dict[str, Any]) -> str:

@@ -32,7 +32,10 @@ def _arguments() -> list[DeclareLaunchArgument]:
         ),
         DeclareLaunchArgument("seed", default_value="0", description="seed of random starts"),
         DeclareLaunchArgument(
-            "layout", default_value="", description="file with a table of robots; none: a preset"
+            "layout", default_value="", description="files of robots; none: a preset"
+        ),
+        DeclareLaunchArgument(
+            "starts", default_value="", description="files of present angles; none: random"
         ),
         DeclareLaunchArgument(
             "problem",
@@ -90,6 +93,7 @@ def _control(parameters: PathJoinSubstitution) -> list[Node]:
                     "robots": ParameterValue(LaunchConfiguration("robots"), value_type=int),
                     "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
                     "layout": ParameterValue(LaunchConfiguration("layout"), value_type=str),
+                    "starts": ParameterValue(LaunchConfiguration("starts"), value_type=str),
                     "problem": ParameterValue(LaunchConfiguration("problem"), value_type=str),
                     "time_scale": ParameterValue(
                         LaunchConfiguration("time_scale"), value_type=float

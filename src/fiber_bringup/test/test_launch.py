@@ -72,7 +72,7 @@ def test_every_argument_is_declared_and_used():
     arguments = {call.args[0].value for call in calls("DeclareLaunchArgument")}
     assert arguments == {name for typed in nodes().values() for name in typed}
     known = {"preset", "robots", "seed", "layout", "problem", "planner", "time_scale", "folder"}
-    assert known | {"disabled_file"} == arguments
+    assert known | {"starts", "disabled_file"} == arguments
 
 
 def test_arguments_have_the_type_of_the_parameter_they_set(declared):

@@ -23,7 +23,7 @@ from fiber_core.array_types import Ids, Points
 from fiber_core.errors import FiberError
 from fiber_core.fields import random_field
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
-from fiber_core.tables import read_targets
+from fiber_formats import read_targets
 from fiber_msgs_py import PlanStamp, topics
 from fiber_node.ros_environment import use_loopback
 
@@ -73,7 +73,7 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
         folded = _stop_on_interrupt(client, lambda: client.home(options.timeout), options.timeout)
         reached = folded.count(Outcome.REACHED)
         display.say(f"home: {reached} of {len(folded.ids)} robots folded")
-    ids, xy_mm = _targets(client, options.targets)
+    ids, xy_mm = _targets(client, options.targets, display)
     stamp = client.send_targets(ids, xy_mm)
     client.wait_until_ready(stamp, options.timeout)
     if options.no_start:
@@ -105,9 +105,12 @@ def _stop_on_interrupt(
         raise
 
 
-def _targets(client: PlaneClient, source: str) -> tuple[Ids, Points]:
+def _targets(client: PlaneClient, source: str, display: ProgressDisplay) -> tuple[Ids, Points]:
     if source != "random" and not source.startswith("random:"):
-        return read_targets(source)
+        found = read_targets(source, client.plane)
+        for line in (found.summary, *found.notices):
+            display.say(line)
+        return found.ids, found.xy_mm
     seed = source.partition(":")[2] or "0"
     if not seed.isdigit():
         raise PlaneError(f"{source}: the seed {seed!r} is not a whole number")

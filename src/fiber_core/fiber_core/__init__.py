@@ -18,12 +18,9 @@ from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason, first_reason, holds
 from fiber_core.presets import PRESETS, Preset, plane_from, preset
 from fiber_core.problem import Problem, load_plan, load_problem, save_plan, save_problem
-from fiber_core.problem_sources import DEFAULT_PRESET, problem_from
-from fiber_core.tables import read_layout, read_obstacles, read_targets
 from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = [
-    "DEFAULT_PRESET",
     "PRESETS",
     "Assignment",
     "FiberError",
@@ -57,12 +54,8 @@ __all__ = [
     "plan_metrics",
     "plane_from",
     "preset",
-    "problem_from",
     "random_field",
     "random_problem",
-    "read_layout",
-    "read_obstacles",
-    "read_targets",
     "save_plan",
     "save_problem",
 ]

@@ -17,7 +17,6 @@ from fiber_core import (
     preset,
     random_field,
     random_problem,
-    read_layout,
 )
 from fiber_core.clearance import Safety, gaps, neighbour_pairs
 
@@ -73,17 +72,6 @@ def test_targets_are_drawn_for_a_given_start():
     with pytest.raises(FieldError, match="robot 9: its start") as caught:
         random_field(plane, np.random.default_rng(2), start=lost)
     assert caught.value.ids.tolist() == [9]
-
-
-def test_fields_on_real_planes_are_valid(real_planes):
-    for plane in (
-        read_layout(real_planes / "desi_2021-06-25.csv"),
-        read_layout(
-            real_planes / "sdss_v_positioners.csv", obstacles=real_planes / "sdss_v_fiducials.csv"
-        ),
-    ):
-        field = random_field(plane, np.random.default_rng(0))
-        check(plane, field, DEFAULT_GAP_MM, plane.enabled)
 
 
 def test_a_field_is_drawn_from_a_given_start():

@@ -4,10 +4,11 @@
 file holds and is not used stands in the notices of what they return.
 """
 
-from fiber_formats.convert import convert
+from fiber_formats.conversion import KINDS, convert
 from fiber_formats.errors import FormatError
 from fiber_formats.formats import FORMATS
 from fiber_formats.interface import Format
+from fiber_formats.problems import DEFAULT_PRESET, FoundProblem, problem_from
 from fiber_formats.reading import (
     find_format,
     read_layout,
@@ -23,14 +24,20 @@ from fiber_formats.records import (
     TargetColumns,
     Targets,
 )
+from fiber_formats.result_forms import FORMS
 from fiber_formats.results import Results, read_results, results_of, write_results
 from fiber_formats.source import DataFile, Source
+from fiber_formats.writing import kind_of
 
 __all__ = [
+    "DEFAULT_PRESET",
     "FORMATS",
+    "FORMS",
+    "KINDS",
     "DataFile",
     "Format",
     "FormatError",
+    "FoundProblem",
     "Layout",
     "LayoutColumns",
     "Results",
@@ -41,6 +48,8 @@ __all__ = [
     "Targets",
     "convert",
     "find_format",
+    "kind_of",
+    "problem_from",
     "read_layout",
     "read_obstacles",
     "read_results",

@@ -18,7 +18,7 @@ from fiber_formats.source import Source
 
 __all__ = ["find_format", "read_layout", "read_obstacles", "read_starts", "read_targets"]
 
-Paths: TypeAlias = "str | os.PathLike[str] | Iterable[str | os.PathLike[str]]"
+Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 _Columns = TypeVar("_Columns")
 _NAMED = 10
 _STOP_DEG = 1e-4  # a start this far beyond a stop is on the stop

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from fiber_core.clearance import neighbour_pairs
+from fiber_core.clearance import Safety, gaps, neighbour_pairs
+from fiber_core.fields import random_field
 from fiber_core.kinematics import forward
 from fiber_core.presets import preset
 from fiber_formats import FormatError, convert, read_layout, read_starts, read_targets
@@ -133,3 +134,18 @@ def test_a_converted_desi_state_is_the_same_plane(real_files, suffix, tmp_path):
     assert second.preset == "desi_outlines"
     for name in ("ids", "centers", "arms", "limits", "speeds", "enabled", "bus", "address"):
         assert np.array_equal(getattr(first.plane, name), getattr(second.plane, name)), name
+
+
+def test_random_fields_on_real_planes(real_files):
+    for plane in (
+        read_layout(real_files / "desi_2021-06-25.csv").plane,
+        read_layout(
+            real_files / "sdss_v_positioners.csv", obstacles=real_files / "sdss_v_fiducials.csv"
+        ).plane,
+    ):
+        field = random_field(plane, np.random.default_rng(0))
+        assert np.array_equal(field.problem.asked, plane.enabled)
+        gap_mm = Safety().margin_mm + 0.1
+        pairs = neighbour_pairs(plane, 1.0)
+        for angles in (field.problem.start, field.goal):
+            assert gaps(plane, pairs, angles).min() >= gap_mm - 1e-12

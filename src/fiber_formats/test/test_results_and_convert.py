@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from astropy.table import Table
-from fiber_formats.command import main
 
 from fiber_core.errors import FiberError
 from fiber_core.kinematics import forward
@@ -181,11 +180,3 @@ def test_own_tables_are_converted_by_what_they_hold(tmp_path):
     assert Table.read(tmp_path / "starts.fits").colnames == ["id", "theta_deg", "phi_deg"]
     (tmp_path / "sites.csv").write_text("id,x_mm,y_mm\n3,1.5,2\n")
     assert "1 robots" in convert(tmp_path / "sites.csv", tmp_path / "own.csv", "desi")[0]
-
-
-def test_the_command_prints_what_it_did_and_refuses_in_one_line(made_up, tmp_path, capsys):
-    assert main([str(made_up / "desi_state.ecsv"), str(tmp_path / "own.csv")]) == 0
-    assert capsys.readouterr().out.startswith("desi_state.ecsv: 6 robots, 2 disabled")
-    assert main([str(made_up / "absent.csv"), str(tmp_path / "own.csv")]) == 1
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and "there is no file" in err

@@ -13,7 +13,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import PRESETS, preset
 from fiber_core.problem import Problem, load_problem, save_problem
-from fiber_core.tables import read_layout, read_targets
+from fiber_formats import read_layout, read_starts, read_targets, write_results
 from fiber_planner import PlannedMotion, Planner, planners
 from fiber_positioners.orders import Orders, make_orders
 from fiber_positioners.problems import random_problem, with_targets
@@ -43,9 +43,11 @@ __all__ = [
     "preset",
     "random_problem",
     "read_layout",
+    "read_starts",
     "read_targets",
     "reconfigure",
     "run_on_simulated_buses",
     "save_problem",
     "with_targets",
+    "write_results",
 ]

@@ -9,7 +9,7 @@ from fiber_core import fields
 from fiber_core.assignment import assign
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
-from fiber_core.tables import read_targets
+from fiber_formats import read_targets
 
 __all__ = ["random_problem", "with_targets"]
 
@@ -43,10 +43,12 @@ def with_targets(problem: Problem, path: str | Path) -> Problem:
 
     Args:
         problem: the plane and the present joint angles.
-        path: table with the columns id, x_mm, y_mm, or a problem.npz.
+        path: file with targets, of any format that `fiber_formats` knows.
 
     Raises:
-        TargetsError: the file cannot be read, or a robot is unknown; names it.
+        FormatError: the file is refused.
+        TargetsError: a robot is unknown; names it.
     """
-    plane, (ids, xy_mm) = problem.plane, read_targets(path)
-    return Problem(plane, problem.start, assign(plane, problem.start, ids, xy_mm).asked_mm)
+    plane, found = problem.plane, read_targets(path)
+    assigned = assign(plane, problem.start, found.ids, found.xy_mm)
+    return Problem(plane, problem.start, assigned.asked_mm)

@@ -1,12 +1,15 @@
 """One reconfiguration from the problem to the outcome of every robot."""
 
+import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from fiber_bus_bridge.frame_log import frame_log
-from fiber_core.array_types import Codes, Floats
+from fiber_core.array_types import Angles, Codes, Floats
 from fiber_core.clearance import Certificate, Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
@@ -15,9 +18,9 @@ from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import PlanOutcome
 from fiber_core.problem import Problem, save_plan, save_problem
 from fiber_discretizer import DiscretizeOptions, joint_corridors
+from fiber_formats import write_results
 from fiber_planner import Planner
 from fiber_positioners.orders import Orders, ProgressCallback, make_orders, part_of
-from fiber_positioners.report import save_report
 from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
 from fiber_recording import Recording, build_recording, save_recording
 from fiber_viewer import write_player
@@ -95,19 +98,28 @@ class Reconfiguration:
             **{name: costs[name] for name in ("upload_s", "certify_s", "encode_s")},
         }
 
+    @property
+    def ended(self) -> PlanOutcome:
+        """Outcome, reason and error of every robot in one value."""
+        result = self.run.result
+        return PlanOutcome(0, self.plane.ids, result.outcome, result.reason, result.error_mm)
+
+    @property
+    def end_angles(self) -> Angles:
+        """Joint angles after the plan by the encoders [rad], shape (n, 2)."""
+        return self.orders.units.to_angles(self.run.counts)
+
     @cached_property
     def recording(self) -> Recording:
         """The recording: everything of the plan in one value, for the player and the figures."""
         orders, plane = self.orders, self.plane
         asked = self.problem.asked
         corridors = joint_corridors(plane, orders.wire.decoded(), orders.safety)
-        result = self.run.result
-        ended = PlanOutcome(0, plane.ids, result.outcome, result.reason, result.error_mm)
         return build_recording(
             plane,
             orders.units,
             logs=[self.frames],
-            outcome=ended,
+            outcome=self.ended,
             counts_before=orders.counts,
             counts_after=self.run.counts,
             targets=(plane.ids[asked], self.problem.targets[asked]),
@@ -131,10 +143,23 @@ class Reconfiguration:
         folder.mkdir(parents=True, exist_ok=True)
         save_problem(folder / "problem.npz", self.problem)
         save_plan(folder / "plan.npz", self.motion, self.outcome, self.reason)
-        save_report(folder / "report.json", self.report)
+        (folder / "report.json").write_text(json.dumps(_finite(self.report), indent=2) + "\n")
         if recording:
             save_recording(folder / "recording.npz", self.recording)
         return folder
+
+    def write_results(self, path: str | Path, form: str | None = None) -> None:
+        """Write a table of all robots: outcome, reason, reached place, error, angles.
+
+        Args:
+            path: the table; .csv, .ecsv or .fits, also with .gz.
+            form: instrument that gets columns in its own form as well, one of
+                `fiber_formats.FORMS`.
+
+        Raises:
+            FormatError: the suffix or the form is unknown, or the file cannot be written.
+        """
+        write_results(path, self.plane, self.ended, self.end_angles, form)
 
     def player(self, page: str | Path) -> Path:
         """Write the player, one HTML page that shows the motion in a browser; return its path.
@@ -197,3 +222,10 @@ def reconfigure(
     if progress is not None:
         progress(1.0, "the plan is over")
     return Reconfiguration(orders, run, seed)
+
+
+def _finite(value: object) -> object:
+    # JSON has no number for what is not finite
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -40,6 +40,38 @@ def test_plan_takes_a_problem_file_and_a_table_of_targets(tmp_path, capsys, resu
     assert report["robots"] == 37 and report["asked"] == report["reached"] == 1
 
 
+def test_plan_reads_files_of_an_instrument_and_writes_all_robots(tmp_path, capsys):
+    layout, starts = tmp_path / "layout.csv", tmp_path / "starts.csv"
+    layout.write_text(
+        "LOCATION;X_MM;Y_MM;ARM_THETA_MM;ARM_PHI_MM;nonfunctional;colour\n"
+        "7;0;0;3;3;no;red\n5;10.4;0;3;3;no;red\n6;20.8;0;3;3;yes;blue\n"
+    )
+    starts.write_text("id,theta_deg,phi_deg\n5,10,150\n6,20,160\n7,30,140\n")
+    (tmp_path / "targets.csv").write_text("id,x_mm,y_mm\n7,1.5,4\n5,,\n")
+    arguments = [f"--{name}={tmp_path / name}.csv" for name in ("layout", "starts", "targets")]
+    table = tmp_path / "results.csv"
+    assert main(["plan", *arguments, "--results", str(table), "--form", "desi", "--cold"]) == 0
+    printed = capsys.readouterr()
+    report = json.loads(printed.out)
+    assert (report["robots"], report["asked"], report["reached"]) == (3, 1, 1)
+    assert "layout.csv: 3 robots, 1 disabled; from preset desi: " in printed.err
+    assert "columns not used: colour" in printed.err
+    rows = {row["id"]: row for row in csv.DictReader(table.open())}
+    assert [rows[i]["outcome"] for i in "567"] == ["held", "held", "reached"]
+    assert float(rows["7"]["error_um"]) < 1.0 and rows["5"]["error_um"] in ("", "nan")
+    assert [rows[i]["FIBERSTATUS"] for i in "567"] == ["1", "3", "0"]
+    assert main(["plan", f"--layout={layout}", f"--starts={table}", "--cold"]) == 0
+    capsys.readouterr()
+
+
+def test_convert_writes_a_table_and_says_what_it_did(tmp_path, capsys):
+    (tmp_path / "sites.csv").write_text("id,x_mm,y_mm\n1,0,0\n2,10.4,0\n")
+    own = tmp_path / "own.ecsv"
+    assert main(["convert", str(tmp_path / "sites.csv"), str(own), "--preset", "desi"]) == 0
+    assert capsys.readouterr().out.startswith("sites.csv: 2 robots, 0 disabled; from preset desi")
+    assert own.exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -51,6 +83,11 @@ def test_plan_takes_a_problem_file_and_a_table_of_targets(tmp_path, capsys, resu
         (["plan", "--planner", "quickest"], "'quickest'"),
         (["plan", "--layout", "missing.csv"], "missing.csv"),
         (["plan", "--problem", "missing.npz"], "missing.npz"),
+        (["plan", "--starts", "missing.csv"], "there is no file missing.csv"),
+        (["plan", "--results", "results.xlsx"], "a table is written as"),
+        (["plan", "--form", "desi"], "--form tells columns of --results"),
+        (["convert", "missing.csv", "own.csv"], "there is no file missing.csv"),
+        (["convert", "missing.csv"], "TABLE"),
         (["study", "--pitch", "9;10"], "'9;10' is not a number"),
         (["study", "--pitch", "9:10"], "not a range BEGIN:END:STEP"),
         (["study", "--pitch", "10:9:1"], "END must be at least BEGIN"),
@@ -72,7 +109,7 @@ def test_an_error_is_one_line_on_stderr_with_exit_code_2(arguments, said, capsys
     assert printed.err.startswith("fiber-positioners") and said in printed.err
 
 
-@pytest.mark.parametrize("command", ["plan", "study", "player"])
+@pytest.mark.parametrize("command", ["plan", "study", "player", "convert"])
 def test_help_shows_examples_and_options(command, capsys):
     assert main([command, "--help"]) == 0
     text = capsys.readouterr().out

@@ -84,6 +84,8 @@ class BridgeNode(Node):
         self._timer.cancel()
         self.create_timer(_TIMEOUT_CHECK_S, self._check_timeout)
         self._configure()
+        for line in hardware.lines:
+            self.get_logger().info(line)
         self.get_logger().info(f"{plane.n} robots on {len(self._session.transactions.buses)} buses")
 
     def _subscribe(self) -> None:

@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 
 from fiber_bus_bridge.bus import BusBackend, BusTiming, LinuxBuses, bus_timing
 from fiber_bus_bridge.errors import BridgeError
-from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_plane
+from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_problem
 from fiber_core.array_types import Angles
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
@@ -34,6 +34,7 @@ class Hardware:
         clock: returns the time of the buses [s], or -inf for simulated buses, whose time advances
             only with their traffic.
         slice_s: longest time for which moving robots are supervised in one call [s].
+        lines: what was read from the files of the plane, and what of them is not used.
     """
 
     plane: FocalPlane
@@ -43,6 +44,7 @@ class Hardware:
     timing: BusTiming
     clock: Callable[[], float] = lambda: -np.inf
     slice_s: float = np.inf
+    lines: tuple[str, ...] = ()
 
     @property
     def in_real_time(self) -> bool:
@@ -72,26 +74,31 @@ def simulated_hardware(config: SimulationConfig) -> Hardware:
     Raises:
         FiberError: the plane does not exist.
     """
-    plane, start = simulated_plane(config)
+    found = simulated_problem(config)
+    plane, start = found.problem.plane, found.problem.start
     units = WireUnits.for_plane(plane)
     buses = simulated_buses(plane, units, start, config)
-    return Hardware(plane, units, start, buses, bus_timing(config.clock))
+    return Hardware(plane, units, start, buses, bus_timing(config.clock), lines=found.lines)
 
 
 def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardware:
     """Return a plane on I2C adapters of this machine, in the order of its bus numbers.
 
     Args:
-        config: the plane, and by its problem the assumed angles of the robots.
+        config: the plane, and by its problem or starts the assumed angles of the robots.
         devices: path of the adapter of each bus, as "/dev/i2c-1".
 
     Raises:
-        BridgeError: there is no problem, or the devices do not fit the buses, or cannot be opened.
+        BridgeError: there is neither problem nor starts, or the devices do not fit the buses, or
+            cannot be opened.
         FiberError: the plane does not exist.
     """
-    if not config.problem:
-        raise BridgeError("devices need the parameter problem: it holds the robots' assumed angles")
-    plane, start = simulated_plane(config)
+    if not (config.problem or config.starts):
+        raise BridgeError(
+            "devices need the parameter problem or starts: it holds the robots' assumed angles"
+        )
+    found = simulated_problem(config)
+    plane, start = found.problem.plane, found.problem.start
     numbers = np.unique(np.asarray(plane.bus)).tolist()
     if len(devices) != len(numbers):
         raise BridgeError(f"devices are {list(devices)} for the {len(numbers)} buses {numbers}")
@@ -100,4 +107,4 @@ def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardwar
     except (OSError, ModuleNotFoundError) as error:
         raise BridgeError(f"devices {list(devices)}: {error}") from error
     units, timing = WireUnits.for_plane(plane), bus_timing(config.clock)
-    return Hardware(plane, units, start, buses, timing, time.monotonic, _SLICE_S)
+    return Hardware(plane, units, start, buses, timing, time.monotonic, _SLICE_S, found.lines)

@@ -8,6 +8,7 @@ from fiber_bus_bridge.simulation.config import (
     SimulationConfig,
     simulated_buses,
     simulated_plane,
+    simulated_problem,
 )
 from fiber_bus_bridge.simulation.events import EVENT, Event
 from fiber_bus_bridge.simulation.faults import FaultKind, Faults, LineFault, draw_faults
@@ -29,4 +30,5 @@ __all__ = [
     "draw_faults",
     "simulated_buses",
     "simulated_plane",
+    "simulated_problem",
 ]

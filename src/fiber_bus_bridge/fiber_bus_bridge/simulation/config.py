@@ -12,10 +12,10 @@ from fiber_bus_bridge.simulation.faults import FaultKind, Faults, draw_faults
 from fiber_bus_bridge.simulation.positioners import Positioners
 from fiber_core.array_types import Angles
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.problem_sources import problem_from
 from fiber_core.wire_units import WireUnits
+from fiber_formats import FoundProblem, problem_from
 
-__all__ = ["SimulationConfig", "simulated_buses", "simulated_plane"]
+__all__ = ["SimulationConfig", "simulated_buses", "simulated_plane", "simulated_problem"]
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,13 @@ class SimulationConfig:
     """The simulated plane, the errors of its clocks, and its faults.
 
     Args:
-        problem: problem.npz with plane and starts; takes precedence over the next four.
-        layout: table of robots (CSV, ECSV, FITS); the preset supplies missing columns.
+        problem: problem.npz with plane and starts; takes precedence over layout,
+            preset and robots.
+        layout: files of robots, of any format of fiber_formats, joined by commas; the preset
+            supplies what they lack.
         preset: name of an instrument; empty to derive it from the arms of the layout, else desi.
         robots: number of robots of the preset, 0 for all of them.
+        starts: files with the present angles of all robots; random without one.
         seed: seed of random starts and of the clock errors.
         clock: bus clock, as 100k, 400k, 1M, 1.7M or 3.4M.
         clock_ppm: largest error of a robot's clock, in both directions [1e-6].
@@ -41,6 +44,7 @@ class SimulationConfig:
     layout: str = ""
     preset: str = ""
     robots: int = 0
+    starts: str = ""
     seed: int = 0
     clock: str = "1M"
     clock_ppm: float = 20.0
@@ -73,13 +77,31 @@ class SimulationConfig:
         return kinds
 
 
+def simulated_problem(config: SimulationConfig) -> FoundProblem:
+    """Return the plane that is asked for, where its robots stand, and what to tell about files.
+
+    Raises:
+        FiberError: no such preset, or a file is refused.
+        OSError: problem.npz cannot be read.
+    """
+    return problem_from(
+        config.problem,
+        config.layout,
+        config.preset,
+        config.robots,
+        config.seed,
+        starts=config.starts,
+        random_targets=False,
+    )
+
+
 def simulated_plane(config: SimulationConfig) -> tuple[FocalPlane, Angles]:
     """Return the simulated plane and the starts of its robots [rad], shape (n, 2).
 
     Raises:
         FiberError: the preset does not exist, or a file is malformed.
     """
-    problem = problem_from(config.problem, config.layout, config.preset, config.robots, config.seed)
+    problem = simulated_problem(config).problem
     return problem.plane, problem.start
 
 

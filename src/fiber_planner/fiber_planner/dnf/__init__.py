@@ -1,4 +1,4 @@
-"""The dnf planners: the decentralized navigation function of Makarem et al. 2014."""
+"""The decentralized navigation function of Makarem et al. 2014, on tips and on whole arms."""
 
 from fiber_planner.dnf.parameters import DnfParameters, DnfPriorityParameters
 from fiber_planner.dnf.planner import (

@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from fiber_core.errors import FiberError
-from fiber_positioners.command import plan, player, study
+from fiber_positioners.command import convert, plan, player, study
 from fiber_positioners.command.arguments import HelpFormatter, Parser
 from fiber_positioners.command.exit_codes import DONE, INTERRUPTED, REFUSED
 
@@ -16,6 +16,7 @@ examples:
   fiber-positioners plan --preset desi --robots 500 --out out/field
   fiber-positioners study --pitch 9:12:0.5 --arms 3 --robots 300 --seeds 3 --out out/study
   fiber-positioners player out/field/recording.npz
+  fiber-positioners convert fp-20260219.ecsv layout.csv
 """
 
 
@@ -26,7 +27,12 @@ def parsers() -> tuple[Parser, dict[str, Parser]]:
     )
     choices = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     found = {}
-    for name, module in (("plan", plan), ("study", study), ("player", player)):
+    for name, module in (
+        ("plan", plan),
+        ("study", study),
+        ("player", player),
+        ("convert", convert),
+    ):
         found[name] = choices.add_parser(
             name,
             help=module.SUMMARY,

@@ -1,20 +1,19 @@
 """The subcommand `plan`: one reconfiguration, one JSON line."""
 
 import argparse
+import json
 from pathlib import Path
 
 import numpy as np
 
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem
-from fiber_core.problem_sources import problem_from
+from fiber_formats import FORMS, FormatError, kind_of, problem_from
 from fiber_planner import DEFAULT_PLANNER, planners
 from fiber_positioners.command.arguments import positive
 from fiber_positioners.command.exit_codes import DONE
 from fiber_positioners.command.progress import ProgressLine
-from fiber_positioners.problems import with_targets
 from fiber_positioners.reconfiguration import reconfigure
-from fiber_positioners.report import report_line
 
 __all__ = ["DESCRIPTION", "SUMMARY", "add_arguments", "run"]
 
@@ -23,11 +22,15 @@ DESCRIPTION = """Take a focal plane through one reconfiguration and print one JS
 
 The orders are planned, discretized, loaded as bytes onto simulated buses, verified and carried
 out. --out keeps problem.npz and plan.npz for any other planner or checker, report.json and
-recording.npz; --player writes a page that shows the motion in a browser.
+recording.npz; --player writes a page that shows the motion in a browser. --layout, --starts and
+--targets take the files of DESI, SDSS-V, PFS, MOONS and JUST, or tables of our own columns; what
+of them is not used is named on stderr.
 
 examples:
   fiber-positioners plan --preset desi --robots 500 --seed 1
   fiber-positioners plan --layout plane.csv --targets targets.csv --out out/field
+  fiber-positioners plan --layout fp-20260219.ecsv --starts fp-20260219.ecsv
+      --targets fiberassign-000001.fits.gz --results results.fits --form desi
   fiber-positioners plan --preset moons --planner dnf --player out/moons.html
 """
 
@@ -36,24 +39,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
     add("--preset", choices=sorted(PRESETS), help="instrument; desi without a layout")
-    add("--layout", type=Path, help="table of the robots: CSV, ECSV or FITS")
+    add("--layout", metavar="FILES", help="the robots: one file, or several joined by commas")
+    add("--starts", metavar="FILES", help="present angles; by default random")
     add("--problem", type=Path, help="problem.npz, solved as it is")
-    add("--targets", type=Path, help="table id, x_mm, y_mm; by default targets are random")
+    add("--targets", metavar="FILES", help="targets; by default random")
     add("--robots", type=positive, help="number of robots of the preset; by default all")
     add("--seed", type=int, default=0, help="seed of the random field and of the robots' clocks")
     add("--planner", choices=planners(), default=DEFAULT_PLANNER, help="planner")
     add("--capture", type=Path, help="folder for waveforms (VCD) and packets (pcap) of the buses")
     add("--out", type=Path, help="folder for problem, plan, report and recording")
+    add("--results", type=Path, metavar="TABLE", help="write all robots: .csv, .ecsv or .fits")
+    add("--form", choices=sorted(FORMS), help="columns of an instrument in addition, in --results")
     add("--player", type=Path, metavar="PAGE", help="write the player, an HTML page, here")
     add("--cold", action="store_true", help="count the compilation of loops as computing time")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand; returns the exit code."""
-    problem = problem_from(args.problem, args.layout, args.preset, args.robots, args.seed)
-    if args.targets is not None:
-        problem = with_targets(problem, args.targets)
+    _refuse_results(args)
+    found = problem_from(
+        args.problem, args.layout, args.preset, args.robots, args.seed, args.starts, args.targets
+    )
+    problem = found.problem
     with ProgressLine() as progress:
+        for line in found.lines:
+            progress.line(line)
         if not args.cold:
             progress(0.0, "compiling the loops")
             reconfigure(_small(problem), planner=args.planner)
@@ -67,11 +77,21 @@ def run(args: argparse.Namespace) -> int:
         if args.out is not None:
             progress(1.0, f"writing {args.out}")
             result.save(args.out)
+        if args.results is not None:
+            result.write_results(args.results, args.form)
         if args.player is not None:
             progress(1.0, f"writing {args.player}")
             result.player(args.player)
-    print(report_line(result.report))
+    print(json.dumps(result.report))
     return DONE
+
+
+def _refuse_results(args: argparse.Namespace) -> None:
+    # before the work, not after it
+    if args.results is not None:
+        kind_of(args.results)
+    elif args.form is not None:
+        raise FormatError("--form tells columns of --results, which is not given")
 
 
 def _small(problem: Problem) -> Problem:

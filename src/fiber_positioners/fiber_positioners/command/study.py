@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from fiber_core.presets import PRESETS
-from fiber_core.problem_sources import DEFAULT_PRESET
+from fiber_formats import DEFAULT_PRESET
 from fiber_planner import DEFAULT_PLANNER, planners
 from fiber_positioners.command.arguments import arm_pairs, names, numbers, positive, whole_numbers
 from fiber_positioners.command.exit_codes import DONE, INTERRUPTED

@@ -10,7 +10,7 @@ import numpy as np
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets import PRESETS, plane_from, preset
-from fiber_core.problem_sources import DEFAULT_PRESET
+from fiber_formats import DEFAULT_PRESET
 from fiber_planner import DEFAULT_PLANNER
 from fiber_positioners.problems import random_problem
 from fiber_positioners.reconfiguration import reconfigure

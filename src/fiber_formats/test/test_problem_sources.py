@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from fiber_core import (
-    DEFAULT_PRESET,
-    FiberError,
-    preset,
-    problem_from,
-    random_problem,
-    save_problem,
-)
+from fiber_core import FiberError, preset, random_problem, save_problem
+from fiber_formats import DEFAULT_PRESET, problem_from
 
 
 def write_layout(path, arms_mm=(2.375, 2.375)):
@@ -22,21 +16,21 @@ def write_layout(path, arms_mm=(2.375, 2.375)):
 
 
 def test_a_problem_comes_from_an_instrument_with_its_seed():
-    first, same, other = (problem_from(robots=19, seed=seed) for seed in (4, 4, 5))
+    first, same, other = (problem_from(robots=19, seed=seed).problem for seed in (4, 4, 5))
     assert first.plane.name == DEFAULT_PRESET == "desi" and first.plane.n == 19
     np.testing.assert_array_equal(first.targets, same.targets)
     assert not np.array_equal(first.start, other.start)
 
 
 def test_a_preset_has_its_own_number_of_robots_by_default():
-    problem = problem_from(preset="sdss_v", seed=1)
+    problem = problem_from(preset="sdss_v", seed=1).problem
     assert problem.plane.name == "sdss_v" and problem.plane.n == preset("sdss_v").n
     expected = random_problem(preset("sdss_v"), np.random.default_rng(1))
     np.testing.assert_array_equal(problem.targets, expected.targets)
 
 
 def test_a_layout_gives_the_plane_and_its_arms_give_the_preset(tmp_path):
-    problem = problem_from(layout=write_layout(tmp_path / "plane.csv"), seed=2)
+    problem = problem_from(layout=write_layout(tmp_path / "plane.csv"), seed=2).problem
     pfs = preset("pfs", 7)
     assert problem.plane.name == "plane" and problem.plane.n == 7
     np.testing.assert_allclose(problem.plane.speeds, pfs.speeds)
@@ -45,14 +39,14 @@ def test_a_layout_gives_the_plane_and_its_arms_give_the_preset(tmp_path):
 
 def test_a_preset_supplies_the_missing_columns_of_a_layout(tmp_path):
     layout = write_layout(tmp_path / "plane.csv")
-    problem = problem_from(layout=layout, preset="sdss_v")
+    problem = problem_from(layout=layout, preset="sdss_v").problem
     np.testing.assert_allclose(problem.plane.speeds, preset("sdss_v", 7).speeds)
 
 
 def test_a_problem_file_is_read_and_all_else_ignored(tmp_path):
     saved = random_problem(preset("pfs", 7), np.random.default_rng(3))
     save_problem(tmp_path / "problem.npz", saved)
-    problem = problem_from(tmp_path / "problem.npz", preset="moons", robots=61, seed=9)
+    problem = problem_from(tmp_path / "problem.npz", preset="moons", robots=61, seed=9).problem
     assert problem.plane.name == "pfs"
     np.testing.assert_array_equal(problem.start, saved.start)
     np.testing.assert_array_equal(problem.targets, saved.targets)
@@ -64,7 +58,7 @@ def test_a_problem_file_is_read_and_all_else_ignored(tmp_path):
         ({"preset": "keck"}, "no preset is named 'keck'"),
         ({"preset": "pfs", "robots": -1}, "robots must be a positive integer, got -1"),
         ({"problem": "torn.npz"}, "torn.npz is not a problem or plan file"),
-        ({"layout": "torn.txt"}, "torn.txt: the name of a table must end in .csv"),
+        ({"layout": "torn.txt"}, "torn.txt: no column x_mm, y_mm; it has no"),
     ],
 )
 def test_a_bad_source_is_refused(source, words, tmp_path):
