@@ -235,11 +235,8 @@ def sample_folded(
     # one joint moves first, and the other one when it is done.
     turn_out = max(2, least_intervals(theta1 - scene.start[i, 0], theta_step))
     turn_in = max(2, least_intervals(theta2 - theta, theta_step))
-    begin, end = 0, last
-    if next_uniform(rng) < 0.5:
-        begin = int(next_uniform(rng) * (t1 - max(fold, turn_out) + 1))
-    if next_uniform(rng) < 0.5:
-        end = last - int(next_uniform(rng) * (last - t2 - max(unfold, turn_in) + 1))
+    begin = _sample_pause(t1 - max(fold, turn_out), rng)
+    end = last - _sample_pause(last - t2 - max(unfold, turn_in), rng)
     kind = next_uniform(rng)
     sequential, theta_first = kind < _SEQUENTIAL, kind < 0.5 * _SEQUENTIAL
     for joint in range(2):
@@ -322,6 +319,12 @@ def _sample_folded_theta(
         if abs(theta2 - theta) > back * _ROUNDING:
             return False, theta1, theta2
     return abs(theta2 - theta1) <= between * _ROUNDING, theta1, theta2
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _sample_pause(most, rng):
+    # a number of intervals in 0..most, often 0
+    return int(next_uniform(rng) * (most + 1)) if next_uniform(rng) < 0.5 else 0
 
 
 @nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
