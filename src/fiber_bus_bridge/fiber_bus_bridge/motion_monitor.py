@@ -20,8 +20,11 @@ from fiber_bus_bridge.wire import (
     decode_status,
     encode_command,
     general_call,
+    roll_call,
+    roll_call_bytes,
+    roll_call_slots,
 )
-from fiber_core.array_types import Bools, Ints, Mask, Rows
+from fiber_core.array_types import Bools, Floats, Ints, Mask, Rows
 
 __all__ = ["MotionMonitor", "StatusHandler"]
 
@@ -45,8 +48,8 @@ _DONE = int(RobotState.DONE)
 class MotionMonitor:
     """Supervises every robot that was sent a GO until it has arrived.
 
-    Each step sends heartbeats on all buses, tests the presence of robots, reads the status of the
-    next few robots of each bus, sends heartbeats again, and reads the alert lines. An anomaly sets
+    Each step sends heartbeats on all buses, calls the roll, reads the status of the next few
+    robots of each bus, sends heartbeats again, and reads the alert lines. An anomaly sets
     `stop_all_at_s`, the time at which all robots must stop. It is the present, when a robot has
     stopped by itself, does not answer or holds the clock. When no heartbeat gets through to a bus,
     it is the time at which the robots of that bus will stop by themselves, so that all robots stop
@@ -102,6 +105,9 @@ class MotionMonitor:
             VERIFY_BYTES: PollScheduler(self._bus, buses, budget_s, verify_s),
             STATUS_BYTES: PollScheduler(self._bus, buses, budget_s),
         }
+        self._slot = roll_call_slots(transactions.addresses)
+        self._roll_call_bytes = roll_call_bytes(np.bincount(self._bus, minlength=buses))
+        self._called_s = self._called_before_s = np.full(buses, go_s)
         self._boot, self._sequence = boot, sequence[self._bus]
         self._missed_replies = np.zeros(n, dtype=np.int64)
         self._in_traffic_s = np.full(n, -np.inf)
@@ -131,33 +137,33 @@ class MotionMonitor:
         t, running = self.now_s, self.running
         ready = np.bincount(self._bus[running], minlength=len(self.heartbeat_s)) > 0
         ready &= self._buses_ready()
-        test = not self.counting_down and t < self.moves_until_s
+        call = not self.counting_down and t < self.moves_until_s
         scheduler = self._schedulers[width]
         wanted = running & ~self.go_confirmed if self.counting_down else running
-        read, tested = scheduler.next(wanted & ready[self._bus], test)
+        read = scheduler.next(wanted & ready[self._bus], call)
+        called = np.flatnonzero(ready & call)
         buses = np.repeat(np.flatnonzero(ready), _HEARTBEATS)
-        b, a, r = len(buses), len(tested), len(read)
-        to = self.transactions.addresses[np.concatenate([tested, read])]
-        frames = self._frames(buses, to)
+        b, a, r = len(buses), len(called), len(read)
+        frames = self._frames(buses, called, self.transactions.addresses[read])
         read_bytes = np.zeros(len(frames), dtype=np.int64)
-        reads = slice(b + a, b + a + r)
-        read_bytes[reads] = width
+        calls, reads = slice(b, b + a), slice(b + a, b + a + r)
+        read_bytes[calls], read_bytes[reads] = self._roll_call_bytes[called], width
         replies = self.transactions.transfer(frames, read_bytes, t, in_traffic=False)
 
         took_s = replies.end_s - replies.start_s
-        for calls in (slice(0, b), slice(b + a + r, None)):
+        for beats in (slice(0, b), slice(b + a + r, None)):
             _record_heartbeats(
-                buses, replies.ack[calls], replies.end_s[calls], took_s[calls],
+                buses, replies.ack[beats], replies.end_s[beats], took_s[beats],
                 self.silence_s or np.inf, self.stretch_s,
                 self.heartbeat_s, self._shortest_s, self._slow,
             )  # fmt: skip
         arrived = self._handle_replies(read, replies, reads, width)
-        self._missed_replies[tested[replies.ack[b : b + a] == _NO_ADDRESS]] += _ABSENT
-        scheduler.observe(read, took_s[reads], tested, took_s[b : b + a])
+        absent = self._handle_roll_call(running, called, replies, calls)
+        scheduler.observe(read, took_s[reads], called, took_s[calls])
         if arrived or (t - self._in_traffic_s[read] >= _TRAFFIC_S).any():
             self.transactions.add_traffic(frames, replies)
             self._in_traffic_s[read] = t
-        self._retry(np.concatenate([tested, read]), t, width)
+        self._retry(np.concatenate([absent, read]), t, width)
         self.now_s = t + self.period_s
         self._decide_stop(running)
 
@@ -166,14 +172,36 @@ class MotionMonitor:
         free = self.transactions.free_s <= self.now_s + _OVERRUN * self.period_s
         return free & ~self.transactions.given_up & (self._slow < _SLOW)
 
-    def _frames(self, buses: Ints, to: Addresses) -> Frames:
-        """Heartbeats on some buses, frames without data to robots, and heartbeats again."""
+    def _frames(self, buses: Ints, called: Ints, to: Addresses) -> Frames:
+        """Heartbeats on some buses, roll calls, frames without data to robots, heartbeats again."""
         key = buses.tobytes()
         if key != self._heartbeat_buses:
             calls = general_call(self.transactions.buses[buses])
             self._heartbeats = encode_command(Opcode.HEARTBEAT, calls)
             self._heartbeat_buses = key
-        return self._heartbeats.then(Frames.empty(to)).then(self._heartbeats)
+        polls = Frames.empty(to)
+        if len(called):
+            polls = roll_call(self.transactions.buses[called]).then(polls)
+        return self._heartbeats.then(polls).then(self._heartbeats)
+
+    def _handle_roll_call(
+        self, running: Mask, called: Ints, replies: Replies, calls: slice
+    ) -> Rows:
+        """Count a missed reply for each running robot that is absent; return the rows of these."""
+        if len(called) == 0:
+            return called
+        self._called_before_s, self._called_s = self._called_s, self._called_s.copy()
+        self._called_s[called] = replies.start_s[calls]
+        # a failure of the lines is not a missed reply of the robots
+        valid = replies.ack[calls] < _LOST
+        offsets = replies.offsets[calls.start : calls.stop + 1]
+        first = np.full(len(self._called_s), -1)
+        first[called[valid]] = (offsets[:-1] - offsets[0])[valid]
+        rows = np.flatnonzero(running & (first[self._bus] >= 0))
+        bits = np.unpackbits(replies.data[offsets[0] : offsets[-1]])
+        absent = rows[bits[8 * first[self._bus[rows]] + self._slot[rows]] == 1]
+        self._missed_replies[absent] += _ABSENT
+        return absent
 
     def _retry(self, rows: Rows, t: float, width: int) -> None:
         """Poll again some of the robots that did not reply, as a robot must not be silent long."""
@@ -197,7 +225,9 @@ class MotionMonitor:
         """Handle the replies of polled robots; return whether one of the robots has arrived."""
         if len(rows) == 0:
             return False
-        status = decode_status(self.transactions.addresses[rows], replies.data.reshape(-1, width))
+        begin = replies.offsets[:-1][reads][0]
+        data = replies.data[begin : begin + width * len(rows)].reshape(-1, width)
+        status = decode_status(self.transactions.addresses[rows], data)
         valid = rows
         if not status.ok.all():
             # a failure of the lines is not a missed reply of the robot
@@ -218,14 +248,25 @@ class MotionMonitor:
             self.on_statuses(valid, status, self.now_s)
         return arrived
 
+    def _between(self, bus: Ints) -> Floats:
+        """Time at which to stop all for a silent robot of each of some buses [s].
+
+        A robot that lost power stopped after the roll call before, at the earliest. A robot that
+        receives nothing stops silence_s after the last heartbeat before this roll call, at the
+        latest. The time half way between is least far from both.
+        """
+        return 0.5 * (self._called_before_s[bus] + self._called_s[bus] + self.silence_s)
+
     def _decide_stop(self, running: Mask) -> None:
         """Decide whether all robots must stop, and when."""
         failing = running & self.failing
         if failing.any():
             # known when the bus has finished the polls, which takes its time on a slow bus
-            known_s = self.transactions.free_s[self._bus[failing]].min()
-            if known_s <= self.now_s:
-                self.stop_all_at_s = float(known_s)
+            bus = self._bus[failing]
+            at_s = self.transactions.free_s[bus]
+            at_s = np.where(self.not_executing[failing], at_s, np.maximum(at_s, self._between(bus)))
+            if at_s.min() <= self.now_s:
+                self.stop_all_at_s = float(at_s.min())
                 return
         low = self.transactions.backend.alert_lines(self.now_s)
         if len(low) and not np.isin(low, self._low_lines).all():

@@ -1,8 +1,4 @@
-"""Division of the time of each bus between reading the status of robots and testing their presence.
-
-A presence test is a write without data: a robot with power acknowledges its address, which takes
-a tenth of the time of a status.
-"""
+"""Division of the time of each bus between the roll call and reading the status of robots."""
 
 import numpy as np
 from numba import njit
@@ -12,17 +8,14 @@ from fiber_core.array_types import Floats, Ints, Mask, Rows
 __all__ = ["PollScheduler"]
 
 _FIRST = 1  # robots of a bus read in the first step, before the time of a read is known
-# part of the time budget for presence tests: where it suffices for all robots, and where not
-_ALL, _SOME = 0.6, 0.3
-_TEST = 0.15  # time of a presence test in times of a read, before it is known
-_EARLY = 0.5  # part of the budget that a bus uses on which all robots are tested
+_HALF = 0.5  # part of the budget that a bus uses while the roll is called
 
 
 class PollScheduler:
-    """Chooses, for each step and each bus, the robots to read and the robots to test.
+    """Chooses, for each step and each bus, the robots to read, one after the other in turn.
 
-    Where all robots of a bus can be tested in the first half of each step, they are, so that the
-    loss of power is noticed by then. A larger bus uses the whole budget, and less of it for tests.
+    While the roll is called, call and reads take half of the budget, so that a bus is soon free for
+    what follows; otherwise the reads take all of it.
 
     Args:
         bus: place of the bus of each robot, shape (n,).
@@ -36,79 +29,58 @@ class PollScheduler:
         self._order = np.argsort(bus, kind="stable")
         self._first = np.searchsorted(bus[self._order], np.arange(buses + 1))
         # the longest of the last step, 0 when unknown
-        self._read_s, self._test_s = np.full(buses, read_s), np.zeros(buses)
-        self._read_next, self._test_next = np.zeros((2, buses), dtype=np.int64)
+        self._read_s, self._call_s = np.full(buses, read_s), np.zeros(buses)
+        self._next = np.zeros(buses, dtype=np.int64)
 
-    def next(self, robots: Mask, test: bool) -> tuple[Rows, Rows]:
-        """Return the rows to read and the rows to test, each in the order of their buses.
+    def next(self, robots: Mask, call: bool) -> Rows:
+        """Return the rows to read, in the order of their buses.
 
         Args:
-            robots: robots to poll, shape (n,).
-            test: whether presence is tested in this step.
+            robots: robots to read, shape (n,).
+            call: whether the roll is called in this step.
         """
-        reads = np.empty(len(robots), dtype=np.int64)
-        tests = np.empty(len(robots), dtype=np.int64)
-        r, a = _next(
-            self._order, self._first, robots, test, self._budget_s, self._read_s, self._test_s,
-            self._read_next, self._test_next, reads, tests,
-        )  # fmt: skip
-        return reads[:r], tests[:a]
+        left_s = np.full(len(self._next), self._budget_s)
+        if call:
+            left_s = _HALF * left_s - self._call_s
+        rows = np.empty(len(robots), dtype=np.int64)
+        chosen = _next(self._order, self._first, robots, left_s, self._read_s, self._next, rows)
+        return rows[:chosen]
 
-    def observe(self, read: Rows, read_took_s: Floats, tested: Rows, test_took_s: Floats) -> None:
-        """Take over the measured times of the reads and the tests of a step [s].
+    def observe(self, read: Rows, read_took_s: Floats, called: Ints, call_took_s: Floats) -> None:
+        """Take over the measured times of the reads and the roll calls of a step [s].
 
         Args:
             read: rows that were read, shape (r,).
             read_took_s: time of each read [s], shape (r,).
-            tested: rows that were tested, shape (a,).
-            test_took_s: time of each test [s], shape (a,).
+            called: places of the buses on which the roll was called, shape (c,).
+            call_took_s: time of each roll call [s], shape (c,).
         """
         _longest(self._bus, read, read_took_s, self._read_s)
-        _longest(self._bus, tested, test_took_s, self._test_s)
+        self._call_s[called] = call_took_s
 
 
 @njit(cache=True)
-def _next(order, first, robots, test, budget_s, read_s, test_s, read_next, test_next, reads, tests):
-    r = a = 0
+def _next(order, first, robots, left_s, read_s, after, rows):
+    # The next robots of each bus after the last chosen one; returns the number of entries of rows.
+    k = 0
     for bus in range(len(read_s)):
-        present = 0
-        for k in range(first[bus], first[bus + 1]):
-            present += robots[order[k]]
-        if present == 0:
-            continue
-        left_s = budget_s
-        if test and read_s[bus] > 0.0:
-            one_s = test_s[bus] if test_s[bus] > 0.0 else _TEST * read_s[bus]
-            if present * one_s <= _ALL * _EARLY * budget_s:
-                many, left_s = present, _EARLY * budget_s
-            else:
-                many = min(present, max(int(_SOME * budget_s / one_s), 1))
-            a = _round_robin(order, first, bus, robots, many, test_next, tests, a)
-            left_s -= many * one_s
-        many = max(int(left_s / read_s[bus]), 1) if read_s[bus] > 0.0 else _FIRST
-        r = _round_robin(order, first, bus, robots, many, read_next, reads, r)
-    return r, a
-
-
-@njit(cache=True)
-def _round_robin(order, first, bus, robots, many, after, out, k):
-    # The next robots of a bus after the last chosen one; returns the number of entries of out.
-    size, begin, end = first[bus + 1] - first[bus], after[bus], k + many
-    for i in range(size):
-        if k == end:
-            break
-        place = (begin + i) % size
-        row = order[first[bus] + place]
-        if robots[row]:
-            out[k] = row
-            after[bus] = place + 1
-            k += 1
+        size, begin = first[bus + 1] - first[bus], after[bus]
+        end = k + (max(int(left_s[bus] / read_s[bus]), 1) if read_s[bus] > 0.0 else _FIRST)
+        for i in range(size):
+            if k == end:
+                break
+            place = (begin + i) % size
+            row = order[first[bus] + place]
+            if robots[row]:
+                rows[k] = row
+                after[bus] = place + 1
+                k += 1
     return k
 
 
 @njit(cache=True)
-def _longest(bus, rows, took_s, out):
+def _longest(bus, rows, took_s, longest_s):
     for row in rows:
-        out[bus[row]] = 0.0
+        longest_s[bus[row]] = 0.0
     for i in range(len(rows)):
-        out[bus[rows[i]]] = max(out[bus[rows[i]]], took_s[i])
+        longest_s[bus[rows[i]]] = max(longest_s[bus[rows[i]]], took_s[i])

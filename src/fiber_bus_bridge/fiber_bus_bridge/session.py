@@ -16,7 +16,15 @@ from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.session_state import SessionState
 from fiber_bus_bridge.start_stop import StartStop
 from fiber_bus_bridge.transactions import Transactions
-from fiber_bus_bridge.wire import Alert, Configuration, Opcode, RobotState, Statuses, encode_config
+from fiber_bus_bridge.wire import (
+    Alert,
+    Configuration,
+    Opcode,
+    RobotState,
+    Statuses,
+    encode_config,
+    roll_call_slots,
+)
 from fiber_core.array_types import Angles, Counts, Mask, Rows, Velocities
 from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
@@ -144,6 +152,7 @@ class Session:
                 self._speed[todo],
                 self.config.watchdog_ms,
                 self.config.silence_ms,
+                roll_call_slots(self.transactions.addresses)[todo],
             )
             frames = encode_config(config, self.transactions.addresses[todo])
             self.transactions.send(todo, frames, t)

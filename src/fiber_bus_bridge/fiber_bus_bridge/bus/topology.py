@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiber_bus_bridge.errors import TopologyError
-from fiber_bus_bridge.wire import Addresses
+from fiber_bus_bridge.wire import ROLL_CALL_ADDRESS, Addresses
 from fiber_core.array_types import Ints
 from fiber_core.focal_plane import FocalPlane
 
@@ -46,13 +46,15 @@ def addresses_of(plane: FocalPlane) -> Addresses:
     0x08..0x77, and the ten-bit form otherwise.
 
     Raises:
-        TopologyError: an address is outside 0..1023; names the robot.
+        TopologyError: an address is outside 0..1022 (1023 is the roll-call address); names the robot.
     """
     bus, address = np.asarray(plane.bus), np.asarray(plane.address)
-    outside = (address < 0) | (address > 1023)
+    outside = (address < 0) | (address >= ROLL_CALL_ADDRESS)
     if outside.any():
         at = int(np.argmax(outside))
-        raise TopologyError(f"robot {plane.ids[at]}: address {address[at]} is not 0..1023")
+        raise TopologyError(
+            f"robot {plane.ids[at]}: address {address[at]} is not 0..{ROLL_CALL_ADDRESS - 1}"
+        )
     needs_ten_bit = (address < _FIRST_USABLE) | (address > _LAST_USABLE)
     _, place = np.unique(bus, return_inverse=True)
     ten_bit = np.zeros(place.max(initial=-1) + 1, dtype=bool)

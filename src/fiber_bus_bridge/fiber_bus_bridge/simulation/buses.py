@@ -11,7 +11,7 @@ from fiber_bus_bridge.simulation.faults import Faults
 from fiber_bus_bridge.simulation.lines import BusLines, carry_in_turn
 from fiber_bus_bridge.simulation.noise import Received, add_noise
 from fiber_bus_bridge.simulation.positioners import Positioners
-from fiber_bus_bridge.wire import Addresses, Bytes, Frames
+from fiber_bus_bridge.wire import ROLL_CALL_ADDRESS, Addresses, Bytes, Frames
 from fiber_core.array_types import Bools, Codes, Floats, Ints, Rows
 
 __all__ = ["SimulatedBuses"]
@@ -202,8 +202,10 @@ def _listeners(m, order, keys, at, address, ten_bit, low, high, answered):
     for f in range(len(at)):
         if at[f] < 0:
             continue
-        key = at[f] * _KEYS_PER_BUS + ten_bit[f] * 1024 + address[f]
-        called = address[f] == 0 and not ten_bit[f]
+        called = address[f] == (ROLL_CALL_ADDRESS if ten_bit[f] else 0)
+        key = at[f] * _KEYS_PER_BUS
+        if not called:
+            key += ten_bit[f] * 1024 + address[f]
         low[f] = np.searchsorted(keys, key)
         high[f] = np.searchsorted(keys, key + (_KEYS_PER_BUS if called else 1))
         for k in range(low[f], high[f]):

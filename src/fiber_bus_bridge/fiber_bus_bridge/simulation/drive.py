@@ -8,6 +8,7 @@ from fiber_bus_bridge.wire.codes import Alert, Fault, RobotState
 from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import frame_crc
 from fiber_bus_bridge.wire.orders import order_fault, read_segment, segment_counts
+from fiber_bus_bridge.wire.roll_call import NO_SLOT
 
 __all__ = [
     "advance_robot",
@@ -193,6 +194,7 @@ def reboot(r: Robot, t: float) -> None:
     r.identity_requested = False
     r.tick_us = 0
     r.watchdog_s = r.silence_s = 0.0
+    r.slot = NO_SLOT
     r.sequence = 0
     r.executed = NOTHING
     r.boot = (r.boot + 1) % 256

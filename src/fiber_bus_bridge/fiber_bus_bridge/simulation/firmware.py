@@ -30,8 +30,9 @@ from fiber_bus_bridge.wire.replies import (
     write_identity,
     write_status,
 )
+from fiber_bus_bridge.wire.roll_call import write_present
 
-__all__ = ["receive", "reply"]
+__all__ = ["receive", "reply", "reply_to_roll_call"]
 
 _LOAD, _GO, _STOP = int(Opcode.LOAD), int(Opcode.GO), int(Opcode.STOP)
 _CLEAR, _RESET = int(Opcode.CLEAR), int(Opcode.RESET)
@@ -40,7 +41,8 @@ _HEARTBEAT, _ADDRESS = int(Opcode.HEARTBEAT), int(Opcode.ADDRESS)
 
 _UNCONFIGURED, _IDLE = int(RobotState.UNCONFIGURED), int(RobotState.IDLE)
 _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
-_STOPPED, _FAULT = int(RobotState.STOPPED), int(RobotState.FAULT)
+_DONE, _STOPPED = int(RobotState.DONE), int(RobotState.STOPPED)
+_FAULT = int(RobotState.FAULT)
 
 _NONE = int(Fault.NONE)
 _BAD_VERSION, _BAD_VALUE = int(Fault.BAD_VERSION), int(Fault.BAD_VALUE)
@@ -54,6 +56,7 @@ _LIMITS = field_offset(CONFIG_FIELDS, "limits")
 _SPEED = field_offset(CONFIG_FIELDS, "speed")
 _WATCHDOG = field_offset(CONFIG_FIELDS, "watchdog_ms")
 _SILENCE = field_offset(CONFIG_FIELDS, "silence_ms")
+_SLOT = field_offset(CONFIG_FIELDS, "slot")
 _COUNTDOWN = field_offset(GO_FIELDS, "countdown")
 _SERIAL = field_offset(ADDRESS_FIELDS, "serial")
 _FORM_ADDRESS = field_offset(ADDRESS_FIELDS, "form_address")
@@ -121,6 +124,14 @@ def reply(r: Robot, t: float, out: Bytes) -> None:
             r.alert_s = np.inf
     for i in range(min(size, len(out))):
         out[i] &= data[i]
+
+
+@njit(cache=True)
+def reply_to_roll_call(r: Robot, t: float, out: Bytes) -> None:
+    """Combine a robot's reply to a roll call at time t [s] with `out`, as wired AND."""
+    advance_robot(r, t)
+    if r.state == _MOVING or r.state == _DONE:
+        write_present(r.slot, out)
 
 
 @njit(cache=True)
@@ -194,6 +205,7 @@ def _configure(r, version, data, at):
         r.speed[joint] = _number(data, at + _SPEED + 2 * joint, 2)
     r.watchdog_s = 1e-3 * _number(data, at + _WATCHDOG, 2)
     r.silence_s = 1e-3 * _number(data, at + _SILENCE, 2)
+    r.slot = _number(data, at + _SLOT, 2)
     r.order_length = 0
     r.fault = _NONE
     r.alerts = 0
@@ -211,7 +223,7 @@ def _change_address(r, data, at):
         return _WRONG_STATE
     form = _number(data, at + _FORM_ADDRESS, 2)
     address, ten_bit = form & 0x7FFF, form >> 15 == 1
-    if address > (1023 if ten_bit else 0x77) or (not ten_bit and address < 0x08):
+    if address > (1022 if ten_bit else 0x77) or (not ten_bit and address < 0x08):
         return _BAD_VALUE
     r.address, r.ten_bit = address, ten_bit
     return _NONE

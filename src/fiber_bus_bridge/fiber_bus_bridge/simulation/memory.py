@@ -5,7 +5,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiber_bus_bridge.wire import MAX_SEGMENTS, Addresses, Bytes, RobotState
+from fiber_bus_bridge.wire import MAX_SEGMENTS, NO_SLOT, Addresses, Bytes, RobotState
 from fiber_bus_bridge.wire.fields import Whole
 from fiber_core.array_types import Floats, Ints
 
@@ -50,6 +50,7 @@ MEMORY = np.dtype(
         ("speed", "i8", (2,)),  # [velocity units]
         ("watchdog_s", "f8"),
         ("silence_s", "f8"),  # longest time between two heartbeats while moving, 0 = no limit [s]
+        ("slot", "i8"),  # in the roll call of its bus
         ("sequence", "i8"),
         ("executed", "i8"),  # sequence number of the order started last, or NOTHING
         ("order", "u1", (ORDER_BYTES,)),
@@ -95,6 +96,7 @@ class Robot(Protocol):
     speed: Ints
     watchdog_s: float
     silence_s: float
+    slot: Whole
     sequence: Whole
     executed: Whole
     order: Bytes
@@ -130,6 +132,7 @@ def new_memory(
     memory["alert_s"] = np.inf
     memory["started_s"] = memory["halted_s"] = memory["boots_until_s"] = -np.inf
     memory["boot"] = 1
+    memory["slot"] = NO_SLOT
     memory["state"] = RobotState.UNCONFIGURED
     memory["executed"] = NOTHING
     return memory

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.simulation.drive import encoder
 from fiber_bus_bridge.simulation.events import EVENT, apply_events, events_in_order, set_power
-from fiber_bus_bridge.simulation.firmware import receive, reply
+from fiber_bus_bridge.simulation.firmware import receive, reply, reply_to_roll_call
 from fiber_bus_bridge.simulation.memory import new_memory
 from fiber_bus_bridge.simulation.noise import Received
-from fiber_bus_bridge.wire import Addresses, Bytes
+from fiber_bus_bridge.wire import ROLL_CALL_ADDRESS, Addresses, Bytes
 from fiber_core.array_types import Bools, Codes, Counts, Floats, Ints, Mask, Offsets
 
 __all__ = ["Positioners", "Responses"]
@@ -187,7 +187,11 @@ def _exchange(
                 ok = receive(r, address[f], ten_bit[f], sent, first, last, end_s[f])
             if ok and reads[f]:
                 at = end_s[f] if last > first else start_s[f]
-                reply(r, at, data[offsets[f] : offsets[f + 1]])
+                out = data[offsets[f] : offsets[f + 1]]
+                if ten_bit[f] and address[f] == ROLL_CALL_ADDRESS:
+                    reply_to_roll_call(r, at, out)
+                else:
+                    reply(r, at, out)
             accepted[f] |= ok
 
 

@@ -40,6 +40,13 @@ from fiber_bus_bridge.wire.replies import (
     encode_identity,
     encode_status,
 )
+from fiber_bus_bridge.wire.roll_call import (
+    NO_SLOT,
+    ROLL_CALL_ADDRESS,
+    roll_call,
+    roll_call_bytes,
+    roll_call_slots,
+)
 
 __all__ = [
     "ADDRESS_BYTES",
@@ -53,6 +60,8 @@ __all__ = [
     "IDENTITY_BYTES",
     "IDENTITY_FIELDS",
     "MAX_SEGMENTS",
+    "NO_SLOT",
+    "ROLL_CALL_ADDRESS",
     "STATUS_BYTES",
     "STATUS_FIELDS",
     "VERIFY_BYTES",
@@ -80,4 +89,7 @@ __all__ = [
     "encode_load",
     "encode_status",
     "general_call",
+    "roll_call",
+    "roll_call_bytes",
+    "roll_call_slots",
 ]

@@ -13,7 +13,7 @@ __all__ = [
     "RobotState",
 ]
 
-VERSION = 2  # travels in CONFIG and in the identity; a robot refuses any other
+VERSION = 3  # travels in CONFIG and in the identity; a robot refuses any other
 MAX_SEGMENTS = 15  # segments of one joint that one order can carry: a 4-bit count
 CALL_PREFIX = 0xF1  # first byte of our general calls; odd, as the I2C standard requires
 

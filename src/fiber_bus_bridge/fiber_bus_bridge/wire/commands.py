@@ -12,6 +12,7 @@ from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire.codes import CALL_PREFIX, VERSION, Fault, Opcode
 from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc, frame_pec
+from fiber_bus_bridge.wire.roll_call import NO_SLOT
 from fiber_core.array_types import Ints
 from fiber_core.wire_units import WireUnits
 
@@ -51,6 +52,7 @@ CONFIG_FIELDS = np.dtype(
         ("speed", ">u2", (2,)),
         ("watchdog_ms", ">u2"),
         ("silence_ms", ">u2"),
+        ("slot", ">u2"),  # of the robot in the roll call of its bus
         ("crc", ">u2"),
     ]
 )
@@ -78,6 +80,7 @@ class Configuration:
         speed: highest joint speeds [velocity units], shape (f, 2).
         watchdog_ms: longest time that an order may wait for its GO [ms], 0 = no limit.
         silence_ms: longest time that a robot moves without a HEARTBEAT [ms], 0 = no limit.
+        slot: slot of each robot in the roll call of its bus, one number or shape (f,).
     """
 
     units: WireUnits
@@ -85,6 +88,7 @@ class Configuration:
     speed: Ints
     watchdog_ms: int
     silence_ms: int = 0
+    slot: Ints | int = NO_SLOT
 
 
 def encode_command(
@@ -154,6 +158,7 @@ def encode_config(config: Configuration, to: Addresses) -> Frames:
         "speed": config.speed,
         "watchdog_ms": config.watchdog_ms,
         "silence_ms": config.silence_ms,
+        "slot": config.slot,
     }
     _fill(table, values)
     return _sealed(to, table)
@@ -189,7 +194,7 @@ def decode_config(payload: bytes, address: int, ten_bit: bool) -> Configuration:
     )
     limits, speed = row["limits"].astype(np.int64), row["speed"].astype(np.int64)
     waits = (int(row[name][0]) for name in ("watchdog_ms", "silence_ms"))
-    return Configuration(units, limits, speed, *waits)
+    return Configuration(units, limits, speed, *waits, row["slot"].astype(np.int64))
 
 
 @njit(cache=True)
