@@ -48,6 +48,8 @@ local f = {
   phi_speed = ProtoField.uint16("fiber.phi_speed", "Phi speed (units)"),
   watchdog = ProtoField.uint16("fiber.watchdog_ms", "Watchdog (ms)"),
   silence = ProtoField.uint16("fiber.silence_ms", "Silence (ms)"),
+  slot = ProtoField.uint16("fiber.slot", "Slot in the roll call"),
+  present = ProtoField.bytes("fiber.present", "Roll call, 0 = present"),
   serial = ProtoField.uint32("fiber.serial", "Serial number"),
   new_address = ProtoField.uint16("fiber.new_address", "New address", base.DEC, nil, 0x7FFF),
   state = ProtoField.uint8("fiber.state", "State", base.DEC, STATES, 0xF0),
@@ -79,7 +81,7 @@ local COMMANDS = {
     { f.opcode, 0 }, { f.version, 1 }, { f.velocity_bits, 1 }, { f.duration_bits, 1 },
     { f.tick, 4 }, { f.quantum, 4 }, { f.theta_low, 4 }, { f.theta_high, 4 }, { f.phi_low, 4 },
     { f.phi_high, 4 }, { f.theta_speed, 2 }, { f.phi_speed, 2 }, { f.watchdog, 2 },
-    { f.silence, 2 }, { f.crc, 2 },
+    { f.silence, 2 }, { f.slot, 2 }, { f.crc, 2 },
   },
   [9] = { { f.opcode, 1 }, { f.serial, 4 }, { f.new_address, 2 }, { f.crc, 2 } },
 }
@@ -170,7 +172,10 @@ function fiber.dissector(data, packet, root)
   local called = head == 0 and data:len() > at and data(at, 1):uint() == 0xF1
   if called then at = at + 1 end
   local words
-  if read then
+  if read and ten_bit and address == 1023 then
+    if data:len() > at then tree:add(f.present, data(at)) end
+    words = "roll call"
+  elseif read then
     words = reply(tree, data, at)
   elseif data:len() == at then
     words = "address only"

@@ -16,6 +16,7 @@ from fiber_bus_bridge.wire import (
     CALL_PREFIX,
     GO_FIELDS,
     IDENTITY_BYTES,
+    ROLL_CALL_ADDRESS,
     STATUS_BYTES,
     VERIFY_BYTES,
     VERSION,
@@ -35,6 +36,7 @@ from fiber_bus_bridge.wire import (
     encode_config,
     encode_load,
     general_call,
+    roll_call,
 )
 from fiber_core.wire_units import WireUnits
 
@@ -43,7 +45,7 @@ pytest.importorskip("vcd", reason="pyvcd is not installed: no captures")
 TSHARK = shutil.which("tshark")
 SCRIPT = Path(__file__).parents[3] / "tools" / "fiber_positioners.lua"
 
-TO = Addresses([0, 0, 1, 1], [8, 0x77, 300, 1023], [False, False, True, True])
+TO = Addresses([0, 0, 1, 1], [8, 0x77, 300, 1022], [False, False, True, True])
 CALLED = general_call([0, 1])
 UNITS = WireUnits()
 NOTHING = Frames(TO, np.zeros(5, dtype=int), np.zeros(0, dtype=np.uint8))
@@ -52,8 +54,8 @@ HEX = {"order_crc": 4, "alerts": 2, "crc": 4, "pec": 2}
 FIELDS = (
     "bus address ten_bit read opcode sequence theta_segments phi_segments segments countdown "
     "version velocity_bits duration_bits tick_us quantum_prad theta_low theta_high phi_low "
-    "phi_high theta_speed phi_speed watchdog_ms silence_ms serial new_address state order_crc "
-    "boot fault alerts theta phi crc pec"
+    "phi_high theta_speed phi_speed watchdog_ms silence_ms slot present serial new_address "
+    "state order_crc boot fault alerts theta phi crc pec"
 ).split()
 
 
@@ -63,7 +65,7 @@ def traffic():
     robots = Positioners(TO, [11, 22, 33, 44], UNITS.quantum_prad, np.full((4, 2), -70_000))
     tap, t = Tap(SimulatedBuses(robots, bus_timing("1M")), bus_timing("1M")), 0.0
     limits = np.tile([[-2_000_000, 2_000_001], [-1_000_002, 2_000_003]], (4, 1, 1))
-    config = Configuration(UNITS, limits, np.tile([8000, 7000], (4, 1)), 9000, 20)
+    config = Configuration(UNITS, limits, np.tile([8000, 7000], (4, 1)), 9000, 20, [3, 11, 0, 1])
     load = encode_load(UNITS, TO, 5, [0, 1, 2, 2, 2, 3, 3, 4, 4], [9, 8, 7, 6], [50, -60, 70, 0])
     absent = Addresses([0, 1], [0x20, 301], [False, True])
     for frames, read in (
@@ -76,6 +78,7 @@ def traffic():
         (encode_command(Opcode.GO, CALLED, 5, 700), 0),
         (encode_command(Opcode.GO, TO[:1], 6, 0x1234), 0),
         (encode_command(Opcode.HEARTBEAT, CALLED), 0),
+        (roll_call([0, 1]), 2),
         (NOTHING, STATUS_BYTES),
         (encode_command(Opcode.STOP, absent), 0),
         (encode_command(Opcode.STOP, CALLED), 0),
@@ -136,11 +139,14 @@ def written(to, frame, payload):
         named = ("velocity_bits", "duration_bits", "tick_us", "quantum_prad")
         fields |= {"version": VERSION} | {name: getattr(units, name) for name in named}
         fields |= {"watchdog_ms": config.watchdog_ms, "silence_ms": config.silence_ms}
+        fields |= {"slot": int(np.asarray(config.slot)[0])}
         return fields | limits | speeds | {"crc": int.from_bytes(head[-2:])}
     return fields | {"pec": head[-1]}
 
 
 def reply_fields(to, data):
+    if to.ten_bit[0] and to.address[0] == ROLL_CALL_ADDRESS:
+        return {"present": data.tobytes().hex()}
     pec = int(data[0, VERIFY_BYTES - 1])
     if data.shape[1] == IDENTITY_BYTES:
         identity = decode_identity(to, data)
@@ -199,8 +205,8 @@ def test_every_field_agrees_with_the_decoder(traffic, tmp_path):
     )
     assert descriptions >= {
         "identity", "address only", "CONFIG", "LOAD, 1 + 1 segments", "GO to all", "GO",
-        "HEARTBEAT to all", "STOP to all", "CLEAR", "ADDRESS", "RESET", "verify LOADED",
-        "status IDLE", "status STOPPED",
+        "HEARTBEAT to all", "STOP to all", "roll call", "CLEAR", "ADDRESS", "RESET",
+        "verify LOADED", "status IDLE", "status STOPPED",
     }  # fmt: skip
 
 

@@ -48,17 +48,17 @@ GOLDEN = {
     "HEARTBEAT, general call": "f1 80 88",
     "ADDRESS": "90 00 00 12 67 81 2d 09 73",
     "ADDRESS, general call": "f1 90 00 00 12 67 81 2d bb fc",
-    "CONFIG": "62 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 1e a1 66 "
-    "1f 5e 1f 5e 27 10 00 19 f2 9e",
+    "CONFIG": "63 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 1e a1 66 "
+    "1f 5e 1f 5e 27 10 00 19 00 4d 7a f6",
     "VERIFY": "35 6c e1 07 e0",
     "STATUS": "35 6c e1 07 e0 14 01 ff fc 2f 70 00 1e 9f d8 3d f0",
     "VERIFY, 0x20": "20 00 00 01 63",
-    "ID": "72 00 00 12 67 81 2c 07 68",
+    "ID": "73 00 00 12 67 81 2c 07 7b",
 }
 # theta 1000 for 250 ticks then -1 for 1, phi -8191 for 1023; sequence 5
 ORDER = ([0, 2, 3], [250, 1, 1023], [1000, -1, -8191])
 CONFIG = Configuration(
-    UNITS, np.array([[[-2163504, 2163504], [0, 2007398]]]), np.array([[8030, 8030]]), 10_000, 25
+    UNITS, np.array([[[-2163504, 2163504], [0, 2007398]]]), np.array([[8030, 8030]]), 10_000, 25, 77
 )
 
 
@@ -135,7 +135,7 @@ def test_golden_reads():
     config = decode_config(golden("CONFIG"), 300, True)
     assert config.units == UNITS and (config.watchdog_ms, config.silence_ms) == (10_000, 25)
     assert np.array_equal(config.limits, CONFIG.limits)
-    assert np.array_equal(config.speed, CONFIG.speed)
+    assert np.array_equal(config.speed, CONFIG.speed) and config.slot == [77]
 
 
 def test_the_page_of_the_wire_format_shows_the_golden_bytes():
@@ -287,7 +287,7 @@ def test_only_go_and_config_carry_low_bits():
 
 
 def test_a_config_of_another_version_is_refused():
-    body = b"\x61" + golden("CONFIG")[1:-2]
+    body = b"\x62" + golden("CONFIG")[1:-2]
     payload = body + crc16.ibm_3740(wire_bytes(ROBOT, 0, body)).to_bytes(2, "big")
     with pytest.raises(WireError) as error:
         decode_config(payload, 300, True)

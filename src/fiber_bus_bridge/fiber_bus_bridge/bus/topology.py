@@ -46,7 +46,7 @@ def addresses_of(plane: FocalPlane) -> Addresses:
     0x08..0x77, and the ten-bit form otherwise.
 
     Raises:
-        TopologyError: an address is outside 0..1022 (1023 is the roll-call address); names the robot.
+        TopologyError: an address is outside 0..1022, as 1023 is the roll call; names the robot.
     """
     bus, address = np.asarray(plane.bus), np.asarray(plane.address)
     outside = (address < 0) | (address >= ROLL_CALL_ADDRESS)

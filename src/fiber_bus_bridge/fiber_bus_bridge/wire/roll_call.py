@@ -33,7 +33,7 @@ def roll_call(buses: ArrayLike) -> Frames:
 
 
 def roll_call_slots(addresses: Addresses) -> Ints:
-    """Return the slot of each robot in the roll call of its bus, its rank by address, shape (n,)."""
+    """Return the slot of each robot in the roll call of its bus: its rank by address, (n,)."""
     order = np.lexsort([addresses.address, addresses.bus])
     bus = addresses.bus[order]
     slots = np.empty(len(order), dtype=np.int64)
