@@ -112,9 +112,7 @@ def _declared_planner(node: Node) -> Planner:
     # Parameter `planner` names the planner; the parameters of every planner are declared.
     about = ParameterDescriptor(description=f"one of {', '.join(planners())}")
     name = str(node.declare_parameter("planner", DEFAULT_PLANNER, about).value)
-    parameters = {
-        each: declare_parameters(node, parameters_of(each), each) for each in planners()
-    }
+    parameters = {each: declare_parameters(node, parameters_of(each), each) for each in planners()}
     chosen = dataclasses.asdict(parameters[name]) if name in parameters else {}
     return make_planner(name, **chosen)
 
