@@ -6,6 +6,7 @@ from enum import IntEnum
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.stamps import PlanStamp, header
 
 __all__ = ["Level", "Status", "decode", "encode"]
@@ -50,10 +51,17 @@ class Status:
 
     @classmethod
     def of(cls, message: DiagnosticStatus) -> "Status":
-        """Return the status in a message; values are text."""
+        """Return the status in a message; values are text.
+
+        Raises:
+            MessageError: the level is not one of Level.
+        """
+        level = message.level[0]
+        if level not in list(Level):
+            raise MessageError("diagnostics", "is unknown", field="level", value=level)
         return cls(
             name=message.name,
-            level=Level(message.level[0]),
+            level=Level(level),
             text=message.message,
             values={pair.key: pair.value for pair in message.values},
             hardware_id=message.hardware_id,
@@ -73,5 +81,9 @@ def encode(statuses: Iterable[Status], time_ns: int) -> DiagnosticArray:
 
 
 def decode(message: DiagnosticArray) -> list[Status]:
-    """Return the statuses of a message."""
+    """Return the statuses of a message.
+
+    Raises:
+        MessageError: a level is not one of Level.
+    """
     return [Status.of(status) for status in message.status]

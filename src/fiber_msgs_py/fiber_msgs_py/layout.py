@@ -4,6 +4,7 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 
 from fiber_core.array_types import Floats
+from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py.errors import MessageError
@@ -83,8 +84,8 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
 
     Raises:
         MessageError: malformed table, rows of an unknown kind or out of order, a robot twice,
-            or a value that differs between rows and must not.
-        LayoutError: a value is not possible for a robot; names robot and value.
+            a value that differs between rows and must not, or a value that is not possible for a
+            robot; names robot and value.
     """
     rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES)
     kind, ids = rows["kind"], rows["id"]
@@ -106,7 +107,16 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
     robots, fixed = rows[:n], rows[n:]
     checked_ids(robots["id"], "layout")
     refuse(robots["enabled"] > 1, "layout", "enabled", ids, robots["enabled"], "is neither 0 nor 1")
-    plane = FocalPlane(
+    try:
+        with np.errstate(over="ignore"):  # what is infinite in mm is refused
+            return _plane(robots, fixed, float(rows["spacing"][0])), _units(rows[0])
+    except LayoutError as error:
+        raise MessageError("layout", f"is not a focal plane: {error}") from None
+
+
+def _plane(robots: np.ndarray, fixed: np.ndarray, spacing_m: float) -> FocalPlane:
+    n = len(robots)
+    return FocalPlane(
         ids=robots["id"],
         centers=_stacked(robots, "x", "y") * 1e3,
         arms=_stacked(robots, "arm_theta", "arm_phi") * 1e3,
@@ -120,9 +130,8 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
         obstacles=_stacked(fixed, "x", "y", "arm_radius") * 1e3,
         bus=robots["bus"],
         address=robots["address"],
-        spacing_mm=float(rows["spacing"][0]) * 1e3,
+        spacing_mm=spacing_m * 1e3,
     )
-    return plane, _units(rows[0])
 
 
 def _stacked(rows: np.ndarray, *names: str) -> Floats:

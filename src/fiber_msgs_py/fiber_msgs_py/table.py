@@ -24,6 +24,8 @@ _CODES = {
     )
 }
 _NAMES = {code: dtype.name for dtype, code in _CODES.items()}
+# bytes of a row; numpy refuses 2**31, and a table without rows has no data to bound its columns
+_LONGEST_ROW = 2**24
 
 
 def encode_table(rows: np.ndarray, stamp: PlanStamp) -> PointCloud2:
@@ -88,6 +90,13 @@ def decode_table(
         if field.name in found:
             raise MessageError(name, "appears twice", field="field", value=field.name)
         found[field.name] = field
+    if message.point_step > _LONGEST_ROW:
+        raise MessageError(
+            name,
+            f"bytes, expected at most {_LONGEST_ROW}",
+            field="point_step is",
+            value=message.point_step,
+        )
     dtype = _row_type(found, name, columns, lists or {}, message.point_step)
     rows = message.width * message.height
     for size, value, expected in (

@@ -84,9 +84,11 @@ def decode(message: PointCloud2) -> tuple[Ids, Points]:
     """
     rows = decode_table(message, "targets", _COLUMNS)
     ids = checked_ids(rows["id"], "targets")
-    for axis in ("x", "y"):
-        refuse(~np.isfinite(rows[axis]), "targets", axis, ids, rows[axis], "is not finite")
-    return ids, np.stack([rows["x"], rows["y"]], axis=1) * 1e3
+    with np.errstate(over="ignore"):  # what is infinite in mm is refused
+        xy_mm = np.stack([rows["x"], rows["y"]], axis=1) * 1e3
+    for axis, values in zip(("x", "y"), xy_mm.T):
+        refuse(~np.isfinite(values), "targets", axis, ids, rows[axis], "is not finite")
+    return ids, xy_mm
 
 
 def decode_attempt(message: PointCloud2) -> Attempt:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fiber_core.array_types import Floats, Ids, Ints
+from fiber_core.errors import MotionError
 from fiber_core.motion import SampledMotion
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.joints import joint_columns, joint_names
@@ -81,7 +82,10 @@ def decode(message: JointTrajectory) -> tuple[Ids, SampledMotion, Floats | None]
     velocities = None
     if any(len(point.velocities) for point in points):
         velocities = _gather(points, "velocities", ids, columns)
-    return ids, SampledMotion(times_ns / _SECOND, angles), velocities
+    try:
+        return ids, SampledMotion(times_ns / _SECOND, angles), velocities
+    except MotionError as error:  # times that differ in ns and not in the precision of s
+        raise MessageError("trajectory", f"is not a motion: {error}") from None
 
 
 def _check_times(times_ns: Ints) -> None:
