@@ -16,7 +16,7 @@ from fiber_core.wire_units import WireMotion
 
 __all__ = ["Plan", "PlanResult", "evaluate"]
 
-# reasons of the bus behind which the reason of an earlier stage tells the cause
+# reasons of the bus for which an earlier stage may know the cause
 _VAGUE = (Reason.NOT_PLANNED, Reason.OFF_TARGET)
 
 
@@ -96,7 +96,7 @@ class PlanResult:
     error_mm: Floats
 
     def explained_by(self, reason: ArrayLike) -> "PlanResult":
-        """Return the same result with the reasons of earlier stages where they tell the cause.
+        """Return the same result with the reasons of earlier stages where they are the cause.
 
         A robot that is held because it had no orders, or orders that end off its target, was
         held by an earlier stage if that stage says so.

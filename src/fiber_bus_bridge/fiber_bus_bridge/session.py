@@ -157,7 +157,7 @@ class Session:
             frames = encode_config(config, self.transactions.addresses[todo])
             self.transactions.send(todo, frames, t)
             status = self._read_statuses(todo, t)
-            # a fault may be of a frame that was not meant for the robot; the next try tells
+            # the fault may be of a frame for another robot, so the robot is configured once more
             self.known[todo] = (
                 status.ok & (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)
             )

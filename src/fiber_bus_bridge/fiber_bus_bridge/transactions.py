@@ -106,7 +106,7 @@ class Transactions:
         Returns:
             Ack of each frame, shape (r,): OK, else REFUSED when a robot answered one of the tries,
             else NO_ADDRESS. In every case the robot may have accepted the frame: only its status
-            tells.
+            shows whether it has.
         """
         ack = np.full(len(rows), Ack.NO_ADDRESS, dtype=np.int64)
 
