@@ -63,7 +63,13 @@ ARROWS = {
         "fiber_viewer",
         "rich",
     },
-    "fiber_bringup": {"fiber_client", "fiber_viewer", "fiber_viewer.node", "ament_index_python"}
+    "fiber_bringup": {
+        "fiber_client",
+        "fiber_positioners",
+        "fiber_viewer",
+        "fiber_viewer.node",
+        "ament_index_python",
+    }
     | NODES,
     "bench": {
         "fiber_planner",

@@ -28,6 +28,7 @@ setup(
         "fiber_discretizer",
         "fiber_node",
         "fiber_planner",
+        "fiber_positioners",
         "fiber_recording",
         "fiber_viewer",
         "numpy",

@@ -13,8 +13,17 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/fiber_positioners"]),
         ("share/fiber_positioners", ["package.xml"]),
     ],
-    # package.xml names the ROS packages as well
-    install_requires=["numpy", "matplotlib", "rich"],
+    install_requires=[
+        "fiber_bus_bridge",
+        "fiber_core",
+        "fiber_discretizer",
+        "fiber_planner",
+        "fiber_recording",
+        "fiber_viewer",
+        "numpy",
+        "matplotlib",
+        "rich",
+    ],
     extras_require={"test": ["pytest"]},  # colcon looks for pytest here
     zip_safe=False,
     entry_points={"console_scripts": ["fiber-positioners = fiber_positioners.command.main:main"]},

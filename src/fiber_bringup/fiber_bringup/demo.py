@@ -13,7 +13,6 @@ reached it or is held with a reason.
 """
 
 import argparse
-import json
 import os
 import signal
 import sys
@@ -38,6 +37,7 @@ from fiber_core.problem import Problem, save_plan, save_problem
 from fiber_formats import FoundProblem, problem_from
 from fiber_node.ros_environment import own_domain, use_loopback
 from fiber_planner import DEFAULT_PLANNER, planners
+from fiber_positioners.report import save_report
 from fiber_recording import Recording, load_recording
 from fiber_recording.node import recording_name
 from fiber_viewer import before_and_after, write_player
@@ -214,14 +214,7 @@ def _write(out: Path, run: _Run, report: dict[str, Any]) -> None:
     save_plan(out / "plan.npz", motion, outcome.outcome, outcome.reason)
     before_and_after(recording.problem, motion, outcome.outcome).savefig(out / "plane.png", dpi=110)
     write_player(out / "player.html", out / "recording.npz")
-    (out / "report.json").write_text(json.dumps(_plain(report), indent=2) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    # JSON has no number for infinity or nan
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    save_report(out / "report.json", report)
 
 
 def _figures(report: dict[str, Any]) -> str:

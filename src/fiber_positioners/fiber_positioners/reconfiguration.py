@@ -1,12 +1,9 @@
 """One reconfiguration from the problem to the outcome of every robot."""
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-import numpy as np
 
 from fiber_bus_bridge.frame_log import frame_log
 from fiber_core.array_types import Angles, Codes, Floats
@@ -21,6 +18,7 @@ from fiber_discretizer import DiscretizeOptions, joint_corridors
 from fiber_formats import write_results
 from fiber_planner import Planner
 from fiber_positioners.orders import Orders, ProgressCallback, make_orders, part_of
+from fiber_positioners.report import save_report
 from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
 from fiber_recording import Recording, build_recording, save_recording
 from fiber_viewer import write_player
@@ -143,7 +141,7 @@ class Reconfiguration:
         folder.mkdir(parents=True, exist_ok=True)
         save_problem(folder / "problem.npz", self.problem)
         save_plan(folder / "plan.npz", self.motion, self.outcome, self.reason)
-        (folder / "report.json").write_text(json.dumps(_finite(self.report), indent=2) + "\n")
+        save_report(folder / "report.json", self.report)
         if recording:
             save_recording(folder / "recording.npz", self.recording)
         return folder
@@ -222,10 +220,3 @@ def reconfigure(
     if progress is not None:
         progress(1.0, "the plan is over")
     return Reconfiguration(orders, run, seed)
-
-
-def _finite(value: object) -> object:
-    # JSON has no number for what is not finite
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    return None if isinstance(value, float) and not np.isfinite(value) else value

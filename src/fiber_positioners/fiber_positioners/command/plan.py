@@ -1,7 +1,6 @@
 """The subcommand `plan`: one reconfiguration, one JSON line."""
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from fiber_positioners.command.arguments import positive
 from fiber_positioners.command.exit_codes import DONE
 from fiber_positioners.command.progress import ProgressLine
 from fiber_positioners.reconfiguration import reconfigure
+from fiber_positioners.report import report_line
 
 __all__ = ["DESCRIPTION", "SUMMARY", "add_arguments", "run"]
 
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         if args.player is not None:
             progress(1.0, f"writing {args.player}")
             result.player(args.player)
-    print(json.dumps(result.report))
+    print(report_line(result.report))
     return DONE
 
 
