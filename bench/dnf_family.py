@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Run the navigation function as printed, corrected and cured, and its rival, side by side.
+"""Compare the navigation function as printed, corrected and with priorities, and `direct`.
 
-One row for each variant and plane, over some random fields: robots that arrive and when, how long
-the motion is, how near tips and arms come. The claims of the papers stand above, marked.
-Motions are judged as planned, sampled at every time step and between; the arrival of a
-robot is the instant from which on it stays within 0.1 mm of its target. Results are JSON
+One row for each variant and plane, over some random fields: robots that arrive and when,
+makespan, least distances of tips and arms. The claims of the papers come first, marked.
+Motions are evaluated as planned, sampled at every time step and between; the arrival of a
+robot is the instant from which it stays within 0.1 mm of its target. Results are JSON
 lines, one for each field, and a table in markdown.
 """
 
@@ -28,8 +28,8 @@ __all__ = ["PLANES", "VARIANTS", "judged", "main", "run"]
 
 _RESULTS = Path(__file__).parent / "results"
 _ARRIVED_MM = 0.1
-_LOOKS = 5  # at least, in each step of 10 ms: tips are compared that often
-_LOOK_S = 0.002
+_SAMPLES = 5  # at least, in each step of 10 ms
+_SAMPLE_S = 0.002
 _CHUNK = 100  # instants at a time
 
 # name -> (planner, parameters)
@@ -67,17 +67,17 @@ _HEAD = [
     "makespan / bound", "least tip distance [mm]", "arm pairs that overlap", "compute [s]",
 ]  # fmt: skip
 
-_NOTES = """# The navigation function, its cure and its rival
+_NOTES = """# The navigation function, with priorities, and the direct planner
 
-Random valid fields of fiber_core.fields; medians over the fields, ranges where they differ.
+Random valid fields of fiber_core.fields; medians over the fields, ranges if they differ.
 Reached: within 0.1 mm at the end; "-": fewer arrive. The lower bound is the time of the slowest
 robot alone, at full speed; the horizon of the navigation function is three times that.
 
-A tip distance below 2 mm is a collision of tips. *Arm pairs* are neighbours whose outlines
+A tip distance below 2 mm is a collision of tips. *Arm pairs* are neighbours with outlines that
 overlap at some sampled instant, one every 5 ms or more: a violation by planners that keep whole
-arms apart; where a planner keeps only tips apart, what follows must hold those robots. The law as
-printed has no joint stops: the paper's plane has four turns either way in their place, the other
-planes have stops. Claims are the papers' own, on their own fields. Compute is processor time,
+arms apart; after a planner that keeps only tips apart, the discretizer must hold those robots. The
+law as printed has no joint stops: the paper's plane has four turns in each direction instead, the
+other planes have stops. Claims are the papers' own, on their own fields. Compute is processor time,
 measured on: {machine}.
 
 """
@@ -93,28 +93,29 @@ def problem_of(name: str, seed: int) -> Problem:
 
 
 def judged(problem: Problem, planned: PlannedMotion) -> dict:
-    """Return what a motion does: arrivals, distances, overlaps.
+    """Return the figures of a planned motion: arrivals, distances, overlaps.
 
     Args:
-        problem: what was asked.
-        planned: the answer.
+        problem: the problem that was planned.
+        planned: the plan.
     """
     plane, motion = problem.plane, planned.motion
     time_s, angles = motion.time_s, motion.angles
-    looks = max(1, int(np.ceil(motion.makespan_s / max(1, len(time_s) - 1) / _LOOK_S)))
-    looks = max(looks, _LOOKS)
+    # samples in each interval of the motion
+    sub = max(1, int(np.ceil(motion.makespan_s / max(1, len(time_s) - 1) / _SAMPLE_S)))
+    sub = max(sub, _SAMPLES)
     pairs = neighbour_pairs(plane)
     near = pairs[pairs[:, 1] < plane.n]
     overlap = np.zeros(len(pairs), dtype=bool)
     least, last_away = np.inf, np.full(plane.n, -1.0)
-    for k in range(0, len(time_s) - 1, max(1, _CHUNK // looks)):
-        stop = min(k + max(1, _CHUNK // looks), len(time_s) - 1)
-        at = np.interp(np.arange((stop - k) * looks + 1) / looks + k, range(len(time_s)), time_s)
+    for k in range(0, len(time_s) - 1, max(1, _CHUNK // sub)):
+        stop = min(k + max(1, _CHUNK // sub), len(time_s) - 1)
+        at = np.interp(np.arange((stop - k) * sub + 1) / sub + k, range(len(time_s)), time_s)
         path = _between(time_s, angles, at)
         tips = _tips(plane, path)
         apart = np.linalg.norm(tips[:, near[:, 0]] - tips[:, near[:, 1]], axis=0)
         least = min(least, apart.min(initial=np.inf))
-        overlap |= (sampled_gaps(plane, pairs, path[..., :: max(1, looks // 2)]) < 0.0).any(axis=1)
+        overlap |= (sampled_gaps(plane, pairs, path[..., :: max(1, sub // 2)]) < 0.0).any(axis=1)
         away = np.linalg.norm(tips - problem.targets.T[..., None], axis=0) > _ARRIVED_MM
         last_away = np.maximum(last_away, np.where(away, at, -1.0).max(axis=1))
     asked = problem.asked
@@ -217,15 +218,15 @@ def _range(values, form):
     return low if low == high else f"{low}-{high}"
 
 
-def main(argv=None) -> int:
-    """Run the table from the command line."""
+def main(argv: list[str] | None = None) -> int:
+    """Run the comparison from the command line; returns the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=list(VARIANTS))
     parser.add_argument("--planes", nargs="+", default=list(PLANES), choices=list(PLANES))
-    parser.add_argument("--seeds", type=int, help="fields of each plane, else 3 to 10")
-    parser.add_argument("--machine", default="2 cores, shared", help="what the table says of it")
+    parser.add_argument("--seeds", type=int, help="fields of each plane, by default 3 to 10")
+    parser.add_argument("--machine", default="2 cores, shared", help="machine, for the table")
     parser.add_argument("--out", type=Path, default=_RESULTS, help="folder for the two tables")
     options = parser.parse_args(argv)
     small = random_problem(preset("pfs", 60), np.random.default_rng(0))

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Compare planners over planes and seeds: robots that arrive, makespan, clearance, computing time.
+"""Run planners on many planes and seeds, down to the bytes: arrivals, makespan, clearance.
 
-Every plan is discretized and rounded as it would be sent; the certificate judges the motion
-decoded from that. A small plan is made first, so that compilation is not counted; cpu_s is
-processor time, wall_s the time on the clock. One JSON line for each run is appended to the
+Every plan is discretized and rounded as it would be sent, and the motion decoded from that is
+certified. A small plan is made first, so that compilation is not counted; cpu_s is
+processor time, wall_s the elapsed time. One JSON line for each run is appended to the
 results, and a table in markdown is made of all lines there.
 """
 
@@ -25,7 +25,7 @@ from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
 from fiber_formats import read_layout
-from fiber_planner import make_planner
+from fiber_planner import Planner, make_planner
 from fiber_planner.direct import reachable
 from fiber_positioners import make_orders, random_problem
 
@@ -68,7 +68,7 @@ def problem_of(name: str, seed: int) -> Problem:
     return random_problem(plane, rng)
 
 
-def run(name: str, planner, seed: int) -> dict:
+def run(name: str, planner: Planner, seed: int) -> dict:
     """Plan and discretize one problem and return its line of the results.
 
     Args:
@@ -139,7 +139,7 @@ def markdown(lines: list[dict]) -> str:
     return "\n".join(f"| {row} |" for row in rows) + "\n"
 
 
-def main(argv=None) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run the campaign from the command line; returns the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""Measure how computing time and memory grow with the number of robots; draw it.
+"""Measure computing time and memory against the number of robots, and plot them.
 
 Each size is planned, discretized and certified several times in a process of its own. Times are
-medians of processor time; memory is what the process grew by with its first field beyond a
-plane of 100 robots, compiled code included there. Writes scaling.md, scaling.jsonl and scaling.png.
+medians of processor time; memory is the growth of the process with its first field, after a
+plane of 100 robots that includes the compiled code. Writes scaling.md, scaling.jsonl and
+scaling.png.
 """
 
 import argparse
@@ -86,7 +87,7 @@ def table(lines: list[dict]) -> str:
 
 
 def draw(lines: list[dict], path: Path) -> None:
-    """Draw time and memory against the number of robots, with a line of constant cost."""
+    """Plot time and memory against the number of robots, with a line of constant cost."""
     import matplotlib.pyplot as plt  # only here: planning needs no pictures
 
     robots = np.array([line["robots"] for line in lines])
@@ -105,7 +106,7 @@ def draw(lines: list[dict], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def main(argv=None) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run the measurement from the command line; returns the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter

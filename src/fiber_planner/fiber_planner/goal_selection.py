@@ -1,9 +1,11 @@
-"""Which elbow and turn each robot should end in, so that nobody overlaps at the end."""
+"""Goal selection: the elbow and turn of each robot, such that no two robots overlap at the end."""
 
 import numba as nb
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Ints, Offsets, Pairs
 from fiber_core.clearance import bodies_of, neighbour_pairs, pair_gap_below
 from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
@@ -12,42 +14,42 @@ from fiber_core.problem import Problem
 __all__ = ["choose_goals", "lower_bound_s", "travel_s"]
 
 _STAYS = 2  # pose of a robot that ends where it starts; 0 and 1 are its elbows, faster first
-_OPEN = -1
+_OPEN = -1  # pose of a robot that has none yet
 
 
-def travel_s(problem: Problem, goal) -> np.ndarray:
-    """Return how long each robot needs from its start at full speed, if it is alone [s].
+def travel_s(problem: Problem, goal: ArrayLike) -> Floats:
+    """Return the time that each robot needs from its start at full speed, if it is alone [s].
 
     Args:
-        problem: the plane and where its robots are.
+        problem: the plane and the present joint angles.
         goal: configurations [rad], shape (n, ..., 2), one or several for each robot.
 
     Returns:
         The time of the slower joint, shape (n, ...).
     """
     several = (slice(None),) + (None,) * (np.ndim(goal) - 2)
-    turn = np.abs(np.asarray(goal, dtype=float) - problem.start[several])
-    return (turn / problem.plane.speeds[several]).max(axis=-1)
+    change = np.abs(np.asarray(goal, dtype=np.float64) - problem.start[several])
+    return np.asarray((change / problem.plane.speeds[several]).max(axis=-1))
 
 
-def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
+def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[Angles, Codes]:
     """Choose for each robot the fastest configuration on its target that is clear of all others.
 
-    A robot has at most two poses on its target, one for each elbow; turns only differ in
-    time. To choose among two so that no pair overlaps is 2-satisfiability, solved exactly
-    by limited backtracking (Even, Itai, Shamir, SIAM J. Comput. 5, 1976): take the faster
-    pose of some robot and all that follows from it for its neighbours; where that leads to
-    a contradiction, take the other. Where both do, the robot is given up and stays at its
-    start. At the end robots change to their faster pose wherever that is clear. The order
-    follows the robots' places, so the choice does not depend on their numbers.
+    A robot has at most two poses on its target, one for each elbow; turns differ only in
+    time. To choose one of two poses so that no pair overlaps is 2-satisfiability, solved
+    exactly by limited backtracking (Even, Itai, Shamir, SIAM J. Comput. 5, 1976): give some
+    robot its faster pose and its neighbours all poses that follow from it; if that leads to
+    a contradiction, give it the slower pose. If both do, the robot has no goal and stays at
+    its start. At the end robots change to their faster pose if it is clear. Robots are
+    visited by place, so the choice does not depend on the order of the rows.
 
     Args:
-        problem: the plane, where its robots are, where their fibres should go.
+        problem: the plane, the present joint angles and the targets.
         margin_mm: gap that outlines must keep at the end [mm].
 
     Returns:
-        Goal of each robot [rad], shape (n, 2), its start where it has none; and the
-        Reason of each, shape (n,): OK, NO_TARGET, DISABLED (asked, but it cannot
+        Goal of each robot [rad], shape (n, 2), the start of a robot that has none; and the
+        Reason of each, shape (n,): OK, NO_TARGET, DISABLED (it has a target and cannot
         move) or GOAL_BLOCKED (no configuration inside the joint limits is clear).
     """
     plane = problem.plane
@@ -58,7 +60,8 @@ def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[np.ndarray, 
     clash = _clashes(bodies_of(plane), pairs, options, count, margin_mm)
     pairs, clash = pairs[clash.any(axis=(1, 2))], clash[clash.any(axis=(1, 2))]
     order = np.lexsort((plane.centers[:, 1], plane.centers[:, 0]))
-    pose = _choose(*_adjacency(pairs, clash, len(free)), count, order)
+    offsets, neighbours, by_row = _adjacency(pairs, clash, len(free))
+    pose = _choose(offsets, neighbours, by_row, count, order)
 
     reason = np.full(plane.n, int(Reason.OK))
     reason[pose == _STAYS] = Reason.GOAL_BLOCKED
@@ -67,9 +70,9 @@ def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[np.ndarray, 
     return options[np.arange(plane.n), pose], reason
 
 
-def _options(problem):
-    # Fastest configuration of either elbow, faster one first, then the start: (n, 3, 2),
-    # and how many of the first two exist, (n,).
+def _options(problem: Problem) -> tuple[Floats, Ints]:
+    # Fastest configuration of each elbow, faster one first, then the start: (n, 3, 2); and the
+    # number of elbows that have one, (n,).
     plane = problem.plane
     angles, valid = kinematics.inverse(plane, problem.targets)
     valid &= plane.enabled[:, None]
@@ -86,8 +89,8 @@ def _options(problem):
     return options, np.isfinite(times).sum(axis=0)
 
 
-def _adjacency(pairs, clash, rows):
-    # clashing pairs seen from each row: offsets, neighbours, clash[e, own pose, other's pose]
+def _adjacency(pairs: Pairs, clash: Bools, rows: int) -> tuple[Offsets, Ints, Bools]:
+    # clashing pairs of each row: offsets, neighbours, clash[e, own pose, neighbour's pose]
     a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
     both = np.concatenate([clash, clash.transpose(0, 2, 1)])
     by_row = np.argsort(a, kind="stable")
@@ -96,7 +99,7 @@ def _adjacency(pairs, clash, rows):
 
 @nb.njit(cache=True)
 def _clashes(bodies, pairs, options, count, margin):
-    # which poses of which pair come nearer than the margin, (p, 3, 3)
+    # for each pair, the combinations of poses that come nearer than the margin, (p, 3, 3)
     n = len(options)
     clash = np.zeros((len(pairs), 3, 3), dtype=np.bool_)
     for e in range(len(pairs)):
@@ -108,7 +111,7 @@ def _clashes(bodies, pairs, options, count, margin):
                 if b < n and j != _STAYS and j >= count[b]:
                     continue
                 if (i == _STAYS and (b >= n or j == _STAYS)) or (b >= n and j != _STAYS):
-                    continue  # two that stay where they are
+                    continue  # neither robot moves
                 theta, phi = options[b, j] if b < n else options[a, i]
                 gap = pair_gap_below(
                     bodies, a, b, options[a, i, 0], options[a, i, 1], theta, phi, margin
@@ -118,10 +121,10 @@ def _clashes(bodies, pairs, options, count, margin):
 
 
 @nb.njit(cache=True)
-def _follow(i, chosen, offsets, neighbours, clash, count, pose, trail):
-    # Set the pose of i and all that follows from it. Returns how many were set, they
-    # stand on the trail, and who was left without a pose, -1 if nobody was: never one that
-    # stays, or who is given up would be given up again without end.
+def _propagate(i, chosen, offsets, neighbours, clash, count, pose, trail):
+    # Set the pose of robot i and all poses that follow from it. Returns the number of robots
+    # set, listed in `trail`, and a robot that has no pose left, -1 if all have one. That is never
+    # a robot that stays: it cannot be held a second time.
     pose[i] = chosen
     trail[0] = i
     size, at = 1, 0
@@ -148,20 +151,20 @@ def _follow(i, chosen, offsets, neighbours, clash, count, pose, trail):
 
 
 @nb.njit(cache=True)
-def _settle(offsets, neighbours, clash, count, pose, trail, order):
-    # One pass of the algorithm; returns the robot to give up, -1 if all have a pose.
+def _solve(offsets, neighbours, clash, count, pose, trail, order):
+    # One pass of the algorithm; returns a robot that must stay, -1 if all have a pose.
     for i in range(len(pose)):
         if pose[i] == _STAYS:
-            _, lost = _follow(i, _STAYS, offsets, neighbours, clash, count, pose, trail)
-            if lost >= 0:
-                return lost
+            _, stuck = _propagate(i, _STAYS, offsets, neighbours, clash, count, pose, trail)
+            if stuck >= 0:
+                return stuck
     for only_one in (True, False):
         for i in order:
             if pose[i] != _OPEN or (count[i] == 1) != only_one:
                 continue
             for chosen in range(count[i]):
-                size, lost = _follow(i, chosen, offsets, neighbours, clash, count, pose, trail)
-                if lost < 0:
+                size, stuck = _propagate(i, chosen, offsets, neighbours, clash, count, pose, trail)
+                if stuck < 0:
                     break
                 for k in range(size):
                     pose[trail[k]] = _OPEN
@@ -172,20 +175,21 @@ def _settle(offsets, neighbours, clash, count, pose, trail, order):
 
 @nb.njit(cache=True)
 def _choose(offsets, neighbours, clash, count, order):
+    # the pose of each robot, (n,); robots without a possible pose stay at their starts
     n, rows = len(count), len(offsets) - 1
     stays = np.ones(rows, dtype=np.bool_)
     for i in range(n):
         stays[i] = count[i] == 0
     pose, trail = np.empty(rows, dtype=np.int64), np.empty(rows, dtype=np.int64)
-    lost = 0
-    while lost >= 0:
+    stuck = 0
+    while stuck >= 0:
         for i in range(rows):
             pose[i] = _STAYS if stays[i] else _OPEN
-        lost = _settle(offsets, neighbours, clash, count, pose, trail, order)
-        if lost >= 0:
-            stays[lost] = True
+        stuck = _solve(offsets, neighbours, clash, count, pose, trail, order)
+        if stuck >= 0:
+            stays[stuck] = True
     changed = True
-    while changed:  # ends: times only fall
+    while changed:  # terminates: times only fall
         changed = False
         for i in order:
             if pose[i] != 1:

@@ -1,4 +1,4 @@
-"""What the tests of this package share: small planes, fields and dense looks at motions."""
+"""Shared by the tests of this package: small planes, random fields, densely sampled motions."""
 
 from dataclasses import replace
 
@@ -14,21 +14,21 @@ settings.load_profile("repeatable")
 
 
 def row_of_robots(places, **columns):
-    """DESI-like robots (arms 3 + 3 mm, D = 4 mm, d = 2 mm, 180 deg/s) at given places [mm]."""
+    """DESI-like robots at given places [mm]: arms 3 + 3 mm, D = 4 mm, d = 2 mm, 180 deg/s."""
     plane = preset("desi", len(places))
     columns = {"speeds": np.full((plane.n, 2), np.pi)} | columns
     return replace(plane, centers=np.array(places, dtype=float), **columns)
 
 
 def field(name, robots, seed, disabled=0.0):
-    """A random problem on a preset, some of its robots disabled."""
+    """Return a random problem on a preset, some of its robots disabled."""
     rng = np.random.default_rng(seed)
     plane = preset(name, robots)
     return random_problem(plane.with_enabled(rng.random(robots) >= disabled), rng)
 
 
 def dense(motion, sub=10):
-    """Angles at all samples of a motion and at `sub - 1` instants between, (n, 2, t)."""
+    """Return the angles at all samples of a motion and at `sub - 1` instants between, (n, 2, t)."""
     before, after = motion.angles[..., :-1, None], motion.angles[..., 1:, None]
     between = before + np.arange(sub) / sub * (after - before)
     flat = between.reshape(motion.n, 2, -1)
@@ -36,7 +36,7 @@ def dense(motion, sub=10):
 
 
 def tips_of(plane, angles):
-    """Tips at many instants [mm]: x and y, both shape (n, t), from angles (n, 2, t)."""
+    """Return the tips at many instants [mm]: x and y, both shape (n, t), from angles (n, 2, t)."""
     theta, both = angles[:, 0], angles[:, 0] + angles[:, 1]
     (x, y), (arm1, arm2) = plane.centers.T[..., None], plane.arms.T[..., None]
     return (
@@ -46,7 +46,7 @@ def tips_of(plane, angles):
 
 
 def least_tip_distance(plane, angles):
-    """Least distance of any two tips over all instants of angles (n, 2, t) [mm]."""
+    """Return the least distance of any two tips over all instants of angles (n, 2, t) [mm]."""
     x, y = tips_of(plane, angles)
     least = np.inf
     for i in range(plane.n - 1):

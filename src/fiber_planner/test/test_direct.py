@@ -64,7 +64,7 @@ def _row_of_robots(theta_start, theta_goal, phi_start=0.0, phi_goal=0.0, **colum
         ("paper", 150, 7, 1.05),
     ],
 )
-def test_everybody_arrives_as_fast_as_the_slowest_alone(name, robots, seed, ratio):
+def test_all_robots_arrive_as_fast_as_the_slowest_alone(name, robots, seed, ratio):
     problem = random_problem(preset(name, robots), np.random.default_rng(seed))
     planned = DirectPlanner().plan(problem)
     motion, ok = _judge(problem, planned)
@@ -86,7 +86,7 @@ def test_heavy_overlap_is_solved_by_folding(name, robots, seed):
 
 
 def test_straight_moves_alone_would_collide():
-    # the toy planner: everybody straight, nothing repaired
+    # the reference: straight motions, no local search
     problem = random_problem(preset("pfs", 200), np.random.default_rng(3))
     planned = DirectPlanner().plan(problem)
     share = np.linspace(0.0, 1.0, len(planned.motion.time_s))
@@ -185,7 +185,7 @@ def test_boxed_in_by_disabled_neighbours():
     assert ok[0]
 
 
-def test_one_that_cannot_arrive_costs_nobody_else_the_plan():
+def test_a_robot_that_cannot_arrive_costs_no_other_robot_its_target():
     problem = random_problem(preset("desi", 120), np.random.default_rng(8))
     plane = problem.plane.with_enabled(np.random.default_rng(9).random(120) > 0.15)
     problem = random_problem(plane, np.random.default_rng(10))
@@ -197,7 +197,7 @@ def test_one_that_cannot_arrive_costs_nobody_else_the_plan():
     assert ok.sum() >= 0.97 * problem.asked.sum()
 
 
-def test_who_has_no_target_makes_way():
+def test_a_robot_without_a_target_makes_way():
     # robot 1 stands where robot 0 has to go and is asked nothing
     problem, _ = _row_of_robots((90, 180), (0, 180), 0, 0)
     targets = problem.targets.copy()
@@ -248,7 +248,7 @@ def test_planes_of_hardly_any_robots(robots):
     assert ok.all() and motion.n == robots
 
 
-def test_nobody_moves_where_nothing_is_asked():
+def test_no_robot_moves_without_targets():
     plane = preset("desi", 30)
     start = random_problem(plane, np.random.default_rng(12)).start
     planned = DirectPlanner().plan(Problem(plane, start, np.full((30, 2), np.nan)))
@@ -350,7 +350,7 @@ def test_a_pair_too_close_at_the_start_is_parted_and_reported(gap_mm, enabled):
         assert (planned.motion.angles[1] == start[1][:, None]).all()
 
 
-def test_a_pair_too_close_that_cannot_part_stays_and_costs_nobody_else():
+def test_a_pair_too_close_that_cannot_part_stays_and_costs_no_other_robot_its_target():
     # both arms are held by their stops
     plane, start = _tangled(0.02)
     stops = np.stack([start, start], axis=2)
@@ -364,7 +364,7 @@ def test_a_pair_too_close_that_cannot_part_stays_and_costs_nobody_else():
     assert (planned.motion.angles[:2] == start[:2, :, None]).all()
 
 
-def test_nobody_is_tangled_in_a_valid_field():
+def test_no_robot_is_tangled_in_a_valid_field():
     problem = random_problem(preset("desi", 60), np.random.default_rng(20))
     assert len(DirectPlanner().plan(problem).tangled) == 0
 

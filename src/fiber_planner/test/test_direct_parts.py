@@ -1,4 +1,4 @@
-"""Laws of the parts of the direct planner: draws, collision_cost, pieces, reachability."""
+"""Laws of the parts of the direct planner: sampling, collision cost, pieces, reachability."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def _profiles(kind, s, g, per_interval, rng):
 @pytest.mark.parametrize("kind", ["window", "via", "dwell", "fold"])
 @settings(deadline=None, max_examples=60)
 @given(s=st.floats(-3, 3), g=st.floats(-3, 3), slow=st.floats(1, 10), key=st.integers(0, 2**32))
-def test_drawn_profiles_keep_ends_speed_and_limits(kind, s, g, slow, key):
+def test_sampled_profiles_keep_ends_speed_and_limits(kind, s, g, slow, key):
     per_interval = max(abs(g - s), 0.01) / _STEPS * slow
     rng = seeded_rng(np.uint64(key), 0)
     for _ in range(10):
@@ -76,7 +76,7 @@ def test_keys_follow_the_place_not_the_row():
 
 
 @pytest.mark.parametrize("name", ["desi", "desi_outlines"])
-def test_penetration_agrees_with_dense_sampling(name):
+def test_collision_cost_agrees_with_dense_sampling(name):
     rng = np.random.default_rng(1)
     facing = np.array([[0.0, 0.4], [np.pi, 0.4]])
     plane = plane_from(PRESETS[name], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
@@ -203,7 +203,7 @@ def _plan(scene, q, required):
     )  # fmt: skip
 
 
-def test_a_detour_nobody_needs_becomes_a_line_and_one_that_is_needed_stays():
+def test_an_unneeded_detour_becomes_a_line_and_a_needed_one_stays():
     ahead = np.array([[0.8, 0.0], [np.pi, 0.0]])
     plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
     scene = scene_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
@@ -231,7 +231,7 @@ def test_a_detour_nobody_needs_becomes_a_line_and_one_that_is_needed_stays():
     assert np.array_equal(plan.q[:, :, [0, -1]], q[:, :, [0, -1]])
 
 
-def test_who_goes_straight_keeps_its_ends_and_nobody_else_changes():
+def test_a_straightened_robot_keeps_its_ends_and_no_other_robot_changes():
     plane = plane_from(PRESETS["desi"], np.arange(3), [[0.0, 0.0], [10.4, 0.0], [40.0, 0.0]])
     scene = scene_of(Problem(plane, np.zeros((3, 2)), np.full((3, 2), np.nan)))
     q = np.random.default_rng(0).uniform(0.0, 1.0, (3, 2, _STEPS + 1))
@@ -246,7 +246,7 @@ def test_who_goes_straight_keeps_its_ends_and_nobody_else_changes():
     assert plan.shortcut_due.tolist() == [True, True, False]  # the second is its neighbour
 
 
-def test_who_had_to_wait_is_tried_again_once_the_other_has_changed():
+def test_a_robot_that_had_to_wait_is_tried_again_once_its_neighbour_has_changed():
     plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
     ahead = np.array([[0.8, 0.0], [np.pi, 0.0]])
     scene = scene_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
@@ -260,7 +260,7 @@ def test_who_had_to_wait_is_tried_again_once_the_other_has_changed():
     assert shortcut_profiles(scene, plan) == 0
     plan.q[1, 0] = np.linspace(0.0, -1.0, _STEPS + 1)  # now it looks the other way
     assert measure_all(scene, plan) == 0
-    assert shortcut_profiles(scene, plan) == 0  # nobody was told
+    assert shortcut_profiles(scene, plan) == 0  # no robot is marked as changed
     mark_changed(scene, plan, 1)
     assert shortcut_profiles(scene, plan) == 1
     assert np.allclose(plan.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))

@@ -1,4 +1,4 @@
-"""Laws every plan of the navigation function keeps, and its hard cases."""
+"""Laws that every plan of the navigation function keeps, and its hard cases."""
 
 import numpy as np
 import pytest
@@ -204,7 +204,7 @@ def test_a_robot_without_target_makes_way_and_comes_back(robots, densely, closes
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_who_cannot_pass_is_reported_not_hidden(name, robots, densely, closest_tips):
+def test_a_robot_that_cannot_pass_is_reported_not_hidden(name, robots, densely, closest_tips):
     # The first robot's arm is kept straight by its stops and sweeps a circle on which the
     # second one, disabled, has its tip.
     stops = [[[-1.5, 1.5], [0.0, 0.0]], [[-3.4, 3.4], [0.0, np.pi]]]
@@ -220,7 +220,7 @@ def test_who_cannot_pass_is_reported_not_hidden(name, robots, densely, closest_t
 
 # name: places [mm], start tips, target tips, mm. All have phi in 0..180 deg and one elbow.
 HARD = {
-    "robot 1 makes room, 2 passes between its neighbours (Fig. 5 of the papers)": (
+    "robot 1 makes way, 2 passes between its neighbours (Fig. 5 of the papers)": (
         [(0, 0), (8, 0), (16, 0)],
         [(5.2, 0.0), (2.8, 0.0), (21.2, 0.0)],
         [(4.5, 3.8), (12.5, -2.6), (11.5, 2.6)],

@@ -12,8 +12,8 @@ from fiber_core.clearance import neighbour_pairs, sampled_gaps
 from fiber_core.presets import preset
 from fiber_planner.dnf import DnfParameters
 from fiber_planner.dnf.arm_repulsion import ArmNeighbours
-from fiber_planner.dnf.integrator import longest_step, places
-from fiber_planner.dnf.navigation_function import Law, Swarm, attraction, repulsion
+from fiber_planner.dnf.integrator import arm_points, longest_step
+from fiber_planner.dnf.navigation_function import ControlLaw, Swarm, attraction, repulsion
 from fiber_planner.dnf.tip_repulsion import SHARE, TipNeighbours
 
 SMALL = 1e-6  # [rad] step of the finite differences
@@ -41,11 +41,11 @@ def assert_is_gradient(found, potential, angles):
 def test_push_of_the_tips_is_minus_the_gradient(name, sign, random_field):
     plane = replace(preset(name, 30), obstacles=[[3.0, 4.0, 2.0]])
     angles = np.array(random_field(name, 30, seed=1).start)
-    law = Law.of(plane, DnfParameters(sign=sign))
+    law = ControlLaw.of(plane, DnfParameters(sign=sign))
     neighbours = TipNeighbours(plane, law)
 
     def push(at):
-        return neighbours.push(at, *kinematics.forward(plane, at), np.zeros(plane.n))
+        return neighbours.repel(at, *kinematics.forward(plane, at), np.zeros(plane.n))
 
     assert_is_gradient(push(angles)[1], lambda at: push(at)[0], angles)
 
@@ -54,13 +54,13 @@ def test_push_of_the_tips_is_minus_the_gradient(name, sign, random_field):
 def test_push_of_the_arms_is_minus_the_gradient(name, random_field):
     problem = random_field(name, 30, seed=2)
     plane = replace(problem.plane, obstacles=[[3.0, 40.0, 2.0]])
-    law = Law.of(plane, DnfParameters())
+    law = ControlLaw.of(plane, DnfParameters())
     far = np.array(problem.start)
     neighbours = ArmNeighbours(plane, problem.start, far, law, margin_mm=0.05)
     neighbours._outer[:] = law.outer  # not narrowed to the gaps of the goals
 
     def push(at):
-        return neighbours.push(at, *kinematics.forward(plane, at), np.zeros(plane.n))
+        return neighbours.repel(at, *kinematics.forward(plane, at), np.zeros(plane.n))
 
     assert_is_gradient(push(far)[1], lambda at: push(at)[0], far)
 
@@ -72,11 +72,11 @@ def test_attraction_is_minus_the_gradient(mode, away, random_field):
     rng = np.random.default_rng(3)
     goal = rng.uniform(-2, 2, (20, 2))
     angles = goal + away * rng.uniform(-1, 1, (20, 2))
-    law = Law.of(plane, DnfParameters(attraction=mode))
+    law = ControlLaw.of(plane, DnfParameters(attraction=mode))
     swarm = Swarm.of(plane, angles, goal, plane.enabled)
 
     def pull(at):
-        return np.array([attraction(i, at, *places(at, swarm), swarm, law) for i in range(20)])
+        return np.array([attraction(i, at, *arm_points(at, swarm), swarm, law) for i in range(20)])
 
     assert_is_gradient(pull(angles)[:, 1:], lambda at: pull(at)[:, 0], angles)
 
@@ -105,7 +105,7 @@ def test_places_are_the_forward_kinematics():
     plane = preset("moons", 20)
     angles = np.random.default_rng(0).uniform(-3, 3, (20, 2))
     swarm = Swarm.of(plane, angles, angles, plane.enabled)
-    for ours, theirs in zip(places(angles, swarm), kinematics.forward(plane, angles)):
+    for ours, theirs in zip(arm_points(angles, swarm), kinematics.forward(plane, angles)):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
 
 
@@ -122,10 +122,10 @@ def test_no_part_of_the_longest_step_uses_more_than_allowed(closing, bend, allow
         assert longer * closing + 0.5 * longer * longer * bend > allowed
 
 
-def moved_alone(angles, turn, i):
-    """Angles while robot i alone makes its turn, shape (n, 2, 20)."""
+def moved_alone(angles, step, i):
+    """Angles while robot i alone makes its step, shape (n, 2, 20)."""
     path = np.repeat(np.array(angles)[..., None], 20, axis=-1)
-    path[i] += turn[i][:, None] * np.linspace(0, 1, 20)
+    path[i] += step[i][:, None] * np.linspace(0, 1, 20)
     return path
 
 
@@ -134,15 +134,15 @@ def test_one_robots_turn_uses_up_no_more_than_its_share_of_a_distance(reach, ran
     # turns so long that their arc counts as much as their chord
     problem = random_field("pfs", 40, seed=4)
     plane, start = problem.plane, problem.start
-    law = Law.of(plane, DnfParameters())
+    law = ControlLaw.of(plane, DnfParameters())
     neighbours = TipNeighbours(plane, law)
-    _, _, contacts = neighbours.push(start, *kinematics.forward(plane, start), np.zeros(plane.n))
+    _, _, contacts = neighbours.repel(start, *kinematics.forward(plane, start), np.zeros(plane.n))
     tightest = 1.0
     for seed in range(8):
-        turn = np.random.default_rng(seed).uniform(-reach, reach, start.shape)
-        factor, _ = neighbours.shorten(turn, contacts)
+        step = np.random.default_rng(seed).uniform(-reach, reach, start.shape)
+        factor, _ = neighbours.step_fractions(step, contacts)
         for i in range(plane.n):
-            x, y = tips_at(plane, moved_alone(start, factor[:, None] * turn, i))
+            x, y = tips_at(plane, moved_alone(start, factor[:, None] * step, i))
             apart = np.delete(np.hypot(x - x[i], y - y[i]), i, axis=0)
             left = (apart - law.inner) / (apart[:, :1] - law.inner)
             assert left.min() > 1 - SHARE - 1e-9
@@ -155,17 +155,17 @@ def test_one_robots_turn_uses_up_no_more_than_its_share_of_a_distance(reach, ran
 def test_one_robots_turn_uses_up_no_more_than_its_share_of_a_gap(name, reach, random_field):
     problem = random_field(name, 30, seed=5)
     plane, start = problem.plane, problem.start
-    law = Law.of(plane, DnfParameters(dt_s=2 * reach / plane.speeds.min()))
+    law = ControlLaw.of(plane, DnfParameters(dt_s=2 * reach / plane.speeds.min()))
     neighbours = ArmNeighbours(plane, start, start, law, margin_mm=0.1)
-    _, _, contacts = neighbours.push(start, *kinematics.forward(plane, start), np.zeros(plane.n))
+    _, _, contacts = neighbours.repel(start, *kinematics.forward(plane, start), np.zeros(plane.n))
     pairs = neighbour_pairs(plane)
     tightest = 1.0
     for seed in range(4):
-        turn = np.random.default_rng(seed).uniform(-reach, reach, start.shape)
-        factor, _ = neighbours.shorten(turn, contacts)
+        step = np.random.default_rng(seed).uniform(-reach, reach, start.shape)
+        factor, _ = neighbours.step_fractions(step, contacts)
         for i in range(plane.n):
             with_i = pairs[(pairs == i).any(axis=1)]
-            gaps = sampled_gaps(plane, with_i, moved_alone(start, factor[:, None] * turn, i))
+            gaps = sampled_gaps(plane, with_i, moved_alone(start, factor[:, None] * step, i))
             left = (gaps - 0.1) / (gaps[:, :1] - 0.1)
             assert left.min() > 1 - SHARE - 1e-9
             tightest = min(tightest, left.min())

@@ -1,4 +1,4 @@
-"""Priorities: the deadlocks of the plain law they undo, and the laws they keep."""
+"""Priorities resolve the deadlocks of the plain control law and keep its laws."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from fiber_core.problem import Problem
 from fiber_planner import PlannerError, make_planner
 from fiber_planner.dnf import DnfParameters, DnfPriorityParameters
 from fiber_planner.dnf.arm_repulsion import ArmNeighbours
-from fiber_planner.dnf.navigation_function import Law, Swarm
-from fiber_planner.dnf.priority import FREE, GOING, YIELDING, Priorities
+from fiber_planner.dnf.navigation_function import ControlLaw, Swarm
+from fiber_planner.dnf.priority import CLAIMING, FREE, YIELDING, Priorities
 from fiber_planner.dnf.tip_repulsion import TipNeighbours
 
 NOTHING = (np.nan, np.nan)
@@ -73,7 +73,7 @@ def test_a_crowded_plane_arrives_and_ends_sooner(name, random_field):
 
 
 @pytest.mark.parametrize("name", ["dnf", "dnf_arms"])
-def test_where_nobody_is_blocked_nothing_changes(name, random_field):
+def test_without_blocked_robots_nothing_changes(name, random_field):
     problem = random_field("paper", 30, seed=1)
     plan = make_planner(name).plan(problem)
     assert (plan.reason == Reason.OK).all()
@@ -89,7 +89,7 @@ def test_without_claims_it_is_the_plain_law_and_ends_when_all_stand_still(random
     assert np.array_equal(none, plain[..., : none.shape[2]])
 
 
-def test_who_can_never_pass_is_given_up_before_the_horizon(robots):
+def test_a_robot_that_can_never_pass_ends_the_plan_before_the_horizon(robots):
     # an arm kept straight by its stops, and a disabled robot's tip on its circle
     stops = [[[-1.5, 1.5], [0.0, 0.0]], [[-3.4, 3.4], [0.0, np.pi]]]
     plane = robots([(0, 0), (10, 0)], enabled=[True, False], limits=stops)
@@ -116,7 +116,7 @@ def test_a_home_robot_makes_way_and_comes_back(robots, densely, closest_tips):
 
 
 @pytest.mark.parametrize("name", ["dnf", "dnf_arms"])
-def test_who_goes_first_does_not_depend_on_numbers(name, random_field):
+def test_priority_does_not_depend_on_the_order_of_the_rows(name, random_field):
     problem = random_field("pfs", 200, seed=1)
     plan = make_planner(f"{name}_priority").plan(problem)
     assert (make_planner(name).plan(problem).reason != Reason.OK).any()  # claims are made
@@ -134,39 +134,39 @@ def neighbours_of(kind, problem, law):
 
 
 @pytest.mark.parametrize("kind", ["tips", "arms"])
-def test_ranks_decide_who_is_felt_and_never_how_far_a_step_goes(kind, random_field):
+def test_ranks_decide_which_neighbours_repel_and_never_how_long_a_step_is(kind, random_field):
     problem = random_field("pfs", 60, seed=3)
     plane, start = problem.plane, np.array(problem.start)
-    neighbours = neighbours_of(kind, problem, Law.of(plane, DnfParameters()))
+    neighbours = neighbours_of(kind, problem, ControlLaw.of(plane, DnfParameters()))
     at = start, *kinematics.forward(plane, start)
-    equal = neighbours.push(*at, np.zeros(plane.n))
+    equal = neighbours.repel(*at, np.zeros(plane.n))
     felt = np.flatnonzero(equal[1].any(axis=1))
     assert len(felt) > 10
     turn = np.random.default_rng(0).uniform(-0.2, 0.2, start.shape)
-    free = neighbours.shorten(turn, equal[2])
+    free = neighbours.step_fractions(turn, equal[2])
     for i in felt[:10]:
-        above = neighbours.push(*at, np.where(np.arange(plane.n) == i, 1.0, 0.0))
+        above = neighbours.repel(*at, np.where(np.arange(plane.n) == i, 1.0, 0.0))
         assert above[0][i] == 0.0 and not above[1][i].any()
         others = np.arange(plane.n) != i
         assert np.array_equal(above[1][others], equal[1][others])
-        for one, other in zip(neighbours.shorten(turn, above[2]), free):
+        for one, other in zip(neighbours.step_fractions(turn, above[2]), free):
             assert np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("kind", ["tips", "arms"])
-def test_who_hinders_a_robot_is_whom_its_step_is_shortened_for(kind, random_field):
+def test_the_blocker_of_a_robot_is_the_one_its_step_is_shortened_for(kind, random_field):
     problem = random_field("pfs", 60, seed=4)
     plane, start = problem.plane, np.array(problem.start)
-    law = Law.of(plane, DnfParameters(dt_s=0.6 / plane.speeds.min()))
+    law = ControlLaw.of(plane, DnfParameters(dt_s=0.6 / plane.speeds.min()))
     neighbours = neighbours_of(kind, problem, law)
-    _, _, contacts = neighbours.push(start, *kinematics.forward(plane, start), np.zeros(plane.n))
+    _, _, contacts = neighbours.repel(start, *kinematics.forward(plane, start), np.zeros(plane.n))
     turn = np.random.default_rng(1).uniform(-0.3, 0.3, start.shape)
-    part, hinderer = neighbours.shorten(turn, contacts)
-    assert np.array_equal(part < 1.0, hinderer >= 0)
+    part, blocker = neighbours.step_fractions(turn, contacts)
+    assert np.array_equal(part < 1.0, blocker >= 0)
     assert (part < 1.0).sum() > 3
     # made whole, a shortened turn brings the two of them nearer
     for i in np.flatnonzero(part < 1.0):
-        j = hinderer[i]
+        j = blocker[i]
         path = np.repeat(start[..., None], 21, axis=2)
         path[i] += turn[i][:, None] * np.linspace(0.0, 1.0, 21)
         if kind == "arms":
@@ -190,30 +190,30 @@ def crowd(n, alone_s=None, **parameters):
     return Priorities(swarm, alone_s, **numbers), np.tile([0.0, 0.5], (n, 1))
 
 
-def stand_still(order, angles, hinderer, steps):
-    """Let nobody move for a number of steps, robot i held up by hinderer[i] (-1: nobody)."""
-    hinderer = np.array(hinderer)
+def stand_still(order, angles, blocker, steps):
+    """Let no robot move for a number of steps, robot i blocked by blocker[i] (-1: by none)."""
+    blocker = np.array(blocker)
     last = False
     for _ in range(steps):
-        last = order.watch(angles, angles, np.where(hinderer < 0, 1.0, 0.0), hinderer)
+        last = order.update(angles, angles, np.where(blocker < 0, 1.0, 0.0), blocker)
     return last
 
 
-def test_who_is_blocked_claims_the_way_and_the_lower_one_folds():
+def test_a_blocked_robot_claims_the_way_and_the_lower_one_folds():
     order, angles = crowd(2)
     stand_still(order, angles, [1, 0], 5)
     assert order.state.tolist() == [FREE, FREE]
     stand_still(order, angles, [1, 0], 2)
-    assert order.state.tolist() == [YIELDING, GOING]  # the second has the longer way
+    assert order.state.tolist() == [YIELDING, CLAIMING]  # the second has the longer way
     assert order.ranks[0] < order.ranks[1]
     assert order.aim[0].tolist() == [0.0, np.pi] and order.aim[1].tolist() == [1.0, 0.5]
 
 
-def test_who_gives_way_hands_the_rank_on():
+def test_a_robot_that_gives_way_hands_the_rank_on():
     # 2 is blocked by 0 and 0, folding, by 1, whose own way is longer than that of 0
     order, angles = crowd(3)
     stand_still(order, angles, [1, -1, 0], 8)
-    assert order.state.tolist() == [YIELDING, YIELDING, GOING]
+    assert order.state.tolist() == [YIELDING, YIELDING, CLAIMING]
     assert order.ranks[1] < order.ranks[0] < order.ranks[2]
     assert order.ranks[1] > 2.0  # above every standing but that of 2
 
@@ -223,16 +223,16 @@ def test_giving_way_ends_and_counts():
     stand_still(order, angles, [1, 0], 7)
     assert order.state[0] == YIELDING
     goal = np.array([angles[0], order.aim[1]])
-    order.watch(goal, goal, np.ones(2), np.array([-1, -1]))
+    order.update(goal, goal, np.ones(2), np.array([-1, -1]))
     assert order.state[1] == FREE and order.ranks[1] == 0.0
     stand_still(order, goal, [-1, -1], 32)
     assert order.state[0] == FREE and order.aim[0].tolist() == [1.0, 0.5]
     # back in the same place it goes first: it has given way before
     stand_still(order, angles, [1, 0], 7)
-    assert order.state.tolist() == [GOING, YIELDING]
+    assert order.state.tolist() == [CLAIMING, YIELDING]
 
 
-def test_who_presses_on_in_vain_gives_way_itself():
+def test_a_claim_without_success_ends_in_giving_way():
     order, angles = crowd(2)
     stand_still(order, angles, [-1, 0], 40)
     assert order.state[1] == YIELDING and order.ranks[1] == 0.0
@@ -245,14 +245,14 @@ def test_claims_are_limited_and_the_plan_ends():
     assert order.state.tolist() == [FREE, FREE] and not order.ranks.any()
 
 
-def test_who_is_asked_nothing_claims_nothing_and_always_makes_way():
+def test_a_robot_without_a_target_claims_nothing_and_always_makes_way():
     order, angles = crowd(2, alone_s=np.zeros(2))
     stand_still(order, angles, [1, 0], 20)
     assert order.state.tolist() == [FREE, FREE]
     order, angles = crowd(2, alone_s=np.array([0.0, 0.1]), claims=9)
     for _ in range(4):
         stand_still(order, angles, [1, 0], 7)
-        assert order.state.tolist() == [YIELDING, GOING]
+        assert order.state.tolist() == [YIELDING, CLAIMING]
         goal = np.array([angles[0], [1.0, 0.5]])
         stand_still(order, goal, [-1, -1], 40)
 

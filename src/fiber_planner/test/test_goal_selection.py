@@ -60,7 +60,7 @@ def test_a_robot_alone_takes_its_fastest_configuration(random_field):
     assert travel_s(apart, goal).max() == pytest.approx(lower_bound_s(apart), abs=1e-12)
 
 
-def test_nobody_could_be_faster_without_overlap(random_field):
+def test_no_robot_could_be_faster_without_overlap(random_field):
     problem = random_field("moons", 150, seed=3)
     goal, _ = choose_goals(problem, MARGIN)
     time = travel_s(problem, goal)

@@ -278,7 +278,8 @@ def restore(
     costs = np.empty(most_neighbours(scene))
     order = np.empty(len(costs), dtype=np.int64)
     count = 0
-    for i in rows:
+    for row in rows:
+        i = int(row)
         choice = plan.choice[i]
         if choice >= 0 or scene.option_count[i] == 0:
             continue

@@ -146,8 +146,8 @@ def weighted_cost(
     total = 0.0
     begin = scene.offsets[i]
     for at in range(scene.offsets[i + 1] - begin):
-        e = begin + order[at]
-        p = scene.pair_rows[e]
+        e = int(begin + order[at])
+        p = int(scene.pair_rows[e])
         limit = (best - total) / plan.weight[p]
         a, b = scene.pairs[p]  # always in this order: the result is the same for both robots
         qa = profile if a == i else plan.q[a]

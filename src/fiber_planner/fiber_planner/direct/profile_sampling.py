@@ -188,6 +188,7 @@ def sample_fold(
     if next_uniform(rng) < 0.5:  # folded partly
         fold += (0.5 * (s + g) - fold) * next_uniform(rng)
     v = fold
+    first = second = 0
     for _ in range(6):
         first = max(1, least_intervals(v - s, per_interval))
         second = max(1, least_intervals(g - v, per_interval))

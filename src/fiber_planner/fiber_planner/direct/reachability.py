@@ -38,7 +38,7 @@ def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
     plane = problem.plane
     angles, valid = kinematics.inverse(plane, problem.targets)
     valid &= plane.enabled[:, None]
-    result = valid.any(axis=1)
+    result = np.asarray(valid.any(axis=1))
     fixed = np.concatenate([~plane.enabled, np.ones(len(plane.obstacles), dtype=bool)])
     pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
     both = np.concatenate([pairs, pairs[:, ::-1]])

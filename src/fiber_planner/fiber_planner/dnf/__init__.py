@@ -1,4 +1,4 @@
-"""The decentralized navigation function of Makarem et al. 2014, on tips and on whole arms."""
+"""The dnf planners: the decentralized navigation function of Makarem et al. 2014."""
 
 from fiber_planner.dnf.parameters import DnfParameters, DnfPriorityParameters
 from fiber_planner.dnf.planner import (

@@ -1,24 +1,24 @@
-"""Neighbours as whole arms: every link repels the links of the robots around it.
+"""Repulsion between whole arms: every link repels the links of the neighbours.
 
-Our extension, not in the papers: r of the law becomes d plus the gap between two
-outlines less a margin, and a robot's potential is the sum over all pairs of a link of
-its own and a link of another body. Where the gap of two goals, less the margin, is
-below D - d it takes the place of D - d for the two, so that goals are places of rest.
+Our extension, not in the papers: r of the navigation function becomes d plus the gap between two
+outlines less a margin, and the potential of a robot is the sum over all pairs of one of its
+links and a link of another body. If the gap at two goals, less the margin, is below D - d it
+replaces D - d for that pair, so that the robots rest at their goals.
 The gradient of a gap needs only the two nearest points: with n the unit vector from
-the other's to the own one, d gap = n . (displacement of the own point).
+the neighbour's to the robot's own, d gap = n . (displacement of the own point).
 
-Why no gap ever falls to the margin. The outlines are convex hulls of vertices grown by
+Proof that no gap ever falls to the margin. The outlines are convex hulls of vertices grown by
 radii; let g > 0 be the gap less the margin. The hull of robot i lies beyond the line
 through its nearest point c across n: n.(v - c) = slack >= 0 for each of its vertices v.
-In a step that turns the joints by (h, k), as in tips.py, vertex v comes nearer to the
+In a step that turns the joints by (h, k), as in tip_repulsion.py, vertex v comes nearer to the
 other hull by at most f p + f^2 A / 2, p = -n.J_v (h, k), A = l1 h^2 + |v - elbow| (h + k)^2
-(|v - centre| h^2 for a vertex of the theta link). Robot i shortens its turn until
+(|v - centre| h^2 for a vertex of the theta link). Robot i shortens its step until
 
     f p + f^2 A / 2 <= SHARE g + slack
 
 for all its vertices and all neighbours, so its hull loses at most SHARE g across n at
-any instant of the step; the other loses as much at most, and 2 SHARE < 1. Where g <= 0
-at the outset the right side is slack alone: the gap may only grow.
+any instant of the step; the neighbour loses as much at most, and 2 SHARE < 1. If g <= 0
+at the start the right side is slack alone: the gap may only grow.
 """
 
 import math
@@ -26,10 +26,11 @@ import math
 import numba as nb
 import numpy as np
 
+from fiber_core.array_types import Angles, Floats, Ints, Offsets, Pairs, Points
 from fiber_core.clearance import bodies_of, gaps, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.dnf.integrator import longest_step
-from fiber_planner.dnf.navigation_function import Law, repulsion
+from fiber_planner.dnf.navigation_function import Contacts, ControlLaw, repulsion
 from fiber_planner.dnf.tip_repulsion import ROUNDING_MM, SHARE
 
 __all__ = ["ArmNeighbours"]
@@ -43,46 +44,55 @@ _ROW = 7
 
 
 class ArmNeighbours:
-    """What the links around each robot ask of it, and how long a step they leave it.
+    """The links around each robot: their repulsion, and the fraction of a step they permit.
 
-    Robots that overlap somebody at the outset do not move: nearest points, and so the
-    law, are not defined for them. They are marked in `stuck`, shape (n,).
+    Robots that overlap a neighbour at the start do not move: nearest points, and so the
+    gradient, are not defined for them. They are marked in `immovable`, shape (n,).
 
     Args:
         plane: the focal plane.
         start: joint angles now [rad], shape (n, 2).
-        goal: configuration each robot aims at [rad], shape (n, 2).
-        law: the Law.
+        goal: joint angles that each robot aims at [rad], shape (n, 2).
+        law: the control law.
         margin_mm: gap to keep [mm].
     """
 
-    def __init__(self, plane: FocalPlane, start, goal, law: Law, margin_mm: float):
+    def __init__(
+        self,
+        plane: FocalPlane,
+        start: Angles,
+        goal: Angles,
+        law: ControlLaw,
+        margin_mm: float,
+    ):
         self._plane, self._law, self._margin = plane, law, margin_mm
         self._bodies = bodies_of(plane)
-        # farther apart than this, neither the law nor a step takes notice
+        # outlines farther apart than this do not repel, and no step can make them touch
         levers = np.stack([plane.reach_mm, self._bodies.phi_reach[: plane.n]], axis=1)
         stride = 1.1 * law.dt * (plane.speeds * levers).sum(axis=1).max(initial=0.0)
         self._range = max(law.outer - law.inner, stride / SHARE)
         pairs = neighbour_pairs(plane, self._range + margin_mm)
         self._pairs = _by_place(self._bodies.center, pairs, plane.n)
         touching = self._pairs[gaps(plane, self._pairs, start) <= 0.0]
-        self.stuck = np.isin(np.arange(plane.n), touching)
+        self.immovable = np.isin(np.arange(plane.n), touching)
         self._offsets, self._edges = _edges(self._bodies.center, self._pairs, plane.n)
         at_goal = gaps(plane, self._pairs, goal) - margin_mm
         self._outer = law.inner + np.clip(at_goal, 0.0, law.outer - law.inner)
 
-    def push(self, angles, elbows, tips, ranks):
-        """Return the repulsion each robot feels.
+    def repel(
+        self, angles: Angles, elbows: Points, tips: Points, ranks: Floats
+    ) -> tuple[Floats, Angles, Contacts]:
+        """Return the repulsion on each robot.
 
         Args:
             angles: joint angles [rad], shape (n, 2).
-            elbows: the elbows there [mm], shape (n, 2).
-            tips: the tips there [mm], shape (n, 2); not used.
-            ranks: shape (n,); a robot does not feel those of lower rank.
+            elbows: the elbows at those angles [mm], shape (n, 2).
+            tips: the tips at those angles [mm], shape (n, 2); not used.
+            ranks: ranks of the robots, shape (n,); a robot ignores neighbours of lower rank.
 
         Returns:
             Potential [1/s], shape (n,), minus its gradient by the robot's own joints
-            [rad/s], shape (n, 2), and the contacts, for shorten.
+            [rad/s], shape (n, 2), and the contacts, for step_fractions.
         """
         plane, bodies = self._plane, self._bodies
         phi, theta, phi_discs, theta_discs = _placed(angles, elbows, bodies)
@@ -97,26 +107,27 @@ class ArmNeighbours:
         )  # fmt: skip
         return potential, push, (contacts, phi, theta, elbows)
 
-    def shorten(self, turn, contacts) -> tuple[np.ndarray, np.ndarray]:
-        """Return which part of its turn each robot may make, and who leaves it no more.
+    def step_fractions(self, step: Angles, contacts: Contacts) -> tuple[Floats, Ints]:
+        """Return the fraction of its step that each robot may make, and the row that limits it.
 
-        The row of the neighbour, n and more for an obstacle, is -1 where the whole turn
-        may be made. Both have shape (n,).
+        The row is that of a neighbour, n and more for an obstacle, and -1 if the robot may
+        make its whole step. Both have shape (n,).
 
         Args:
-            turn: turns wanted [rad], shape (n, 2).
-            contacts: as push returned them.
+            step: the steps wanted [rad], shape (n, 2).
+            contacts: from repel.
         """
         bodies = self._bodies
-        return _factors(
-            *contacts, turn, self._pairs, self._offsets, self._edges,
+        rows, phi, theta, elbows = contacts
+        return _fractions(
+            rows, phi, theta, elbows, step, self._pairs, self._offsets, self._edges,
             bodies.center, bodies.arm1, bodies.phi_count, bodies.theta_count,
         )  # fmt: skip
 
 
-def _by_place(centers, pairs, n):
-    # Pairs with the leftmost robot first, obstacles last: what is computed of a pair
-    # does not depend on how robots are numbered.
+def _by_place(centers: Points, pairs: Pairs, n: int) -> Pairs:
+    # Pairs with the leftmost robot first, obstacles last: the values of a pair do not depend
+    # on the order of the rows.
     a, b = pairs.T.astype(np.int64)
     swap = (b < n) & (
         (centers[a, 0] > centers[b, 0])
@@ -125,7 +136,7 @@ def _by_place(centers, pairs, n):
     return np.stack([np.where(swap, b, a), np.where(swap, a, b)], axis=1)
 
 
-def _edges(centers, pairs, n):
+def _edges(centers: Points, pairs: Pairs, n: int) -> tuple[Offsets, Ints]:
     # Pairs of robot i: edges[offsets[i] : offsets[i + 1]], 2 (number of the pair) + (0 if
     # i comes first in it, else 1), in the order of the neighbours' places.
     own, other = np.concatenate([pairs, pairs[:, ::-1]]).T
@@ -263,19 +274,19 @@ def _push(contacts, pairs, offsets, edges, outer, elbows, centers, ranks, law):
                 fx, fy = force * contacts[pair, c, 1], force * contacts[pair, c, 2]
                 x, y = contacts[pair, c, 3 + 2 * second], contacts[pair, c, 4 + 2 * second]
                 push[i, 0] += (x - centers[i, 0]) * fy - (y - centers[i, 1]) * fx
-                if (c >> second) & 1 == 0:  # the theta link does not feel phi
+                if (c >> second) & 1 == 0:  # phi does not move the theta link
                     push[i, 1] += (x - elbows[i, 0]) * fy - (y - elbows[i, 1]) * fx
     return potential, push
 
 
 @nb.njit(cache=True)
-def _factors(
-    contacts, phi, theta, elbows, turn, pairs, offsets, edges,
+def _fractions(
+    contacts, phi, theta, elbows, step, pairs, offsets, edges,
     centers, arm1, phi_count, theta_count,
 ):  # fmt: skip
-    factors, nearest = np.ones(len(turn)), np.full(len(turn), -1)
-    for i in range(len(turn)):
-        h, k = turn[i]
+    fractions, nearest = np.ones(len(step)), np.full(len(step), -1)
+    for i in range(len(step)):
+        h, k = step[i]
         if h == 0.0 and k == 0.0:
             continue
         cx, cy = centers[i, 0], centers[i, 1]
@@ -290,7 +301,7 @@ def _factors(
                 x, y = contacts[pair, c, 3 + 2 * second], contacts[pair, c, 4 + 2 * second]
                 of_theta = (c >> second) & 1 == 1
                 hull = theta[i] if of_theta else phi[i]
-                # origin of the link, turn of the link, second derivative of the origin
+                # origin of the link, rotation of the link, second derivative of the origin
                 ox, oy = (cx, cy) if of_theta else (elbows[i, 0], elbows[i, 1])
                 spin = h if of_theta else h + k
                 bend = 0.0 if of_theta else arm1[i] * h * h
@@ -298,12 +309,12 @@ def _factors(
                 for v in range(theta_count[i] if of_theta else phi_count[i]):
                     vx, vy = hull[v, 0], hull[v, 1]
                     lx, ly = vx - ox, vy - oy
-                    # displacement: origin of the link about the centre, vertex about it
+                    # displacement: of the origin about the centre, of the vertex about the origin
                     mx = -(oy - cy) * h - ly * spin
                     my = (ox - cx) * h + lx * spin
                     curve = bend + math.sqrt(lx * lx + ly * ly) * spin * spin
                     slack = max(nx * (vx - x) + ny * (vy - y), 0.0)
-                    part = longest_step(-(nx * mx + ny * my), curve, share + slack)
-                    if part < factors[i]:
-                        factors[i], nearest[i] = part, pairs[pair, 1 - second]
-    return factors, nearest
+                    fraction = longest_step(-(nx * mx + ny * my), curve, share + slack)
+                    if fraction < fractions[i]:
+                        fractions[i], nearest[i] = fraction, pairs[pair, 1 - second]
+    return fractions, nearest

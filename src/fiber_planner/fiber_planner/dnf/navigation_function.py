@@ -1,7 +1,7 @@
-"""The navigation function of a robot: the pull of its goal, the push of a neighbour.
+"""The navigation function of a robot: attraction to its goal, repulsion between neighbours.
 
 Equations 1 to 4 of Makarem et al. (SPIE 2014, arXiv 1410.1181), errata handled as
-docs/dnf.md says:
+docs/dnf.md lists:
 
     psi_i = lambda1 |q_i - q_iT|^2 + lambda2 sum_j max(0, (D^2 - r_ij^2) / (r_ij^2 - d^2))
     u_i   = - grad_(theta, phi) psi_i
@@ -13,30 +13,34 @@ its axis, so that lambda1 keeps its unit.
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numba as nb
 import numpy as np
 
 from fiber_core import kinematics
+from fiber_core.array_types import Angles, Floats, Mask, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.dnf.parameters import DnfParameters
 
-__all__ = ["Law", "Swarm", "attraction", "repulsion", "to_joints"]
+__all__ = ["Contacts", "ControlLaw", "Swarm", "attraction", "repulsion", "to_joints"]
+
+# Geometry of one step that `repel` computes and `step_fractions` uses again.
+Contacts: TypeAlias = tuple[Floats, ...]
 
 _SOFTEST = 1e-6  # [d^2] below d^2 (1 + this) the barrier goes on as a straight line
 
 
-class Law(NamedTuple):
-    """The numbers of the law, as compiled loops read them.
+class ControlLaw(NamedTuple):
+    """The control law: joint speeds are minus the gradient of the navigation function.
 
     Args:
         lambda1: weight of the attraction [1/(mm^2 s)].
         lambda2: weight of the repulsion [1/s], negative for the sign as printed.
         outer: D [mm].
         inner: d [mm].
-        joint: attraction in joint space, else of the tip.
-        adaptive: steps are shortened near neighbours.
+        joint: whether attraction acts in joint space, else on the tip.
+        adaptive: whether steps are shortened near neighbours.
         dt: time step [s].
     """
 
@@ -49,8 +53,8 @@ class Law(NamedTuple):
     dt: float
 
     @classmethod
-    def of(cls, plane: FocalPlane, parameters: DnfParameters) -> "Law":
-        """Return the law that parameters mean on a plane."""
+    def of(cls, plane: FocalPlane, parameters: DnfParameters) -> "ControlLaw":
+        """Return the control law with the values that the parameters have on a plane."""
         outer, inner = parameters.radii_mm(plane)
         return cls(
             parameters.lambda1,
@@ -64,7 +68,7 @@ class Law(NamedTuple):
 
 
 class Swarm(NamedTuple):
-    """The robots as the law sees them; nothing here changes during a plan.
+    """All robots as arrays for the control law; constant during a plan.
 
     Args:
         center: theta axes [mm], shape (n, 2).
@@ -72,30 +76,30 @@ class Swarm(NamedTuple):
         low: lower joint limits [rad], shape (n, 2).
         high: upper joint limits [rad], shape (n, 2).
         speed: highest joint speeds [rad/s], shape (n, 2).
-        movable: whether the law may move a robot, shape (n,).
-        goal: configuration aimed at [rad], shape (n, 2).
-        goal_tip: where that puts the tip [mm], shape (n, 2).
+        movable: robots that may move, shape (n,).
+        goal: joint angles aimed at [rad], shape (n, 2).
+        goal_tip: the tip at those angles [mm], shape (n, 2).
     """
 
-    center: np.ndarray
-    arms: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    speed: np.ndarray
-    movable: np.ndarray
-    goal: np.ndarray
-    goal_tip: np.ndarray
+    center: Points
+    arms: Floats
+    low: Angles
+    high: Angles
+    speed: Floats
+    movable: Mask
+    goal: Angles
+    goal_tip: Points
 
     @classmethod
-    def of(cls, plane: FocalPlane, start, goal, movable) -> "Swarm":
-        """Collect a plane's robots.
+    def of(cls, plane: FocalPlane, start: Angles, goal: Angles, movable: Mask) -> "Swarm":
+        """Collect the robots of a plane.
 
         Args:
             plane: the focal plane.
             start: joint angles now [rad], shape (n, 2). A robot that starts outside its
-                joint limits may come back into them but not go further out.
-            goal: configuration each robot aims at [rad], shape (n, 2).
-            movable: whether the law may move a robot, shape (n,).
+                joint limits may move back into them but not farther out.
+            goal: joint angles that each robot aims at [rad], shape (n, 2).
+            movable: robots that may move, shape (n,).
         """
         return cls(
             plane.centers,
@@ -110,13 +114,13 @@ class Swarm(NamedTuple):
 
 
 @nb.njit(cache=True)
-def repulsion(square, lambda2, outer, inner):
+def repulsion(square: float, lambda2: float, outer: float, inner: float) -> tuple[float, float]:
     """Return the repulsion between two neighbours [1/s] and its derivative by r^2.
 
-    (D^2 - r^2) / (r^2 - d^2) = (D^2 - d^2) / (r^2 - d^2) - 1. At d and below, where
-    only a field that starts there can be, the barrier is continued as a straight line
-    in r^2: it still parts the two and stays finite. As printed, with the wrong sign,
-    there is nothing below d.
+    (D^2 - r^2) / (r^2 - d^2) = (D^2 - d^2) / (r^2 - d^2) - 1. At d and below, which
+    only pairs that start there can reach, the barrier is continued as a straight line
+    in r^2: it still parts the two and stays finite. As printed, with the wrong sign, it is
+    zero below d.
 
     Args:
         square: r^2 [mm^2].
@@ -135,11 +139,13 @@ def repulsion(square, lambda2, outer, inner):
 
 
 @nb.njit(cache=True)
-def to_joints(fx, fy, x, y, center, elbow):
-    """Return what a force (fx, fy) at the point (x, y) of a second arm asks of both joints.
+def to_joints(
+    fx: float, fy: float, x: float, y: float, center: Floats, elbow: Floats
+) -> tuple[float, float]:
+    """Return the joint speeds that a force (fx, fy) at the point (x, y) of the phi arm causes.
 
-    J^T f: the columns of J are the point's places seen from the centre and from the
-    elbow, turned by 90 degrees.
+    J^T f: the columns of J are the vectors from the centre and from the elbow to the point,
+    turned by 90 degrees.
     """
     return (
         (x - center[0]) * fy - (y - center[1]) * fx,
@@ -148,8 +154,10 @@ def to_joints(fx, fy, x, y, center, elbow):
 
 
 @nb.njit(cache=True)
-def attraction(i, angles, elbows, tips, swarm, law):
-    """Return the potential of robot i's goal [1/s] and minus its gradient [rad/s].
+def attraction(
+    i: int, angles: Angles, elbows: Points, tips: Points, swarm: Swarm, law: ControlLaw
+) -> tuple[float, float, float]:
+    """Return the potential of the goal of robot i [1/s] and minus its gradient [rad/s].
 
     In joint space the paraboloid lambda1 L^2 |a|^2 ends in a cone at its centre whose
     slope c, the hypotenuse of both speed limits, drives at full speed up to the goal.
@@ -161,7 +169,7 @@ def attraction(i, angles, elbows, tips, swarm, law):
         elbows: their elbows [mm], shape (n, 2).
         tips: their tips [mm], shape (n, 2).
         swarm: the Swarm.
-        law: the Law.
+        law: the ControlLaw.
     """
     if not law.joint:
         ex, ey = tips[i, 0] - swarm.goal_tip[i, 0], tips[i, 1] - swarm.goal_tip[i, 1]

@@ -1,16 +1,19 @@
-"""The planner of the papers: every robot follows its own navigation function."""
+"""The dnf planners: every robot follows its own navigation function (Makarem et al. 2014a)."""
+
+from typing import Protocol
 
 import numpy as np
 
 from fiber_core import kinematics
+from fiber_core.array_types import Angles, Floats, Ints, Mask, Points
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner.dnf.arm_repulsion import ArmNeighbours
-from fiber_planner.dnf.integrator import places, turned, turns
-from fiber_planner.dnf.navigation_function import Law, Swarm
+from fiber_planner.dnf.integrator import apply_steps, arm_points, joint_steps
+from fiber_planner.dnf.navigation_function import Contacts, ControlLaw, Swarm
 from fiber_planner.dnf.parameters import DnfParameters, DnfPriorityParameters
-from fiber_planner.dnf.priority import Equals, Priorities
+from fiber_planner.dnf.priority import NoPriorities, Priorities
 from fiber_planner.dnf.tip_repulsion import TipNeighbours
 from fiber_planner.goal_selection import choose_goals, travel_s
 from fiber_planner.interface import PlannedMotion, ProgressCallback
@@ -20,11 +23,33 @@ __all__ = ["DnfArmsPlanner", "DnfArmsPriorityPlanner", "DnfPlanner", "DnfPriorit
 _STEPS_PER_REPORT = 25
 
 
+class _Neighbours(Protocol):
+    # the repulsion between neighbours, on tips or on whole arms
+    immovable: Mask
+
+    def repel(
+        self, angles: Angles, elbows: Points, tips: Points, ranks: Floats
+    ) -> tuple[Floats, Angles, Contacts]: ...
+
+    def step_fractions(self, step: Angles, contacts: Contacts) -> tuple[Floats, Ints]: ...
+
+
+class _Priorities(Protocol):
+    # the ranks of the robots, and the angles that each aims at now
+    @property
+    def ranks(self) -> Floats: ...
+
+    @property
+    def aim(self) -> Angles: ...
+
+    def update(self, before: Angles, after: Angles, fraction: Floats, blocker: Ints) -> bool: ...
+
+
 class DnfPlanner:
     """Decentralized navigation function on the tips, as in Makarem et al. 2014 (A&A 566, A84).
 
-    Only tips are kept apart: no two of them ever come within d, arms are outside the
-    model. Convergence is not guaranteed; robots that do not arrive are reported.
+    Only tips are kept apart: no two of them ever come within d, and arms may overlap.
+    Convergence is not guaranteed; robots that do not arrive are reported.
 
     Args:
         parameters: weights, radii, time step and horizon.
@@ -41,92 +66,96 @@ class DnfPlanner:
         Raises:
             PlannerError: D and d do not suit the plane.
         """
-        law = Law.of(problem.plane, self.parameters)
+        law = ControlLaw.of(problem.plane, self.parameters)
         goal, reason = choose_goals(problem, self.parameters.margin_mm)
-        motion = self._follow(problem, goal, law, progress)
+        motion = self._integrate(problem, goal, law, progress)
 
         tips = kinematics.forward(problem.plane, motion.end)[1]
         away = np.linalg.norm(tips - problem.targets, axis=1)
         late = (reason == Reason.OK) & (away > self.parameters.tolerance_mm)
-        return PlannedMotion(motion, goal, np.where(late, Reason.NOT_CONVERGED, reason))
+        return PlannedMotion(motion, goal, np.where(late, int(Reason.NOT_CONVERGED), reason))
 
-    def _neighbours(self, problem, goal, law):
+    def _neighbours(self, problem: Problem, goal: Angles, law: ControlLaw) -> _Neighbours:
         return TipNeighbours(problem.plane, law)
 
-    def _order(self, swarm, alone_s, law):
-        return Equals(swarm, law.dt)
+    def _priorities(self, swarm: Swarm, alone_s: Floats, law: ControlLaw) -> _Priorities:
+        return NoPriorities(swarm, law.dt)
 
-    def _follow(self, problem, goal, law, progress):
-        # steps of the law until everybody is home, nobody moves, or the horizon
+    def _integrate(
+        self, problem: Problem, goal: Angles, law: ControlLaw, progress: ProgressCallback | None
+    ) -> SampledMotion:
+        # steps of the control law until all robots have arrived or stopped, or the horizon
         plane = problem.plane
         neighbours = self._neighbours(problem, goal, law)
-        swarm = Swarm.of(plane, problem.start, goal, plane.enabled & ~neighbours.stuck)
+        swarm = Swarm.of(plane, problem.start, goal, plane.enabled & ~neighbours.immovable)
         alone_s = travel_s(problem, goal)
-        order = self._order(swarm, alone_s, law)
-        towards_aim = swarm._replace(goal=order.aim)
-        horizon_s = self.parameters.end_s(alone_s.max(initial=0.0))
+        priorities = self._priorities(swarm, alone_s, law)
+        towards_aim = swarm._replace(goal=priorities.aim)
+        horizon_s = self.parameters.end_s(float(alone_s.max(initial=0.0)))
         steps = max(1, int(np.ceil(horizon_s / law.dt - 1e-9)))
 
         angles = np.array(problem.start)
         history = [angles]
         while len(history) <= steps:
-            elbows, tips = places(angles, swarm)
-            _, push, contacts = neighbours.push(angles, elbows, tips, order.ranks)
-            turn, lands = turns(angles, elbows, tips, push, towards_aim, law)
-            part, hinderer = np.ones(plane.n), np.full(plane.n, -1)
+            elbows, tips = arm_points(angles, swarm)
+            _, push, contacts = neighbours.repel(angles, elbows, tips, priorities.ranks)
+            step, arrives = joint_steps(angles, elbows, tips, push, towards_aim, law)
+            fraction, blocker = np.ones(plane.n), np.full(plane.n, -1)
             if law.adaptive:
-                part, hinderer = neighbours.shorten(turn, contacts)
-            after = turned(angles, turn, lands, part, towards_aim)
-            last = order.watch(angles, after, part, hinderer)
+                fraction, blocker = neighbours.step_fractions(step, contacts)
+            after = apply_steps(angles, step, arrives, fraction, towards_aim)
+            last = priorities.update(angles, after, fraction, blocker)
             angles = after
             history.append(angles)
             if progress is not None and len(history) % _STEPS_PER_REPORT == 0:
                 done = len(history) - 1
                 progress(done / steps, f"{done * law.dt:.2f} s of motion")
-            if last or self._home(angles, swarm, law):
+            if last or self._all_arrived(angles, swarm, law):
                 break
         return SampledMotion(law.dt * np.arange(len(history)), np.stack(history, axis=-1))
 
-    def _home(self, angles, swarm, law):
+    def _all_arrived(self, angles: Angles, swarm: Swarm, law: ControlLaw) -> bool:
         if law.joint:
-            return (angles == swarm.goal)[swarm.movable].all()
-        away = places(angles, swarm)[1] - swarm.goal_tip
+            return bool((angles == swarm.goal)[swarm.movable].all())
+        away = arm_points(angles, swarm)[1] - swarm.goal_tip
         within = np.linalg.norm(away, axis=1) <= self.parameters.tolerance_mm
-        return within[swarm.movable].all()
+        return bool(within[swarm.movable].all())
 
 
 class DnfArmsPlanner(DnfPlanner):
-    """The same law between whole arms: no two outlines ever touch (our extension).
+    """The navigation function between whole arms: no two outlines ever touch (our extension).
 
     The distance of two tips is replaced by d plus the gap between two outlines less the
     margin, so D - d is the range of the repulsion. No gap above the margin ever falls to
-    it, and none below it shrinks. Robots that overlap at the outset do not move.
+    it, and none below it shrinks. Robots that overlap at the start do not move.
     """
 
     name = "dnf_arms"
 
-    def _neighbours(self, problem, goal, law):
+    def _neighbours(self, problem: Problem, goal: Angles, law: ControlLaw) -> _Neighbours:
         return ArmNeighbours(problem.plane, problem.start, goal, law, self.parameters.margin_mm)
 
 
 class DnfPriorityPlanner(DnfPlanner):
-    """The same law between tips, with priorities where robots block each other.
+    """The navigation function between tips, with priorities that resolve deadlocks.
 
     Args:
-        parameters: those of the law, and how the robots wait and give way.
+        parameters: those of the navigation function, and how long robots wait and give way.
     """
 
     name = "dnf_priority"
 
     def __init__(self, parameters: DnfPriorityParameters | None = None):
-        super().__init__(parameters or DnfPriorityParameters())
+        self._priority_parameters = parameters or DnfPriorityParameters()
+        super().__init__(self._priority_parameters)
 
-    def _order(self, swarm, alone_s, law):
-        patience_s, yield_s = self.parameters.waits_s(swarm.speed)
-        return Priorities(swarm, alone_s, law.dt, patience_s, yield_s, self.parameters.claims)
+    def _priorities(self, swarm: Swarm, alone_s: Floats, law: ControlLaw) -> _Priorities:
+        patience_s, yield_s = self._priority_parameters.waits_s(swarm.speed)
+        claims = self._priority_parameters.claims
+        return Priorities(swarm, alone_s, law.dt, patience_s, yield_s, claims)
 
 
 class DnfArmsPriorityPlanner(DnfPriorityPlanner, DnfArmsPlanner):
-    """The law between whole arms, with priorities where robots block each other."""
+    """The navigation function between whole arms, with priorities that resolve deadlocks."""
 
     name = "dnf_arms_priority"

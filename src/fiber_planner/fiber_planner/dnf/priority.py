@@ -1,89 +1,100 @@
-"""Who goes first where robots block each other: the cure of the law's deadlocks.
+"""Priorities between robots that block each other: they resolve the deadlocks of the control law.
 
-Two robots that press against each other with equal strength stand still for ever. Tao et
-al. (SPIE 2018) give the robots of MOONS priorities and a small state machine: who would
-block a more important one has its attraction switched off. Here priorities are only used
-where somebody is blocked, and are handed on: who gives way inherits the rank of the one
-it gives way to, so that those behind it make room in turn, and who presses on in vain
-falls back (priority inheritance with backtracking, Okumura et al., IJCAI 2019).
+Two robots that push against each other with equal strength stand still for ever. Tao et
+al. (SPIE 2018) give the robots of MOONS priorities and a small state machine: a robot that
+would block a more important one has its attraction switched off. Here priorities are used
+only for robots that are blocked, and are handed on: a robot that gives way inherits the rank
+of the one it gives way to, so that the robots behind it make way in turn, and a robot that
+claims the way without success falls back (priority inheritance with backtracking, Okumura et
+al., IJCAI 2019).
 
-    FREE      follows the law; all are equal.
-              stands still for patience_s: -> GOING
-    GOING     has a rank and does not feel those of lower rank, so it presses on; whoever
-              shortens its step and is of lower standing is called to give way.
-              home: -> FREE; stands still for yield_s even so: -> YIELDING, without rank
-    YIELDING  folds its arm, then turns it, folded, towards its goal. Whoever shortens its
-              step is called in turn, for its rank.
+    FREE      follows the control law; all ranks are equal.
+              stands still for patience_s: -> CLAIMING
+    CLAIMING  has a rank and ignores neighbours of lower rank, so it moves on against them; a
+              neighbour that shortens its step and has lower standing is called to give way.
+              at its goal: -> FREE; still stands still for yield_s: -> YIELDING, without rank
+    YIELDING  folds its arm, then turns it, folded, towards its goal. A neighbour that
+              shortens its step is called in turn, with the rank of this robot.
               yield_s after the last call: -> FREE
 
-Standing is a total order: who has given way more often, then who has the longer way from
-start to goal, then the place. So robots give way to better standing only, and with each
-time their own improves. Who falls back lets out a robot that it has cornered. Claims are
-limited: who has used up its own follows the plain law, and the plan ends when everybody
-is home, or has no claim left and stands still.
+Standing is a total order: more often given way, then the longer way from start to goal, then
+the place. So robots give way only to a better standing, and their own improves each time. A
+robot that falls back frees a neighbour that it has cornered. Claims are limited: a robot that
+has used up its claims follows the plain control law, and the plan ends when every robot has
+arrived, or has no claim left and stands still.
 
-Neither the law nor the rule of steps (tips.py, arms.py) knows about states: what is proved
-there holds whatever the states are. A robot looks at its neighbours only, and all decide
-at once from the step before, so neither the order nor the numbers of the robots matter.
+Neither the control law nor the rule of steps (tip_repulsion.py, arm_repulsion.py) knows of
+states: their proofs hold whatever the states are. A robot uses only its neighbours' state, and
+all decide at once from the step before, so the plan does not depend on the order of the rows.
 """
 
 import numba as nb
 import numpy as np
 
+from fiber_core.array_types import Angles, Floats, Ints
 from fiber_planner.dnf.navigation_function import Swarm
 
-__all__ = ["FREE", "GOING", "YIELDING", "Equals", "Priorities"]
+__all__ = ["CLAIMING", "FREE", "YIELDING", "NoPriorities", "Priorities"]
 
-FREE, GOING, YIELDING = 0, 1, 2
+FREE, CLAIMING, YIELDING = 0, 1, 2
 
-_HINDERED = 0.5  # a step shortened to less than this part is hindered
-_STILL = 1e-4  # of the speed limits: where nobody is faster, nothing more will happen
-_SLOW = 0.5  # who makes less than this part of the way it could stands still
+_HINDERED = 0.5  # a step shortened to less than this fraction is hindered
+_STILL = 1e-4  # of the speed limits: if no robot is faster, no robot will move any more
+_SLOW = 0.5  # a robot that makes less than this part of the way it could make stands still
 
 
-class Equals:
-    """Nobody goes first, as in the papers.
+class NoPriorities:
+    """All robots are equal, as in the papers.
 
     Args:
-        swarm: the Swarm.
+        swarm: the robots.
         dt: time step [s].
     """
 
-    def __init__(self, swarm: Swarm, dt):
+    def __init__(self, swarm: Swarm, dt: float):
         self.ranks = np.zeros(len(swarm.goal))
         self.aim = swarm.goal
         self._slowest = _STILL * dt * swarm.speed
 
-    def watch(self, before, after, part, hinderer):
-        """Return whether a step was the last: nobody moves any more.
+    def update(self, before: Angles, after: Angles, fraction: Floats, blocker: Ints) -> bool:
+        """Return whether a step was the last one: no robot moves any more.
 
         Args:
             before: joint angles before the step [rad], shape (n, 2).
             after: joint angles after it [rad], shape (n, 2).
-            part: which part of its turn each robot made, shape (n,); not used.
-            hinderer: who left it no more, shape (n,); not used.
+            fraction: fraction of its step that each robot made, shape (n,); not used.
+            blocker: row that limited each step, shape (n,); not used.
         """
         return bool((np.abs(after - before) <= self._slowest).all())
 
 
 class Priorities:
-    """The state of every robot, its rank and what it aims at, step by step.
+    """The state of every robot, its rank and the angles that it aims at, step by step.
 
     Args:
-        swarm: the Swarm, its goal where each robot shall end.
-        alone_s: how long each robot needs from start to goal if it is alone [s],
-            shape (n,); those that need no time make way for all and claim nothing.
+        swarm: the robots, with the goals that they shall end at.
+        alone_s: time that each robot needs from start to goal if it is alone [s],
+            shape (n,); robots that need no time make way for all and claim nothing.
         dt: time step [s].
-        patience_s: how long a robot stands still before it claims the way [s].
-        yield_s: how long it gives way after a call, and how long it presses on [s].
+        patience_s: time that a robot stands still before it claims the way [s].
+        yield_s: time that it gives way after a call, and that it claims the way without
+            success [s].
         claims: how often a robot may claim the way.
     """
 
-    def __init__(self, swarm: Swarm, alone_s, dt, patience_s, yield_s, claims):
+    def __init__(
+        self,
+        swarm: Swarm,
+        alone_s: Floats,
+        dt: float,
+        patience_s: float,
+        yield_s: float,
+        claims: int,
+    ):
         n = len(alone_s)
         self._swarm, self._times = swarm, (dt, patience_s, yield_s)
         self.state = np.full(n, FREE)
-        self.ranks = np.zeros(n)  # 0 or standing of the one a robot goes or yields for
+        self.ranks = np.zeros(n)  # 0, or the standing of the robot that the claim was made for
         self.aim = np.array(swarm.goal)
         self._standing = np.empty(n)
         self._standing[np.lexsort((*swarm.center.T, alone_s))] = np.arange(1.0, n + 1.0)
@@ -95,32 +106,36 @@ class Priorities:
         flattest = np.abs(np.abs(folds) - np.pi).argmin(axis=0)
         self._folded = folds[flattest, np.arange(n)]
 
-    def watch(self, before, after, part, hinderer):
-        """Take a step into account: new states, ranks and aims. Return whether it was the last.
+    def update(self, before: Angles, after: Angles, fraction: Floats, blocker: Ints) -> bool:
+        """Update states, ranks and aims after a step; return whether it was the last one.
 
         Args:
             before: joint angles before the step [rad], shape (n, 2).
             after: joint angles after it [rad], shape (n, 2).
-            part: which part of its turn each robot made, shape (n,).
-            hinderer: who left it no more, -1 if nobody did, shape (n,).
+            fraction: fraction of its step that each robot made, shape (n,).
+            blocker: row that limited each step, -1 if none did, shape (n,).
         """
-        called = _calls(self.ranks, self.state, self._standing, self._swarm.movable, part, hinderer)
-        return _decide(
+        called = _calls(
+            self.ranks, self.state, self._standing, self._swarm.movable, fraction, blocker
+        )
+        dt, patience_s, yield_s = self._times
+        return _update_states(
             before, after, called, self._swarm, self._folded, self.state, self.ranks, self.aim,
-            self._standing, self._claims, self._still, self._left, *self._times,
+            self._standing, self._claims, self._still, self._left, dt, patience_s, yield_s,
         )  # fmt: skip
 
 
 @nb.njit(cache=True)
-def _calls(ranks, state, standing, movable, part, hinderer):
-    # the rank each robot is called to give way with, just below that of who calls; else 0
+def _calls(ranks, state, standing, movable, fraction, blocker):
+    # The rank with which each robot is called to give way, just below that of the caller;
+    # 0 if it is not called.
     n = len(ranks)
     called = np.zeros(n)
     for i in range(n):
-        j = hinderer[i]
-        if ranks[i] == 0.0 or part[i] >= _HINDERED or j < 0 or j >= n or not movable[j]:
+        j = blocker[i]
+        if ranks[i] == 0.0 or fraction[i] >= _HINDERED or j < 0 or j >= n or not movable[j]:
             continue
-        # without a claim as well, nobody gives way to lower standing
+        # a robot without a claim does not give way to lower standing either
         own = ranks[j] if state[j] == YIELDING else max(ranks[j], standing[j])
         if own < ranks[i]:
             called[j] = max(called[j], np.nextafter(ranks[i], 0.0))
@@ -128,7 +143,7 @@ def _calls(ranks, state, standing, movable, part, hinderer):
 
 
 @nb.njit(cache=True)
-def _decide(
+def _update_states(
     before, after, called, swarm, folded, state, ranks, aim,
     standing, claims, still, left, dt, patience_s, yield_s,
 ):  # fmt: skip
@@ -136,9 +151,9 @@ def _decide(
     for i in range(n):
         if not swarm.movable[i]:
             continue
-        was, now = _to_go(before[i], swarm, i), _to_go(after[i], swarm, i)
-        # runs at the pace of the clock for a robot that does not move, and backwards for
-        # one that makes more than its part
+        was, now = _time_to_goal(before[i], swarm, i), _time_to_goal(after[i], swarm, i)
+        # grows as time passes for a robot that does not move, and falls for one that makes
+        # more than _SLOW of the way it could make
         still[i] = max(0.0, still[i] + dt - (was - now) / _SLOW)
         if now == 0.0 or state[i] == YIELDING:
             still[i] = 0.0
@@ -152,9 +167,9 @@ def _decide(
         elif now == 0.0:
             state[i], ranks[i] = FREE, 0.0
         elif state[i] == FREE and still[i] > patience_s and claims[i] > 0:
-            state[i], ranks[i], still[i] = GOING, standing[i], 0.0
+            state[i], ranks[i], still[i] = CLAIMING, standing[i], 0.0
             claims[i] -= 1
-        elif state[i] == GOING and still[i] > yield_s:
+        elif state[i] == CLAIMING and still[i] > yield_s:
             state[i], ranks[i], left[i] = YIELDING, 0.0, yield_s
         aim[i] = swarm.goal[i]
         if state[i] == YIELDING:
@@ -167,7 +182,7 @@ def _decide(
 
 
 @nb.njit(cache=True)
-def _to_go(angles, swarm, i):
-    # how long robot i needs to its goal if it is alone [s]
+def _time_to_goal(angles, swarm, i):
+    # time that robot i needs to its goal if it is alone [s]
     theta = abs(angles[0] - swarm.goal[i, 0]) / swarm.speed[i, 0]
     return max(theta, abs(angles[1] - swarm.goal[i, 1]) / swarm.speed[i, 1])

@@ -1,15 +1,15 @@
-"""Neighbours as the papers see them: only tips repel, and only tips are kept apart.
+"""Repulsion between tips, as in the papers: only tips repel, and only tips are kept apart.
 
-Why no two tips ever come within d. Let r > d be the distance of tips i and j at the
+Proof that no two tips ever come within d. Let r > d be the distance of tips i and j at the
 start of a step and n the unit vector from j to i. In the step robot i turns its
-joints by (h, k) at constant speeds; after the share s of it, 0 <= s <= 1, its tip is
+joints by (h, k) at constant speeds; after the fraction s of it, 0 <= s <= 1, its tip is
 
     q_i(s) = q_i + s J_i (h, k) + e,    |e| <= s^2 A / 2,    A = l1 h^2 + l2 (h + k)^2
 
-(Taylor: A bounds the second derivative of the tip along the step). So what i closes
-in, -n.(q_i(s) - q_i), is at most s p + s^2 A / 2 with p = -n.J_i (h, k). That bound is
+(Taylor: A bounds the second derivative of the tip along the step). So the distance by which
+i closes in, -n.(q_i(s) - q_i), is at most s p + s^2 A / 2 with p = -n.J_i (h, k). That bound is
 convex in s and zero at s = 0, hence never above max(0, p + A / 2). Robot i shortens
-its turn by the factor f until
+its step by the factor f until
 
     f p + f^2 A / 2 <= SHARE (r - d),    SHARE < 1/2
 
@@ -18,7 +18,7 @@ step, and therefore
 
     r(s) >= n.(q_i(s) - q_j(s)) >= r - 2 SHARE (r - d) > d
 
-at every instant of the step, not only at its end. Where r <= d at the outset, f is
+at every instant of the step, not only at its end. If r <= d at the start, f is
 such that f p + f^2 A / 2 <= 0 for both: the two may only part.
 """
 
@@ -28,49 +28,52 @@ import numba as nb
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fiber_core.array_types import Angles, Floats, Ints, Offsets, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.dnf.integrator import longest_step
-from fiber_planner.dnf.navigation_function import Law, repulsion, to_joints
+from fiber_planner.dnf.navigation_function import Contacts, ControlLaw, repulsion, to_joints
 
 __all__ = ["ROUNDING_MM", "SHARE", "TipNeighbours"]
 
-SHARE = 0.4  # of what is left between two neighbours, what one of them may use up in a step
-ROUNDING_MM = 1e-9  # of what is left, never used: who presses for long comes that near to d
+SHARE = 0.4  # share of the free space between two neighbours that one may use up in a step
+ROUNDING_MM = 1e-9  # part of the free space that is never used, against rounding
 
 
 class TipNeighbours:
-    """What the tips around each robot ask of it, and how long a step they leave it.
+    """The tips around each robot: their repulsion, and the fraction of a step that they permit.
 
     An obstacle of radius R acts like a tip at distance (distance of its centre)
     - R + d/2: a tip, a disc of diameter d, never touches its edge.
 
     Args:
         plane: the focal plane.
-        law: the Law.
+        law: the control law.
     """
 
-    def __init__(self, plane: FocalPlane, law: Law):
+    def __init__(self, plane: FocalPlane, law: ControlLaw):
         self._plane, self._law = plane, law
-        self.stuck = np.zeros(plane.n, dtype=bool)  # nobody: too near, one may still part
+        self.immovable = np.zeros(plane.n, dtype=bool)  # a robot that is too near may still part
         shrink = plane.obstacles[:, 2] - law.inner / 2
         self._shrink = np.concatenate([np.zeros(plane.n), shrink])
         places = np.concatenate([plane.centers, plane.obstacles[:, :2]])
         reaches = np.concatenate([plane.arms.sum(axis=1), shrink])
-        # neighbours of robot i: rows[offsets[i] : offsets[i + 1]], obstacles from n on
+        # neighbours of robot i: rows[offsets[i] : offsets[i + 1]]; obstacles are rows n and more
         self._offsets, self._rows = _near(places, reaches, law.outer, plane.n)
 
-    def push(self, angles, elbows, tips, ranks):
-        """Return the repulsion each robot feels.
+    def repel(
+        self, angles: Angles, elbows: Points, tips: Points, ranks: Floats
+    ) -> tuple[Floats, Angles, Contacts]:
+        """Return the repulsion on each robot.
 
         Args:
             angles: joint angles [rad], shape (n, 2); not used.
-            elbows: the elbows there [mm], shape (n, 2).
-            tips: the tips there [mm], shape (n, 2).
-            ranks: shape (n,); a robot does not feel those of lower rank.
+            elbows: the elbows at those angles [mm], shape (n, 2).
+            tips: the tips at those angles [mm], shape (n, 2).
+            ranks: ranks of the robots, shape (n,); a robot ignores neighbours of lower rank.
 
         Returns:
             Potential [1/s], shape (n,), minus its gradient by the robot's own joints
-            [rad/s], shape (n, 2), and the contacts, for shorten.
+            [rad/s], shape (n, 2), and the contacts, for step_fractions.
         """
         spots = np.concatenate([tips, self._plane.obstacles[:, :2]])
         potential, push = _push(
@@ -79,26 +82,27 @@ class TipNeighbours:
         )  # fmt: skip
         return potential, push, (spots, elbows)
 
-    def shorten(self, turn, contacts) -> tuple[np.ndarray, np.ndarray]:
-        """Return which part of its turn each robot may make, and who leaves it no more.
+    def step_fractions(self, step: Angles, contacts: Contacts) -> tuple[Floats, Ints]:
+        """Return the fraction of its step that each robot may make, and the row that limits it.
 
-        The row of the neighbour, n and more for an obstacle, is -1 where the whole turn
-        may be made. Both have shape (n,).
+        The row is that of a neighbour, n and more for an obstacle, and -1 if the robot may
+        make its whole step. Both have shape (n,).
 
         Args:
-            turn: turns wanted [rad], shape (n, 2).
-            contacts: as push returned them.
+            step: the steps wanted [rad], shape (n, 2).
+            contacts: from repel.
         """
         plane = self._plane
-        return _factors(
-            *contacts, turn, self._shrink, self._offsets, self._rows,
+        spots, elbows = contacts
+        return _fractions(
+            spots, elbows, step, self._shrink, self._offsets, self._rows,
             plane.centers, plane.arms, self._law.inner,
         )  # fmt: skip
 
 
-def _near(places, reaches, outer, n):
-    # Everything that can come within D of a tip of robots 0..n-1. Each robot lists its
-    # neighbours by place, not by row: sums do not depend on how robots are numbered.
+def _near(places: Points, reaches: Floats, outer: float, n: int) -> tuple[Offsets, Ints]:
+    # All robots and obstacles that can come within D of a tip of robots 0..n-1. The neighbours
+    # of a robot are sorted by place, so that sums do not depend on the order of the rows.
     pairs = np.zeros((0, 2), dtype=np.int64)
     if n:
         farthest = 2 * max(reaches.max(), 0.0) + outer
@@ -139,17 +143,17 @@ def _push(spots, shrink, offsets, rows, elbows, centers, ranks, law):
 
 
 @nb.njit(cache=True)
-def _factors(spots, elbows, turn, shrink, offsets, rows, centers, arms, inner):
-    factors, nearest = np.ones(len(elbows)), np.full(len(elbows), -1)
+def _fractions(spots, elbows, step, shrink, offsets, rows, centers, arms, inner):
+    fractions, nearest = np.ones(len(elbows)), np.full(len(elbows), -1)
     for i in range(len(elbows)):
-        h, k = turn[i]
+        h, k = step[i]
         if h == 0.0 and k == 0.0:
             continue
         x, y = spots[i, 0], spots[i, 1]
         mx = -(y - centers[i, 1]) * h - (y - elbows[i, 1]) * k
         my = (x - centers[i, 0]) * h + (x - elbows[i, 0]) * k
         bend = arms[i, 0] * h * h + arms[i, 1] * (h + k) * (h + k)
-        # beyond this r no step is too long
+        # at a larger r the whole step is permitted
         clear = inner + (math.sqrt(mx * mx + my * my) + 0.5 * bend) / SHARE
         for e in range(offsets[i], offsets[i + 1]):
             j = rows[e]
@@ -161,7 +165,7 @@ def _factors(spots, elbows, turn, shrink, offsets, rows, centers, arms, inner):
             length = math.sqrt(square)
             closing = -(dx * mx + dy * my) / length if length > 0.0 else 0.0
             allowed = SHARE * (length - shrink[j] - inner - ROUNDING_MM)
-            part = longest_step(closing, bend, allowed)
-            if part < factors[i]:
-                factors[i], nearest[i] = part, j
-    return factors, nearest
+            fraction = longest_step(closing, bend, allowed)
+            if fraction < fractions[i]:
+                fractions[i], nearest[i] = fraction, j
+    return fractions, nearest
