@@ -193,8 +193,9 @@ def decode_config(payload: bytes, address: int, ten_bit: bool) -> Configuration:
         *(int(row[n][0]) for n in ("tick_us", "quantum_prad", "velocity_bits", "duration_bits"))
     )
     limits, speed = row["limits"].astype(np.int64), row["speed"].astype(np.int64)
-    waits = (int(row[name][0]) for name in ("watchdog_ms", "silence_ms"))
-    return Configuration(units, limits, speed, *waits, row["slot"].astype(np.int64))
+    watchdog_ms, silence_ms = (int(row[name][0]) for name in ("watchdog_ms", "silence_ms"))
+    slot = row["slot"].astype(np.int64)
+    return Configuration(units, limits, speed, watchdog_ms, silence_ms, slot)
 
 
 @njit(cache=True)
