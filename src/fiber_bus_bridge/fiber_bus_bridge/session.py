@@ -84,8 +84,7 @@ class Session:
         self._may_go: Callable[[], bool] = lambda: True
         self._boot = np.full(plane.n, -1)
         self._lost = np.zeros(plane.n, dtype=bool)  # moving at the last status, or since
-        self._arrived = np.zeros(plane.n, dtype=bool)
-        self._failed = np.zeros(plane.n, dtype=bool)
+        self._arrived, self._failed = np.zeros((2, plane.n), dtype=bool)
         self._velocities = np.zeros((plane.n, 2))
         self._read_s = np.full(plane.n, -np.inf)
         self._plan: Plan | None = None
@@ -147,20 +146,15 @@ class Session:
         for _ in range(_CONFIGS):
             todo = rows[~self.known[rows]]
             config = Configuration(
-                self.units,
-                self._limits[todo],
-                self._speed[todo],
-                self.config.watchdog_ms,
-                self.config.silence_ms,
-                roll_call_slots(self.transactions.addresses)[todo],
-            )
+                self.units, self._limits[todo], self._speed[todo], self.config.watchdog_ms,
+                self.config.silence_ms, roll_call_slots(self.transactions.addresses)[todo],
+            )  # fmt: skip
             frames = encode_config(config, self.transactions.addresses[todo])
             self.transactions.send(todo, frames, t)
             status = self._read_statuses(todo, t)
             # the fault may be of a frame for another robot, so the robot is configured once more
-            self.known[todo] = (
-                status.ok & (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)
-            )
+            configured = (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)
+            self.known[todo] = status.ok & configured
             self._boot[todo] = status.boot
         halted = np.isin(self.robot_state, (RobotState.STOPPED, RobotState.FAULT)) & self.known
         self.state = SessionState.STOPPED if halted.any() else SessionState.IDLE
