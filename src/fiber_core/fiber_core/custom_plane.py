@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fiber_core import bounds
 from fiber_core.array_types import Mask
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
@@ -58,6 +59,7 @@ def hexagonal(
         LayoutError: a value is out of range; names the argument and the value.
     """
     _check(pitch_mm > 0, "pitch_mm", "positive", pitch_mm)
+    bounds.check_number(seed, "seed", 0, 2**64, LayoutError, whole=True)
     arms, speeds = _pair(arms_mm, "arms_mm"), _pair(speeds_deg_s, "speeds_deg_s")
     radius_mm = _RADIUS_SHARE * min(arms) if radius_mm is None else radius_mm
     _check(radius_mm >= 0, "radius_mm", "0 or more", radius_mm)

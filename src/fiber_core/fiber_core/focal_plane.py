@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiber_core.array_types import Floats, Ids, Ints, Mask, Points, Rows, Velocities
+from fiber_core import bounds
+from fiber_core.array_types import Angles, Floats, Ids, Ints, Mask, Points, Rows, Velocities
 from fiber_core.errors import LayoutError
 from fiber_core.validation import frozen_array
 
 __all__ = ["FocalPlane", "addresses_on"]
 
+FIXED_JOINT_RAD = 1e-5  # a joint with a narrower range is fixed: it never moves
 _ROBOTS_PER_BUS = 500  # ten controllers for 5000 robots: Kaci et al. (SPIE 9912, 2016)
 
 
@@ -25,7 +27,10 @@ class FocalPlane:
     hull of its vertices grown by a rounding radius, in the frame of the link: x
     along the arm, origin at the centre (theta link) or at the elbow (phi link).
     A capsule is two vertices and a radius. A theta link with no vertices has no
-    outline: it passes below all phi links.
+    outline: it passes below all phi links. A joint with a range of 1e-5 rad or less is *fixed*:
+    it never moves, and the robot moves with its other joint.
+
+    The bounds of all values are in ``fiber_core.bounds``.
 
     Args:
         ids: robot ids, strictly increasing, shape (n,).
@@ -85,6 +90,7 @@ class FocalPlane:
         name: str = "",
     ):
         n = np.size(ids)
+        bounds.check_number(n, "number of robots", 0, bounds.MAX_ROBOTS, LayoutError)
         bus = np.arange(n) // _ROBOTS_PER_BUS if bus is None else bus
         address = addresses_on(bus) if address is None else address
         obstacles = np.zeros((0, 3)) if obstacles is None else obstacles
@@ -117,34 +123,39 @@ class FocalPlane:
         if not rises.all():
             at = int(np.argmin(rises))
             raise LayoutError(f"robot ids must increase: {self.ids[at + 1]} follows {self.ids[at]}")
+        for name, value in (("id", self.ids), ("bus", self.bus), ("address", self.address)):
+            bad = (value < 0) | (value > bounds.MAX_NUMBER)
+            self._refuse(bad, name, value, f"must be 0 to {bounds.MAX_NUMBER}")
 
     def _check_values(self) -> None:
         if self.phi_vertices.shape[1] == 0:
             raise LayoutError("the phi outline needs at least one vertex")
-        for name, value, rule in (
-            ("centers", self.centers, "finite"),
-            ("arms", self.arms, "positive"),
-            ("limits", self.limits, "finite"),
-            ("speeds", self.speeds, "positive"),
-            ("phi_radius", self.phi_radius, "0 or more"),
-            ("theta_radius", self.theta_radius, "0 or more"),
-            ("phi_vertices", self.phi_vertices, "finite"),
-            ("theta_vertices", self.theta_vertices, "finite"),
+        lengths = (0.0, bounds.MAX_LENGTH_MM)
+        for name, value, low, high, unit in (
+            ("centers", self.centers, -bounds.MAX_COORDINATE_MM, bounds.MAX_COORDINATE_MM, "mm"),
+            ("arms", self.arms, bounds.MIN_LENGTH_MM, bounds.MAX_LENGTH_MM, "mm"),
+            ("limits", self.limits, -bounds.MAX_LIMIT_RAD, bounds.MAX_LIMIT_RAD, "rad"),
+            ("speeds", self.speeds, bounds.MIN_SPEED_RAD_S, bounds.MAX_SPEED_RAD_S, "rad/s"),
+            ("phi_radius", self.phi_radius, *lengths, "mm"),
+            ("theta_radius", self.theta_radius, *lengths, "mm"),
+            ("phi_vertices", self.phi_vertices, -lengths[1], lengths[1], "mm"),
+            ("theta_vertices", self.theta_vertices, -lengths[1], lengths[1], "mm"),
         ):
-            self._refuse(~_fits(value, rule), name, value, f"must be {rule}")
+            outside = ~((value >= low) & (value <= high))  # nan is outside
+            self._refuse(outside, name, value, f"must be {low:.6g} to {high:.6g} {unit}")
         low, high = np.moveaxis(self.limits, -1, 0)
         self._refuse(low > high, "limits", self.limits, "must not be empty")
-        bad = ~np.isfinite(self.obstacles).all(axis=1) | (self.obstacles[:, 2] < 0)
+        most = [bounds.MAX_COORDINATE_MM, bounds.MAX_COORDINATE_MM, bounds.MAX_LENGTH_MM]
+        bad = ~(np.abs(self.obstacles) <= most).all(axis=1) | (self.obstacles[:, 2] < 0)
         if bad.any():
             at = int(np.argmax(bad))
             raise LayoutError(
-                f"obstacle {at}: x, y must be finite and the radius 0 or more, "
-                f"got {self.obstacles[at].tolist()}"
+                f"obstacle {at}: x, y must be {-most[0]:.6g} to {most[0]:.6g} mm and the radius "
+                f"0 to {most[2]:.6g} mm, got {self.obstacles[at].tolist()}"
             )
-        if not (np.isfinite(self.spacing_mm) and self.spacing_mm >= 0):
-            raise LayoutError(f"the spacing of targets must be 0 mm or more, got {self.spacing_mm}")
+        bounds.check_number(self.spacing_mm, "the spacing of targets [mm]", *lengths, LayoutError)
 
-    def _refuse(self, bad: NDArray[np.bool_], name: str, value: Floats, rule: str) -> None:
+    def _refuse(self, bad: NDArray[np.bool_], name: str, value: NDArray[Any], rule: str) -> None:
         # bad: elements that break the rule, the first axis being that of the robots
         rows = np.flatnonzero(bad.reshape(self.n, bad.size // max(self.n, 1)).any(axis=1))
         if len(rows):
@@ -189,6 +200,23 @@ class FocalPlane:
         """Return the same plane with another set of enabled robots, shape (n,)."""
         return replace(self, enabled=enabled)
 
+    def with_fixed_joints_at(self, start: Angles) -> "FocalPlane":
+        """Return the same plane with the limits of each fixed joint at its present angle.
+
+        An encoder reads a fixed joint up to half a quantum from its limits; planned between
+        such limits, it does not move. A fixed joint that stands elsewhere keeps its limits.
+
+        Args:
+            start: present joint angles [rad], shape (n, 2).
+        """
+        low, high = np.moveaxis(self.limits, -1, 0)
+        near = (start >= low - FIXED_JOINT_RAD) & (start <= high + FIXED_JOINT_RAD)
+        fixed = near & (high - low <= FIXED_JOINT_RAD)
+        if not fixed.any():
+            return self
+        here = np.repeat(np.asarray(start)[:, :, None], 2, axis=2)
+        return replace(self, limits=np.where(fixed[:, :, None], here, self.limits))
+
     def permuted(self, order: ArrayLike) -> "FocalPlane":
         """Return some robots as a plane, with ids 0, 1, ...
 
@@ -219,15 +247,3 @@ def addresses_on(bus: ArrayLike) -> Ints:
     address = np.empty(len(bus), dtype=np.int64)
     address[order] = 1 + np.arange(len(bus)) - first
     return address
-
-
-def _fits(value: Floats, rule: str) -> NDArray[np.bool_]:
-    # which elements are finite and in range
-    finite = np.isfinite(value)
-    match rule:
-        case "positive":
-            return finite & (value > 0)
-        case "0 or more":
-            return finite & (value >= 0)
-        case _:
-            return finite

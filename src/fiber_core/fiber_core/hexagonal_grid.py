@@ -4,6 +4,7 @@ from numbers import Real
 
 import numpy as np
 
+from fiber_core import bounds
 from fiber_core.array_types import Points
 from fiber_core.errors import LayoutError
 
@@ -21,10 +22,11 @@ def hexagonal_centers(robots: int, pitch_mm: float, hexagon: bool = True) -> Poi
         hexagon: whether the grid grows ring by ring of a hexagon; otherwise as a disc.
 
     Raises:
-        LayoutError: the number of robots is not a positive integer.
+        LayoutError: the number of robots is not a whole number from 1 to bounds.MAX_ROBOTS.
     """
-    if not (isinstance(robots, Real) and robots >= 1 and float(robots).is_integer()):
+    if not (isinstance(robots, Real) and robots >= 1 and robots % 1 == 0):
         raise LayoutError(f"robots must be a positive integer, got {robots}")
+    bounds.check_number(robots, "robots", 1, bounds.MAX_ROBOTS, LayoutError)
     count = int(robots)
     # The sites a e1 + b e2 nearest the centre, e1 and e2 60 degrees apart: by ring of the
     # hexagon or by a^2 + ab + b^2, the squared distance; from row to row where equal.

@@ -11,6 +11,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fiber_core import bounds
 from fiber_core.array_types import Angles, Floats, Ints, Offsets, Times, Velocities
 from fiber_core.errors import MotionError
 from fiber_core.validation import frozen_array
@@ -35,7 +36,8 @@ class SampledMotion:
         angles: joint angles [rad], shape (n, 2, t).
 
     Raises:
-        MotionError: shapes do not fit, times do not increase, or a value is not finite.
+        MotionError: shapes do not fit, times do not increase, a value is not finite, or an
+            angle is out of bounds.
     """
 
     time_s: Times
@@ -50,6 +52,13 @@ class SampledMotion:
             raise MotionError(f"times must increase: {time_s[at + 1]} s follows {time_s[at]} s")
         object.__setattr__(self, "time_s", time_s)
         angles = _finite(self.angles, (None, 2, len(time_s)), "angles")
+        far = max(angles.max(initial=0.0), -angles.min(initial=0.0))
+        if far > bounds.MAX_ANGLE_RAD:
+            at = np.argwhere(np.abs(angles) > bounds.MAX_ANGLE_RAD)[0]
+            raise MotionError(
+                f"robot row {at[0]}: angles must be {-bounds.MAX_ANGLE_RAD:.6g} to "
+                f"{bounds.MAX_ANGLE_RAD:.6g} rad, got {angles[tuple(at)]} rad"
+            )
         object.__setattr__(self, "angles", angles)
 
     @property

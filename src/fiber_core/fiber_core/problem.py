@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fiber_core import bounds
 from fiber_core.array_types import Angles, Bools, Codes, Floats, Mask, Points
 from fiber_core.errors import FiberError, LayoutError, MotionError
 from fiber_core.focal_plane import FocalPlane
@@ -42,8 +43,8 @@ class Problem:
         targets: target of each fibre [mm], shape (n, 2), nan = no target.
 
     Raises:
-        LayoutError: a shape does not fit the plane, a start angle is not finite, or a
-            target is neither a point nor nan.
+        LayoutError: a shape does not fit the plane, a start angle is not finite or outside
+            the bounds, or a target is neither a point nor nan.
     """
 
     plane: FocalPlane
@@ -59,6 +60,13 @@ class Problem:
         started, asked = np.isfinite(self.start), np.isfinite(self.targets)
         no_target = np.isnan(self.targets).all(axis=1)
         self._check("start", self.start, np.all(started, axis=1))
+        far = np.abs(self.start) > bounds.MAX_ANGLE_RAD
+        if far.any():
+            at = int(np.argmax(far.any(axis=1)))
+            raise LayoutError(
+                f"robot {self.plane.ids[at]}: start must be {-bounds.MAX_ANGLE_RAD:.6g} to "
+                f"{bounds.MAX_ANGLE_RAD:.6g} rad, got {self.start[at].tolist()}"
+            )
         self._check("target", self.targets, np.all(asked, axis=1) | no_target)
 
     def _check(self, name: str, values: Floats, good: Bools) -> None:

@@ -11,15 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fiber_core import bounds
 from fiber_core.array_types import Counts, Floats, Ints, Offsets
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.validation import frozen_array
 
-__all__ = ["WireMotion", "WireUnits"]
+__all__ = ["ORDER_SEGMENTS", "WireMotion", "WireUnits"]
 
+ORDER_SEGMENTS = 15  # segments of one joint that one order can carry: a 4-bit count
 _HEADROOM = 1.02  # velocity range above the speed limit, so that rounding never saturates
+_ENCODER_COUNTS = 2**31 - 1  # counts of an encoder either side of zero
 _FASTEST_TICK_RAD = np.deg2rad(0.72)  # the fastest joint turns this far in one tick
 
 
@@ -49,8 +52,7 @@ class WireUnits:
             ("velocity_bits", 2, 32),
             ("duration_bits", 1, 32),
         ):
-            if not low <= getattr(self, name) <= high:
-                raise MotionError(f"{name} must be {low}..{high}, got {getattr(self, name)}")
+            bounds.check_number(getattr(self, name), name, low, high, MotionError, whole=True)
 
     @classmethod
     def for_plane(
@@ -60,7 +62,8 @@ class WireUnits:
 
         A tick is the time that the fastest joint takes for 0.72 deg (4 ms at 180 deg/s),
         in whole tens of microseconds: slow instruments get longer ticks, so that a
-        half turn always fits the duration field.
+        half turn always fits the duration field. The quantum is never so fine that an
+        encoder of 32 bits cannot count every angle within the bounds.
 
         Args:
             plane: the focal plane.
@@ -71,7 +74,8 @@ class WireUnits:
         tick_us = int(np.clip(10 * round(_FASTEST_TICK_RAD / fastest * 1e5), 10, 65_535 * 10))
         full_scale = 2 ** (velocity_bits - 1) - 1
         quantum = int(np.ceil(_HEADROOM * fastest * tick_us * 1e-6 / full_scale * 1e12))
-        return cls(tick_us, quantum, velocity_bits, duration_bits)
+        least = int(np.ceil(bounds.MAX_ANGLE_RAD / _ENCODER_COUNTS * 1e12))
+        return cls(tick_us, max(quantum, least), velocity_bits, duration_bits)
 
     @property
     def tick_s(self) -> float:
@@ -99,6 +103,11 @@ class WireUnits:
         return 2**self.duration_bits - 1
 
     @property
+    def longest_order_s(self) -> float:
+        """Time of the longest motion of one joint that one order can carry [s]."""
+        return ORDER_SEGMENTS * self.max_ticks * self.tick_s
+
+    @property
     def segment_bytes(self) -> int:
         """Bytes of one segment on the wire."""
         return (self.velocity_bits + self.duration_bits + 7) // 8
@@ -121,7 +130,10 @@ class WireUnits:
             Positions, shape (n, 2, 2): robot, joint (theta, phi), (low, high).
         """
         low, high = np.moveaxis(plane.limits, -1, 0) / self.quantum_rad
-        return np.stack([np.ceil(low), np.floor(high)], axis=-1).astype(np.int64)
+        first, last = np.ceil(low), np.floor(high)
+        nearest = np.rint(0.5 * (low + high))  # of a fixed joint, with no count between its limits
+        first, last = np.where(first > last, nearest, (first, last))
+        return np.stack([first, last], axis=-1).astype(np.int64)
 
     def encoder_counts(self, plane: FocalPlane, angles: ArrayLike) -> Counts:
         """Return the encoder counts of robots at some angles [quanta], shape (n, 2).

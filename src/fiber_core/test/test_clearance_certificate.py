@@ -42,7 +42,7 @@ def _couples(rng: np.random.Generator, count: int, phi: int, theta: int) -> Foca
         ids=np.arange(n),
         centers=place + rng.uniform(-6, 6, (n, 2)),
         arms=np.where(stout, 0.1, 1.0) * rng.uniform(0.5, 5.0, (n, 2)),
-        limits=np.tile([-1e3, 1e3], (n, 2, 1)),
+        limits=np.tile([-100.0, 100.0], (n, 2, 1)),
         speeds=np.full((n, 2), 1e3),
         phi_vertices=rng.normal(0.0, 1.5, (n, phi, 2)) + [1.0, 0.0],
         phi_radius=rng.uniform(0.0, 1.0, n),
@@ -144,8 +144,8 @@ def _needles() -> FocalPlane:
         preset("desi", 2),
         centers=[[0.0, 0.0], [8.0, 0.0]],
         phi_radius=[1e-3, 1e-3],
-        limits=np.tile([-1e3, 1e3], (2, 2, 1)),
-        speeds=np.full((2, 2), 1e5),
+        limits=np.tile([-100.0, 100.0], (2, 2, 1)),
+        speeds=np.full((2, 2), 1e4),
     )
 
 

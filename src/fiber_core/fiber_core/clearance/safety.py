@@ -5,13 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fiber_core import bounds
 from fiber_core.array_types import Floats, Gaps
 from fiber_core.clearance.distance import gaps
+from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 
 __all__ = ["Safety", "levers_of", "point_speeds"]
 
+_MOST_MARGIN_MM = 1e3  # beyond the pitch of any instrument
 _MEASURED_MM = 1e-3  # more than the tolerance with which a certificate resolves a gap
 
 
@@ -27,12 +30,24 @@ class Safety:
         stop_skew_s: worst difference between the instants at which two positioners stop
             when one of them fails on its way [s]. Then the margin may be used up, and
             outlines must not touch.
+
+    Raises:
+        MotionError: a value is not a number, negative or out of bounds; names it.
     """
 
     margin_mm: float = 0.05
     clock_ppm: float = 50.0
     start_skew_s: float = 200e-6
     stop_skew_s: float = 4e-3
+
+    def __post_init__(self) -> None:
+        for name, most in (
+            ("margin_mm", _MOST_MARGIN_MM),
+            ("clock_ppm", bounds.MAX_CLOCK_PPM),
+            ("start_skew_s", bounds.MAX_SKEW_S),
+            ("stop_skew_s", bounds.MAX_SKEW_S),
+        ):
+            bounds.check_number(getattr(self, name), name, 0.0, most, MotionError)
 
     def required_mm(self, plane: FocalPlane, motion: SegmentMotion, pairs: ArrayLike) -> Gaps:
         """Return the gap that each pair must keep on the nominal motion [mm], shape (p,).
