@@ -35,6 +35,7 @@ from fiber_bus_bridge.wire import (
     general_call,
 )
 from fiber_core.array_types import Bools
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
 
 __all__ = ["fuzz_positioner", "fuzz_replies", "main"]
@@ -76,7 +77,7 @@ def _valid(to: Addresses, rng: np.random.Generator) -> list[bytes]:
     for sequence in range(0 if called else 16):
         counts = rng.integers(0, 4, 2)
         ticks, velocity = rng.integers(1, 100, counts.sum()), rng.integers(-99, 99, counts.sum())
-        offsets = np.concatenate([[0], np.cumsum(counts)])
+        offsets = Parts.from_counts(counts).offsets
         frames.append(encode_load(_UNITS, to, sequence, offsets, ticks, velocity))
     return [f.payload(0) for f in frames]
 

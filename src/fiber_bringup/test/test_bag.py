@@ -10,6 +10,7 @@ from rclpy.serialization import deserialize_message
 from fiber_core.kinematics import forward
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome
+from fiber_core.ragged import Parts
 from fiber_msgs_py import Topic, topics
 from fiber_msgs_py.point_clouds import POINTS, ViewState, arms_cloud
 from fiber_recording.bag import main, write_bag
@@ -108,7 +109,7 @@ def _segments(message, recording):
     profile = 2 * recording.problem.plane.index_of(rows["id"]) + rows["joint"]
     counts = np.bincount(profile, minlength=2 * len(recording.outcome))
     units = recording.units
-    offsets = np.concatenate([[0], np.cumsum(counts)])
+    offsets = Parts.from_counts(counts).offsets
     return offsets, rows["duration"] * units.tick_s, rows["velocity"] * units.velocity_rad_s
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from fiber_bus_bridge.bus import Exchange
 from fiber_core.frame_log import FrameLog
+from fiber_core.ragged import Parts
 
 __all__ = ["frame_log"]
 
@@ -21,12 +22,11 @@ def frame_log(exchanges: Iterable[Exchange]) -> FrameLog:
 
 def _log_of(exchange: Exchange) -> FrameLog:
     sent, replies = exchange.frames, exchange.replies
-    lengths = np.stack([sent.lengths, np.diff(replies.offsets)], axis=1)
+    lengths = np.stack([sent.lengths, replies.lengths], axis=1)
     both = np.concatenate([sent.data, replies.data])
     begins = np.stack([sent.offsets[:-1], len(sent.data) + replies.offsets[:-1]], axis=1)
     row, read = np.nonzero(lengths)
-    offsets = np.concatenate([[0], np.cumsum(lengths[row, read])])
-    place = np.repeat(begins[row, read] - offsets[:-1], lengths[row, read]) + np.arange(offsets[-1])
+    parts, place = Parts.gather(begins[row, read], lengths[row, read])
     return FrameLog(
         replies.start_s[row],
         sent.to.bus[row],
@@ -34,6 +34,6 @@ def _log_of(exchange: Exchange) -> FrameLog:
         sent.to.ten_bit[row],
         read.astype(bool),
         replies.ack[row],
-        offsets,
+        parts.offsets,
         both[place],
     )

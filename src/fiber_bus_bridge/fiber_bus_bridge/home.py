@@ -3,6 +3,7 @@
 import numpy as np
 
 from fiber_core.array_types import Counts, Ints, Mask
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["home_motion"]
@@ -29,5 +30,5 @@ def home_motion(
     velocity = np.sign(distance) * np.minimum(np.abs(distance) // ticks, speed)
     moves = velocity != 0
     segments = np.stack([np.zeros_like(distance), moves], axis=1)
-    offsets = np.concatenate([[0], np.cumsum(segments.ravel())])
+    offsets = Parts.from_counts(segments).offsets
     return WireMotion(units, start, offsets, ticks[moves], velocity[moves])

@@ -9,7 +9,7 @@ from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.loader import LoadedPlan
 from fiber_bus_bridge.wire import MAX_SEGMENTS
 from fiber_core import kinematics
-from fiber_core.array_types import Codes, Counts, Floats, Ints, Mask, Points
+from fiber_core.array_types import Codes, Counts, Floats, Mask, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome, Reason, first_reason
 from fiber_core.wire_units import WireMotion
@@ -50,7 +50,7 @@ class Plan:
         """
         if targets is None:
             ends = kinematics.forward(plane, motion.units.to_angles(motion.end))[1]
-            moves = np.any(np.diff(motion.offsets).reshape(-1, 2), axis=1)
+            moves = motion.moves
             targets = np.where(moves[:, None], ends, np.nan)
         goals = np.array(targets, dtype=float)
         if goals.shape != (plane.n, 2):
@@ -68,16 +68,12 @@ class Plan:
     @property
     def moves(self) -> Mask:
         """Robots with orders, shape (n,)."""
-        return np.any(self._segments > 0, axis=1)
+        return self.motion.moves
 
     @property
     def oversized(self) -> Mask:
         """Robots with more segments than one order can carry, shape (n,)."""
-        return np.any(self._segments > MAX_SEGMENTS, axis=1)
-
-    @property
-    def _segments(self) -> Ints:
-        return np.diff(self.motion.offsets).reshape(-1, 2)
+        return np.any(self.motion.counts > MAX_SEGMENTS, axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion
 
 __all__ = ["remaining_motion"]
@@ -50,7 +51,7 @@ def remaining_motion(
         ticks += [n for n, _ in pieces]
         velocity += [v for _, v in pieces]
         lengths[profile] = len(pieces)
-    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    offsets = Parts.from_counts(lengths).offsets
     return WireMotion(
         motion.units,
         counts,

@@ -22,6 +22,7 @@ from fiber_bus_bridge.wire import (
     encode_command,
 )
 from fiber_core.array_types import Bools, Codes, Floats, Ints, Rows
+from fiber_core.ragged import Parts
 
 __all__ = ["Transactions"]
 
@@ -239,7 +240,7 @@ def _with_unsent(sent: Replies, live: Bools, read: Ints, not_before_s: Floats) -
     ack = np.full(len(live), Ack.NOT_SENT, dtype=np.int64)
     start_s, end_s = not_before_s.copy(), not_before_s.copy()
     ack[live], start_s[live], end_s[live] = sent.ack, sent.start_s, sent.end_s
-    offsets = np.concatenate([[0], np.cumsum(read)])
+    offsets = Parts.from_counts(read).offsets
     data = np.full(offsets[-1], 0xFF, dtype=np.uint8)
     data[np.repeat(live, read)] = sent.data
     return Replies(ack, start_s, end_s, offsets, data)

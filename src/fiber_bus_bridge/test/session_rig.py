@@ -9,6 +9,7 @@ from fiber_bus_bridge.simulation import Positioners, SimulatedBuses
 from fiber_core.clearance import Safety
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 
 
@@ -42,7 +43,7 @@ class Rig:
         velocity = np.stack(np.broadcast_arrays(theta, phi, np.zeros(self.plane.n)), 1)[:, :2]
         velocity = velocity.astype(np.int64).ravel()
         moves = velocity != 0
-        offsets = np.concatenate([[0], np.cumsum(moves)])
+        offsets = Parts.from_counts(moves).offsets
         return WireMotion(
             self.units, self.session.counts, offsets, np.full(moves.sum(), ticks), velocity[moves]
         )

@@ -38,6 +38,7 @@ from fiber_bus_bridge.wire import (
     general_call,
     roll_call,
 )
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
 
 pytest.importorskip("vcd", reason="pyvcd is not installed: no captures")
@@ -116,7 +117,7 @@ def written(to, frame, payload):
     if opcode == Opcode.LOAD:
         order = decode_load(UNITS, frame)
         assert order.ok.all()
-        counts = np.diff(order.offsets)
+        counts = Parts(order.offsets).counts
         fields |= {"sequence": int(order.sequence[0]), "crc": int(order.crc[0])}
         fields |= {"theta_segments": int(counts[0]), "phi_segments": int(counts[1])}
         return fields | ({"segments": payload[2:-2].hex()} if counts.any() else {})

@@ -12,6 +12,7 @@ from rest_of_graph import PLANE, START, UNITS, WAIT_S, Rest, problem_file
 import fiber_bus_bridge.node.hardware
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import FRAME_ID, PlanStamp, joint_states, layout, targets, topics
 from fiber_node import RosClient
@@ -28,7 +29,7 @@ FOLD, WAIT, TURN, UNFOLD = (270, 7000), (300, 0), (270, -3730), (270, -6100)
 def orders(start, profiles):
     """Orders from lists of (ticks, velocity) by robot and joint."""
     lists = [profiles.get((robot, joint), []) for robot in range(7) for joint in range(2)]
-    offsets = np.concatenate([[0], np.cumsum([len(each) for each in lists])])
+    offsets = Parts.from_counts([len(each) for each in lists]).offsets
     table = np.array([segment for each in lists for segment in each], dtype=np.int64)
     return WireMotion(UNITS, start, offsets, *table.reshape(-1, 2).T)
 

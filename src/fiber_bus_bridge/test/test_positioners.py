@@ -22,6 +22,7 @@ from fiber_bus_bridge.wire import (
     encode_load,
     general_call,
 )
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 
 UNITS = WireUnits()
@@ -76,7 +77,7 @@ class Bench:
 def random_motion(rng, n):
     """Orders of up to 15 segments that stay inside the limits and speeds of the bench."""
     counts = rng.integers(0, 16, 2 * n)
-    offsets = np.concatenate([[0], np.cumsum(counts)])
+    offsets = Parts.from_counts(counts).offsets
     ticks = rng.integers(1, 120, offsets[-1])
     # 15 segments of 120 ticks and 500 quanta remain within 900 000 quanta of the start
     return WireMotion(

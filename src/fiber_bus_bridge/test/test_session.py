@@ -11,6 +11,7 @@ from fiber_bus_bridge.wire import Fault, RobotState
 from fiber_core import kinematics
 from fiber_core.clearance import Safety, certify
 from fiber_core.outcomes import Outcome, Reason
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion
 
 
@@ -139,7 +140,7 @@ def test_every_robot_of_a_plan_has_its_own_reason():
     velocity[[0, 2, 3, 6], 0] = 400
     counts = np.where(velocity != 0, 1, 0)
     counts[4, 0] = 16
-    offsets = np.concatenate([[0], np.cumsum(counts.ravel())])
+    offsets = Parts.from_counts(counts).offsets
     m = offsets[-1]
     motion = WireMotion(rig.units, rig.session.counts, offsets, np.full(m, 20), np.full(m, 300))
     tips = kinematics.forward(rig.plane, rig.units.to_angles(motion.end))[1]

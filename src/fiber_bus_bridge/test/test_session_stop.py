@@ -11,6 +11,7 @@ from fiber_bus_bridge.simulation import Event, Faults, LineFault, SimulatedBuses
 from fiber_bus_bridge.wire import Fault, RobotState
 from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.outcomes import Outcome, Reason
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 
 
@@ -132,7 +133,7 @@ def test_a_robot_left_out_of_a_phase_keeps_its_reason_in_the_next():
     ]  # has more segments than an order can carry
     counts = np.zeros((19, 2), dtype=np.int64)
     counts[:, 0] = np.where(np.arange(19) == oversized, 16, 1)
-    offsets = np.concatenate([[0], np.cumsum(counts.ravel())])
+    offsets = Parts.from_counts(counts).offsets
     m = offsets[-1]
     rig.call("configure")
     start = rig.session.counts.copy()

@@ -29,6 +29,7 @@ from fiber_bus_bridge.wire import (
     encode_status,
     general_call,
 )
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
 
 UNITS = WireUnits()
@@ -168,7 +169,7 @@ def batches(draw):
 def test_orders_agree_with_the_reference_and_decode_to_the_same_values(batch):
     units, to, sequence, orders = batch
     flat = [profile for order in orders for profile in order]
-    offsets = np.concatenate([[0], np.cumsum([len(p) for p in flat], dtype=int)])
+    offsets = Parts.from_counts([len(p) for p in flat]).offsets
     ticks = [s[0] for p in flat for s in p]
     velocity = [s[1] for p in flat for s in p]
     frames = encode_load(units, to, sequence, offsets, ticks, velocity)

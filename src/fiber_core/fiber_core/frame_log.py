@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from fiber_core.array_types import Bools, Ints, Offsets, Times
+from fiber_core.ragged import Parts
 
 __all__ = ["FrameLog"]
 
@@ -39,6 +40,11 @@ class FrameLog:
     def __len__(self) -> int:
         return len(self.bus)
 
+    @property
+    def lengths(self) -> Ints:
+        """Number of bytes of each frame, shape (f,)."""
+        return Parts(self.offsets).counts
+
     @classmethod
     def joined(cls, logs: Iterable["FrameLog"]) -> "FrameLog":
         """Return the frames of several logs as one log, in the order of the logs."""
@@ -47,7 +53,6 @@ class FrameLog:
         def column(name: str, dtype: DTypeLike) -> NDArray[Any]:
             return np.concatenate([np.zeros(0, dtype), *(getattr(log, name) for log in logs)])
 
-        lengths = np.concatenate([np.zeros(0, np.int64), *(np.diff(x.offsets) for x in logs)])
         return cls(
             time_s=column("time_s", float),
             bus=column("bus", np.int64),
@@ -55,6 +60,6 @@ class FrameLog:
             ten_bit=column("ten_bit", bool),
             read=column("read", bool),
             ack=column("ack", np.int64),
-            offsets=np.concatenate([[0], np.cumsum(lengths)]),
+            offsets=Parts.concatenate([Parts(log.offsets) for log in logs]).offsets,
             data=column("data", np.uint8),
         )

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from fiber_core import bounds
 from fiber_core.array_types import Angles, Floats, Ints, Offsets, Times, Velocities
 from fiber_core.errors import MotionError
+from fiber_core.ragged import Parts
 from fiber_core.validation import frozen_array
 
 __all__ = ["SampledMotion", "SegmentMotion"]
@@ -130,7 +131,7 @@ class SegmentMotion:
         start = _finite(self.start, (None, 2), "start")
         shape = (2 * len(start) + 1,)
         offsets = frozen_array(self.offsets, np.int64, shape, "offsets", MotionError)
-        if offsets[0] != 0 or np.any(np.diff(offsets) < 0):
+        if not Parts(offsets).cover(2 * len(start), int(offsets[-1])):
             raise MotionError("offsets must rise from 0")
         m = int(offsets[-1])
         duration = _finite(self.duration_s, (m,), "duration_s")
@@ -165,14 +166,19 @@ class SegmentMotion:
         return len(self.start)
 
     @property
+    def parts(self) -> Parts:
+        """The segments of each profile, as parts of the flat arrays."""
+        return Parts(self.offsets)
+
+    @property
     def counts(self) -> Ints:
         """Number of segments of each profile, shape (n, 2)."""
-        return np.diff(self.offsets).reshape(-1, 2)
+        return self.parts.counts.reshape(-1, 2)
 
     @cached_property
     def _profile(self) -> Ints:
         # the profile to which each segment belongs, shape (m,)
-        return np.repeat(np.arange(2 * self.n), np.diff(self.offsets))
+        return self.parts.owner
 
     def _sum_by_profile(self, values: Floats) -> Floats:
         # Each profile is summed by itself, in order: no robot's last digit depends on another.
@@ -217,11 +223,22 @@ class SegmentMotion:
         Args:
             held: whether each robot rests, shape (n,).
         """
-        rests = np.repeat(np.asarray(held, dtype=bool), 2)
-        keep = np.repeat(~rests, np.diff(self.offsets))
-        counts = np.where(rests, 0, np.diff(self.offsets))
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        return SegmentMotion(self.start, offsets, self.duration_s[keep], self.velocity_rad_s[keep])
+        parts, moves = self.parts.without(np.repeat(np.asarray(held, dtype=bool), 2))
+        return SegmentMotion(
+            self.start, parts.offsets, self.duration_s[moves], self.velocity_rad_s[moves]
+        )
+
+    def of_robots(self, rows: ArrayLike) -> "SegmentMotion":
+        """Return the motion of some robots alone.
+
+        Args:
+            rows: rows of the robots, in the order of the result, shape (k,).
+        """
+        rows = np.asarray(rows)
+        parts, kept = self.parts.select((2 * rows[:, None] + [0, 1]).ravel())
+        return SegmentMotion(
+            self.start[rows], parts.offsets, self.duration_s[kept], self.velocity_rad_s[kept]
+        )
 
 
 @nb.njit(cache=True)

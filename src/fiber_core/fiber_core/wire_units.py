@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import bounds
-from fiber_core.array_types import Counts, Floats, Ints, Offsets
+from fiber_core.array_types import Counts, Floats, Ints, Mask, Offsets
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
+from fiber_core.ragged import Parts
 from fiber_core.validation import frozen_array
 
 __all__ = ["ORDER_SEGMENTS", "WireMotion", "WireUnits"]
@@ -176,12 +177,7 @@ class WireMotion:
             value = frozen_array(getattr(self, name), np.int64, shape, name, MotionError)
             object.__setattr__(self, name, value)
         n, m = len(self.start), len(self.ticks)
-        if (
-            self.offsets.shape != (2 * n + 1,)
-            or self.offsets[0] != 0
-            or self.offsets[-1] != m
-            or np.any(np.diff(self.offsets) < 0)
-        ):
+        if not self.parts.cover(2 * n, m):
             raise MotionError(f"offsets do not describe {2 * n} profiles of {m} segments")
         if self.velocity.shape != (m,):
             raise MotionError(f"{m} durations but {len(self.velocity)} velocities")
@@ -198,6 +194,21 @@ class WireMotion:
                 )
 
     @property
+    def parts(self) -> Parts:
+        """The segments of each profile, as parts of the flat arrays."""
+        return Parts(self.offsets)
+
+    @property
+    def counts(self) -> Ints:
+        """Number of segments of each profile, shape (n, 2)."""
+        return self.parts.counts.reshape(-1, 2)
+
+    @property
+    def moves(self) -> Mask:
+        """Robots with at least one segment, shape (n,)."""
+        return np.any(self.counts > 0, axis=1)
+
+    @property
     def end(self) -> Counts:
         """Joint positions after the motion [quanta], shape (n, 2)."""
         running = np.concatenate([[0], np.cumsum(self.ticks * self.velocity)])
@@ -209,10 +220,10 @@ class WireMotion:
         Args:
             held: whether each robot rests, shape (n,).
         """
-        rests, counts = np.repeat(np.asarray(held, dtype=bool), 2), np.diff(self.offsets)
-        keep = np.repeat(~rests, counts)
-        offsets = np.concatenate([[0], np.cumsum(np.where(rests, 0, counts))])
-        return WireMotion(self.units, self.start, offsets, self.ticks[keep], self.velocity[keep])
+        parts, moves = self.parts.without(np.repeat(np.asarray(held, dtype=bool), 2))
+        return WireMotion(
+            self.units, self.start, parts.offsets, self.ticks[moves], self.velocity[moves]
+        )
 
     def decoded(self) -> SegmentMotion:
         """Return the motion that a perfect positioner makes from these numbers."""

@@ -4,6 +4,7 @@ import numpy as np
 
 from fiber_core.clearance import Safety
 from fiber_core.motion import SegmentMotion
+from fiber_core.ragged import Parts
 
 __all__ = ["RESOLVE_ALL", "Fixed", "all_at", "angles_at", "random_motion"]
 
@@ -24,7 +25,7 @@ def random_motion(rng, n, most=3) -> SegmentMotion:
     m = int(counts.sum())
     return SegmentMotion(
         rng.uniform(-np.pi, np.pi, (n, 2)),
-        np.concatenate([[0], np.cumsum(counts)]),
+        Parts.from_counts(counts).offsets,
         rng.uniform(0.01, 0.8, m),
         rng.uniform(-6.0, 6.0, m) * rng.integers(0, 2, m),
     )

@@ -20,6 +20,7 @@ from fiber_core.fields import random_field
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.presets import preset
+from fiber_core.ragged import Parts
 
 _TOLERANCE = 0.5e-3
 
@@ -268,7 +269,7 @@ def test_a_broken_limit_or_speed_is_found(case, joint):
     angles[1, joint] = start
     counts = np.zeros(4, dtype=int)
     counts[2 + joint] = len(duration)
-    motion = SegmentMotion(angles, np.concatenate([[0], np.cumsum(counts)]), duration, speed)
+    motion = SegmentMotion(angles, Parts.from_counts(counts).offsets, duration, speed)
     found = certify(plane, motion, Safety())
     assert found.limits_broken.tolist() == [False, broken]
     assert found.ok == (not broken)

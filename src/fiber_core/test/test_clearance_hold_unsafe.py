@@ -9,6 +9,7 @@ from fiber_core.clearance import Safety, certify, hold_until_safe, neighbour_pai
 from fiber_core.fields import random_field
 from fiber_core.motion import SegmentMotion
 from fiber_core.presets import preset
+from fiber_core.ragged import Parts
 
 _MARGIN_ONLY = Safety(margin_mm=0.05, clock_ppm=0.0, start_skew_s=0.0, stop_skew_s=0.0)
 
@@ -17,7 +18,7 @@ def _direct(start, goal, speed=1.0) -> SegmentMotion:
     """Return the motion of every joint straight to its goal at one speed; none for joints there."""
     way = (np.asarray(goal) - start).ravel()
     moves = way != 0.0
-    offsets = np.concatenate([[0], np.cumsum(moves)])
+    offsets = Parts.from_counts(moves).offsets
     return SegmentMotion(start, offsets, np.abs(way[moves]) / speed, speed * np.sign(way[moves]))
 
 

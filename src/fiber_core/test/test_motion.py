@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from fiber_core import MotionError, SampledMotion, SegmentMotion
+from fiber_core.ragged import Parts
 
 
 def random_segments(seed, n=20, longest=6):
     rng = np.random.default_rng(seed)
-    offsets = np.concatenate([[0], np.cumsum(rng.integers(0, longest, 2 * n))])
+    offsets = Parts.from_counts(rng.integers(0, longest, 2 * n)).offsets
     m = offsets[-1]
     # ticks of 4 ms: segments of different robots end at the same instants
     duration = 0.004 * rng.integers(1, 200, m)
@@ -98,6 +99,14 @@ def test_without_holds_some_robots_and_changes_no_other():
         assert np.array_equal(rest(t)[~held], motion(t)[~held])
         assert np.array_equal(rest(t)[held], motion.start[held])
     assert not rest.counts[held].any() and np.array_equal(rest.counts[~held], motion.counts[~held])
+
+
+def test_the_motion_of_some_robots_alone_is_their_part_of_the_motion():
+    motion, rows = random_segments(6), [7, 0, 19]
+    some = motion.of_robots(rows)
+    for t in np.linspace(0.0, motion.makespan_s, 17):
+        assert np.array_equal(some(t), motion(t)[rows])
+    assert np.array_equal(some.counts, motion.counts[rows])
 
 
 def test_at_rest_no_robot_moves():

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from fiber_core import PRESETS, MotionError, WireMotion, WireUnits, preset
+from fiber_core.ragged import Parts
 
 
 def random_motion(seed, units, n=30):
     rng = np.random.default_rng(seed)
-    offsets = np.concatenate([[0], np.cumsum(rng.integers(0, 5, 2 * n))])
+    offsets = Parts.from_counts(rng.integers(0, 5, 2 * n)).offsets
     m = offsets[-1]
     return WireMotion(
         units,
@@ -38,6 +39,8 @@ def test_the_decoded_motion_is_that_of_the_counts(seed):
         rows = slice(motion.offsets[profile], motion.offsets[profile + 1])
         turn[profile // 2, profile % 2] = int(motion.ticks[rows] @ motion.velocity[rows])
     assert np.array_equal(motion.end, motion.start + turn)
+    assert np.array_equal(motion.counts, decoded.counts)
+    assert np.array_equal(motion.moves, motion.counts.any(axis=1))
     assert np.array_equal(units.to_counts(decoded.end), motion.end)
     assert np.abs(decoded.end - units.to_angles(motion.end)).max() < 1e-6 * units.quantum_rad
     ticks = [motion.ticks[a:b].sum() for a, b in zip(motion.offsets[:-1], motion.offsets[1:])]

@@ -53,7 +53,7 @@ def joint_corridors(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
 def _angles_at(motion: SegmentMotion, times: Floats) -> Floats:
     # joint angles of each robot at its own times, shape (n, 2, t)
     duration_s, velocity = motion.duration_s, motion.velocity_rad_s
-    profile = np.repeat(np.arange(2 * motion.n), np.diff(motion.offsets))
+    profile = motion.parts.owner
     ends_s = np.cumsum(duration_s)
     begin_s = ends_s - duration_s - np.concatenate([[0.0], ends_s])[motion.offsets[:-1]][profile]
     angles = np.empty((motion.n, 2, times.shape[1]))

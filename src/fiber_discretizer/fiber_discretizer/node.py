@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
@@ -84,19 +83,18 @@ class DiscretizerNode(Node):
             self.get_logger().warning(
                 f"plan {attempt}: robots {robots} stand too close to a neighbour and rest"
             )
-        counts = np.diff(wire.offsets)
-        moving = int((counts.reshape(-1, 2) > 0).any(axis=1).sum())
+        moving = int(wire.moves.sum())
         clearance = f"{certificate.min_gap_mm:.4f}"
         self._report.counters |= {
             "plan": attempt,
             "moving": moving,
             "held": int(is_held.sum()),
-            "segments": int(counts.sum()),
+            "segments": len(wire.ticks),
             "clearance_mm": clearance,
         }
         self._report.done(
             attempt,
-            f"{moving} robots move, {is_held.sum()} held, {counts.sum()} segments, "
+            f"{moving} robots move, {is_held.sum()} held, {len(wire.ticks)} segments, "
             f"least clearance {clearance} mm",
         )
         if self._corridors.get_subscription_count():  # corridors take longer than all the rest

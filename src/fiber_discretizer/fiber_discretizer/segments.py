@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fiber_core.array_types import Counts, Ints, Offsets
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer.fit.linearize import Polylines
 
@@ -34,7 +35,7 @@ class Segments:
     @property
     def counts(self) -> Ints:
         """Number of segments of each profile, shape (p,)."""
-        return np.diff(self.offsets)
+        return Parts(self.offsets).counts
 
     @classmethod
     def none(cls, profiles: int) -> "Segments":
@@ -51,7 +52,7 @@ class Segments:
         ticks[first], quanta[first] = paths.time_s[first] / units.tick_s, 0.0
         keep = ticks > 0.0
         counts = np.add.reduceat(keep, first) * (last >= first)
-        offsets = np.concatenate([[0], np.cumsum(counts)])
+        offsets = Parts.from_counts(counts).offsets
         return cls(offsets, ticks[keep], quanta[keep] / ticks[keep])
 
     def to_wire(self, start: Counts, units: WireUnits) -> WireMotion:
@@ -93,10 +94,9 @@ class Segments:
             others = others[np.asarray(other_rows, dtype=np.int64)]
         source[np.asarray(rows, dtype=np.int64)] = others
         first, counts = source.T
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        pick = np.arange(offsets[-1]) + np.repeat(first - offsets[:-1], counts)
+        parts, pick = Parts.gather(first, counts)
         ticks = np.concatenate([self.ticks, other.ticks])[pick]
-        return Segments(offsets, ticks, np.concatenate([self.velocity, other.velocity])[pick])
+        return Segments(parts.offsets, ticks, np.concatenate([self.velocity, other.velocity])[pick])
 
     def without(self, rows: ArrayLike) -> "Segments":
         """Return these segments with some profiles at rest.
@@ -121,7 +121,7 @@ class Segments:
             values = np.zeros(offsets[-1], dtype=np.int64)
             values[np.setdiff1d(np.arange(offsets[-1]), first)] = steps
             running = np.cumsum(values)
-            return running + np.repeat(at_first - running[first], np.diff(offsets))
+            return running + np.repeat(at_first - running[first], self.counts + 1)
 
         ticks = knots(self.ticks, np.zeros(len(first), dtype=np.int64))
         counts = knots(self.ticks * self.velocity, np.asarray(start))

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from fiber_core.clearance import bodies_of, neighbour_pairs, profiles_of, sampled_gaps
 from fiber_core.motion import SegmentMotion
+from fiber_core.ragged import Parts
 from fiber_discretizer.corridor import corridor_walls, neighbours_of
 
 REQUIRED_MM = 0.1
@@ -17,7 +18,7 @@ SAMPLES = 25
 
 def random_motion(rng, n):
     counts = rng.integers(0, 4, 2 * n)
-    offsets = np.concatenate([[0], np.cumsum(counts)])
+    offsets = Parts.from_counts(counts).offsets
     start = rng.uniform([-3.0, 0.3], [3.0, 2.8], (n, 2))
     speeds = rng.uniform(-0.6, 0.6, offsets[-1])
     return SegmentMotion(start, offsets, rng.uniform(0.1, 0.6, offsets[-1]), speeds)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer import Polylines, Rounding, Segments, quantize
 
@@ -209,7 +210,7 @@ def test_replacing_profiles_changes_them_and_no_others(data):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
 
     def some(count):
-        offsets = np.concatenate([[0], np.cumsum(rng.integers(0, 4, count))])
+        offsets = Parts.from_counts(rng.integers(0, 4, count)).offsets
         values = rng.integers(1, 99, (2, offsets[-1]))
         return Segments(offsets, *values)
 

@@ -9,6 +9,7 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 
 from fiber_core.frame_log import FrameLog
+from fiber_core.ragged import Parts
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.stamps import PlanStamp
 from fiber_msgs_py.table import column_names, decode_table, encode_table
@@ -36,7 +37,7 @@ def encode(log: FrameLog, stamp: PlanStamp) -> PointCloud2:
     Raises:
         MessageError: a number does not fit its column, or offsets do not fit the data.
     """
-    lengths = np.diff(log.offsets)
+    lengths = log.lengths
     if len(lengths) != len(log) or log.offsets[0] != 0 or log.offsets[-1] != len(log.data):
         raise MessageError(
             "frames",
@@ -92,6 +93,6 @@ def decode(message: PointCloud2) -> FrameLog:
         ten_bit=rows["ten_bit"].astype(bool),
         read=rows["read"].astype(bool),
         ack=rows["ack"].astype(np.int64),
-        offsets=np.concatenate([[0], np.cumsum(lengths)]),
+        offsets=Parts.from_counts(lengths).offsets,
         data=rows["bytes"][np.arange(width) < lengths[:, None]],
     )

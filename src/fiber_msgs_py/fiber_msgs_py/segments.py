@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2
 
 from fiber_core.array_types import Counts, Ids, Ints, Offsets
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.ids import checked_ids, refuse
@@ -33,6 +34,11 @@ class SegmentTable:
     offsets: Offsets
     ticks: Ints
     velocity: Ints
+
+    @property
+    def counts(self) -> Ints:
+        """Number of segments of each profile, shape (n, 2)."""
+        return Parts(self.offsets).counts.reshape(-1, 2)
 
     def motion(self, units: WireUnits, start: Counts) -> WireMotion:
         """Return the motion of these segments.
@@ -67,14 +73,13 @@ def encode(ids: ArrayLike, motion: WireMotion, stamp: PlanStamp) -> PointCloud2:
         raise MessageError("segments", f"robots, but {len(ids)} ids", value=len(motion.start))
     back = np.concatenate([[False], np.diff(ids) <= 0])
     refuse(back, "segments", "id", ids, ids, "does not increase")
-    counts = np.diff(motion.offsets)
-    lengths = np.maximum(counts, 1)
-    first = np.cumsum(lengths) - lengths
-    profile = np.repeat(np.arange(len(counts)), counts)
-    place = first[profile] + np.arange(len(profile)) - motion.offsets[profile]
-    rows = np.zeros(int(lengths.sum()), dtype=list(_COLUMNS.items()))
-    rows["id"] = np.repeat(np.repeat(ids, 2), lengths)
-    rows["joint"] = np.repeat(np.tile([0, 1], len(ids)), lengths)
+    counts = motion.parts.counts
+    table = Parts.from_counts(np.maximum(counts, 1))
+    _, place = Parts.gather(table.first, counts)
+    profile = table.owner
+    rows = np.zeros(table.total, dtype=list(_COLUMNS.items()))
+    rows["id"] = ids[profile // 2]
+    rows["joint"] = profile % 2
     rows["duration"][place] = motion.ticks
     rows["velocity"][place] = motion.velocity
     return encode_table(rows, stamp)
@@ -102,7 +107,7 @@ def decode(message: PointCloud2) -> SegmentTable:
     mixed = rest & (lengths[profile] > 1)
     refuse(mixed, "segments", "duration", ids, duration, "is not the only row of its joint")
     counts = np.bincount(profile[~rest], minlength=len(profiles))
-    offsets = np.concatenate([[0], np.cumsum(counts)])
+    offsets = Parts.from_counts(counts).offsets
     return SegmentTable(
         robots, offsets, duration[~rest].astype(np.int64), velocity[~rest].astype(np.int64)
     )

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fiber_core.frame_log import FrameLog
+from fiber_core.ragged import Parts
 from fiber_msgs_py import MessageError, PlanStamp, frames
 
 FRAME = st.tuples(
@@ -22,7 +23,7 @@ FRAME = st.tuples(
 def log_of(rows):
     columns = list(zip(*rows)) or [[]] * 7
     payload = b"".join(columns[6])
-    offsets = np.concatenate([[0], np.cumsum([len(data) for data in columns[6]])]).astype(int)
+    offsets = Parts.from_counts([len(data) for data in columns[6]]).offsets
     return FrameLog(*map(np.array, columns[:6]), offsets, np.frombuffer(payload, np.uint8))
 
 

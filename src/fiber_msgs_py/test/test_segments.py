@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fiber_core.errors import MotionError
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import MessageError, PlanStamp, segments
 
@@ -20,7 +21,7 @@ SEGMENT = st.tuples(
 def plans(draw):
     ids = sorted(draw(st.sets(st.integers(0, 2**32 - 1), max_size=6)))
     profiles = [draw(st.lists(SEGMENT, max_size=4)) for _ in range(2 * len(ids))]
-    offsets = np.concatenate([[0], np.cumsum([len(profile) for profile in profiles])])
+    offsets = Parts.from_counts([len(profile) for profile in profiles]).offsets
     flat = np.array([s for profile in profiles for s in profile], dtype=int).reshape(-1, 2)
     start = np.array(
         draw(st.lists(st.integers(-1000, 1000), min_size=2 * len(ids), max_size=2 * len(ids)))

@@ -113,6 +113,6 @@ def _encoded(orders: Orders, session: Session, loaded_plan: LoadedPlan):
     """The LOAD frames of the robots that were started, encoded once more."""
     rows, wire = np.flatnonzero(loaded_plan.started), loaded_plan.motion
     profiles = np.sort(np.concatenate([2 * rows, 2 * rows + 1]))
-    offsets = np.concatenate([[0], np.cumsum(np.diff(wire.offsets)[profiles])])
+    offsets = wire.parts.select(profiles)[0].offsets
     addresses, sequence = session.transactions.addresses[rows], loaded_plan.sequence[rows]
     return encode_load(orders.units, addresses, sequence, offsets, wire.ticks, wire.velocity)

@@ -129,7 +129,7 @@ def _report_and_certificate(
     executed = certify(plane, followed.executed, safety) if interrupted else ordered[0]
     resumed_ok = (_resumed_safely(one, phase) for one, phase in zip(ordered[1:], phases[1:]))
     ok = ordered[0].ok and all(resumed_ok)
-    segments = np.concatenate([np.diff(phase.motion.offsets) for phase in phases])
+    segments = np.concatenate([phase.motion.parts.counts for phase in phases])
     segments = segments[segments > 0]
     metrics = plan_metrics(problem, followed.executed, executed, outcome.outcome, outcome.reason)
     report = metrics | {
@@ -154,7 +154,7 @@ def _report_and_certificate(
 
 def _resumed_safely(certificate: Certificate, phase: Phase) -> bool:
     # Two robots that were stopped too near to each other are safe as long as both rest.
-    moves = np.diff(phase.motion.offsets).reshape(-1, 2).any(axis=1)
+    moves = phase.motion.moves
     last = certificate.pairs.max(initial=0)  # rows of fixed discs follow those of the robots
     moves = np.append(moves, np.zeros(last + 1, dtype=bool))
     unsafe = bool(moves[certificate.pairs[certificate.unsafe]].any())
@@ -170,7 +170,7 @@ def _notes(plane: FocalPlane, followed: Replay) -> list[str]:
         if following is None:
             notes.append(f"stopped at {stop_s:.3f} s")
             continue
-        resumed = np.diff(following.motion.offsets).reshape(-1, 2).any(axis=1)
+        resumed = following.motion.moves
         left = plane.ids[phase.stopped & ~resumed]
         without = f" without {_robots(left)}" if len(left) else ""
         begin_s = 1e-6 * following.begin_us

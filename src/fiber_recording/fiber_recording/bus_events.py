@@ -65,7 +65,7 @@ def _load(plane: FocalPlane, log: FrameLog, time_s: Floats) -> BusLoad:
     count = int((end - begin) / bin_s) + 1
     carried = np.isin(log.ack, _CARRIED)
     bus, passed_s = log.bus[carried], (time_s - begin)[carried]
-    size = np.diff(log.offsets)[carried]
+    size = log.lengths[carried]
     at = np.searchsorted(buses, bus) * count + (passed_s / bin_s).astype(int)
     shape = (len(buses), count)
     frames = np.bincount(at, minlength=shape[0] * count).reshape(shape)
@@ -87,7 +87,7 @@ def _events(status: StatusReplies, log: FrameLog, time_s: Floats, row: Rows) -> 
         on_bus = on_bus[np.argsort(time_s[on_bus], kind="stable")]
         bursts = on_bus[np.diff(time_s[on_bus], prepend=-np.inf) > _BURST_S]
         add(bursts, EventKind.LINE, log.ack[bursts])
-    calls = np.flatnonzero((log.address == 0) & ~log.ten_bit & (np.diff(log.offsets) > 1))
+    calls = np.flatnonzero((log.address == 0) & ~log.ten_bit & (log.lengths > 1))
     calls = calls[log.data[log.offsets[calls]] == CALL_PREFIX]
     opcode = log.data[log.offsets[calls] + 1] >> 4
     for code, kind in _GENERAL_CALLS.items():

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fiber_core.array_types import Gaps, Rows, Times
+from fiber_core.array_types import Gaps, Times
 from fiber_core.clearance import neighbour_pairs, sampled_gaps
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -37,7 +37,7 @@ def closest_approaches(plane: FocalPlane, motion: SegmentMotion, tick_s: float) 
     renumbered[rows] = np.arange(len(rows))
     fine_gap, fine_s = _smallest_gaps(
         plane.permuted(rows),
-        _motion_of(motion, rows),
+        motion.of_robots(rows),
         renumbered[pairs[closest]].astype(np.int32),
         _instants(motion, tick_s, _FINE),
     )
@@ -63,14 +63,3 @@ def _smallest_gaps(
     gaps = sampled_gaps(plane, pairs, np.stack([motion(t) for t in times], axis=-1))
     at = gaps.argmin(axis=1)
     return gaps[np.arange(len(pairs)), at], times[at]
-
-
-def _motion_of(motion: SegmentMotion, rows: Rows) -> SegmentMotion:
-    """The motion of some robots."""
-    profiles = (2 * rows[:, None] + [0, 1]).ravel()
-    counts = np.diff(motion.offsets)[profiles]
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    take = np.repeat(motion.offsets[profiles] - offsets[:-1], counts) + np.arange(offsets[-1])
-    return SegmentMotion(
-        motion.start[rows], offsets, motion.duration_s[take], motion.velocity_rad_s[take]
-    )

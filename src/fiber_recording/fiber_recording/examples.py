@@ -24,6 +24,7 @@ from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.closest import closest_approaches
 from fiber_recording.phases import Phase, counts_at, executed_motion
@@ -112,7 +113,7 @@ def _random_orders(
 ) -> WireMotion:
     start = units.to_counts(rng.uniform(plane.limits[..., 0], plane.limits[..., 1]))
     lengths = rng.integers(0, _MOST_SEGMENTS + 1, 2 * _ROBOTS) * np.repeat(started, 2)
-    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    offsets = Parts.from_counts(lengths).offsets
     ticks = rng.integers(1, _MOST_TICKS, offsets[-1])
     velocity = rng.integers(-_MOST_SPEED, _MOST_SPEED, offsets[-1])
     return WireMotion(units, start, offsets, ticks, velocity)
@@ -136,7 +137,7 @@ def _interrupted(orders: WireMotion, rng: np.random.Generator) -> tuple[Phase, P
             ticks += left[left > 0].tolist()
             velocity += orders.velocity[part][left > 0].tolist()
             lengths[row, joint] = (left > 0).sum()
-    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    offsets = Parts.from_counts(lengths).offsets
     remaining = WireMotion(orders.units, first.end, offsets, np.array(ticks), np.array(velocity))
     return first, Phase.whole(remaining, _RESUME_US)
 

@@ -113,7 +113,7 @@ class _Command(NamedTuple):
 
 
 def _commands(log: FrameLog) -> Iterator[_Command]:
-    written = np.flatnonzero(~log.read & (log.ack == 0) & (np.diff(log.offsets) > 0))
+    written = np.flatnonzero(~log.read & (log.ack == 0) & (log.lengths > 0))
     general = (log.address[written] == 0) & ~log.ten_bit[written]
     # the bytes of a general call begin with a prefix
     first = log.offsets[written] + general * (log.data[log.offsets[written]] == CALL_PREFIX)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiber_core.array_types import Counts, Ints, Mask
 from fiber_core.motion import SegmentMotion
+from fiber_core.ragged import Parts
 from fiber_core.validation import frozen_array
 from fiber_core.wire_units import WireMotion
 from fiber_recording.errors import RecordingError
@@ -143,7 +144,7 @@ def executed_motion(phases: Sequence[Phase]) -> SegmentMotion:
     profile = np.insert(profile, rests, profile[rests])
     start = phases[0].motion.decoded().start
     lengths = np.bincount(profile, minlength=start.size)
-    return SegmentMotion(start, np.concatenate([[0], np.cumsum(lengths)]), lasts_s, velocity)
+    return SegmentMotion(start, Parts.from_counts(lengths).offsets, lasts_s, velocity)
 
 
 class _Pieces(NamedTuple):
@@ -158,7 +159,7 @@ class _Pieces(NamedTuple):
 def _executed_pieces(phase: Phase) -> _Pieces:
     """Return the segments of a phase, cut where robots stopped."""
     motion = phase.motion.decoded()
-    profile = np.repeat(np.arange(2 * motion.n), np.diff(motion.offsets))
+    profile = motion.parts.owner
     ends_s = np.cumsum(motion.duration_s)
     before = np.concatenate([[0.0], ends_s])[motion.offsets[:-1]]
     begin_s = ends_s - motion.duration_s - before[profile] + 1e-6 * phase.begin_us

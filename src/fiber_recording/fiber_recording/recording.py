@@ -253,7 +253,7 @@ class Recording:
     @property
     def order_segments(self) -> Ints:
         """Number of segments in each order of each motor, shape (phases, n, 2)."""
-        return np.stack([np.diff(phase.motion.offsets).reshape(-1, 2) for phase in self.phases])
+        return np.stack([phase.motion.counts for phase in self.phases])
 
     @cached_property
     def active_s(self) -> Floats:
@@ -263,7 +263,7 @@ class Recording:
         """
         spans = np.full((len(self.phases), self.problem.plane.n, 2), np.nan)
         for span, phase in zip(spans, self.phases):
-            moves = np.diff(phase.motion.offsets).reshape(-1, 2).any(axis=1)
+            moves = phase.motion.moves
             ends = 1e-6 * phase.begin_us + phase.motion.decoded().durations.max(axis=1, initial=0.0)
             span[moves, 0] = 1e-6 * phase.begin_us
             span[moves, 1] = np.where(phase.stopped, 1e-6 * phase.stop_us, ends)[moves]

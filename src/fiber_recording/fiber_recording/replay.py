@@ -13,6 +13,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.executed_orders import StartedOrders, started_orders
 from fiber_recording.phases import Phase, executed_motion
@@ -155,8 +156,8 @@ def _motion(units: WireUnits, counts: Counts, rows: Rows, frames: Frames) -> Wir
     """Return the motion of some robots, rows ascending, from their LOADs; other robots rest."""
     orders = decode_load(units, frames)
     segments = np.zeros((len(counts), 2), dtype=np.int64)
-    segments[rows] = np.diff(orders.offsets).reshape(-1, 2)
-    offsets = np.concatenate([[0], np.cumsum(segments)])
+    segments[rows] = orders.counts
+    offsets = Parts.from_counts(segments).offsets
     return WireMotion(units, counts, offsets, orders.ticks, orders.velocity)
 
 

@@ -40,7 +40,7 @@ class StatusReplies:
     """
 
     def __init__(self, log: FrameLog, row: Rows):
-        length = np.diff(log.offsets)
+        length = log.lengths
         received = log.read & (log.ack == 0) & (row >= 0)
         self.frame = np.flatnonzero(received & np.isin(length, (VERIFY_BYTES, STATUS_BYTES)))
         self.row = row[self.frame]

@@ -10,6 +10,7 @@ from fiber_bus_bridge.frame_log import frame_log
 from fiber_bus_bridge.simulation import EVENT, Faults, Positioners, SimulatedBuses, TrueMotion
 from fiber_core.clearance import Safety
 from fiber_core.presets import preset
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording import Recording, replay, save_recording
 from fiber_recording.examples import random_recording
@@ -101,7 +102,7 @@ class SimulatedPlan:
         speed = np.tile([3000, -6000, 5000, -2000, 0, 1500, -500, 400, 0, 100], self.robots)
         ticks = np.tile([60, 70, 90, 50, 20, 120, 90, 70, 40, 80], self.robots)
         ticks = np.maximum(ticks + rng.integers(-20, 20, len(ticks)), 5)
-        offsets = np.concatenate([[0], np.cumsum(lengths)])
+        offsets = Parts.from_counts(lengths).offsets
         return WireMotion(self.units, counts, offsets, ticks, speed)
 
     def off_rad(self, rows=slice(None)):

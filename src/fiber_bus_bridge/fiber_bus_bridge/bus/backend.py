@@ -11,6 +11,7 @@ from fiber_bus_bridge.bus.recovery import Recovery
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire import Bytes, Frames
 from fiber_core.array_types import Codes, Floats, Ints, Offsets
+from fiber_core.ragged import Parts
 
 __all__ = ["Ack", "BusBackend", "Exchange", "Replies"]
 
@@ -45,13 +46,18 @@ class Replies:
     offsets: Offsets
     data: Bytes
 
+    @property
+    def lengths(self) -> Ints:
+        """Number of bytes of the reply to each frame, shape (f,)."""
+        return Parts(self.offsets).counts
+
     def table(self, width: int) -> Bytes:
         """Return the replies as a table, shape (f, width).
 
         Raises:
             WireError: a reply has another number of bytes.
         """
-        lengths = np.diff(self.offsets)
+        lengths = self.lengths
         if np.any(lengths != width):
             at = int(np.argmax(lengths != width))
             raise WireError(f"reply {at} has {lengths[at]} bytes, expected {width}")

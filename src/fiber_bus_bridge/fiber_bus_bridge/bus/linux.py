@@ -15,6 +15,7 @@ from fiber_bus_bridge.bus.recovery import Recovery
 from fiber_bus_bridge.errors import TopologyError
 from fiber_bus_bridge.wire import CALL_PREFIX, Frames, Opcode
 from fiber_core.array_types import Floats, Ints
+from fiber_core.ragged import Parts
 
 if TYPE_CHECKING:
     from smbus2 import i2c_msg
@@ -91,7 +92,7 @@ class LinuxBuses:
         f = len(frames)
         read = np.broadcast_to(np.asarray(read_bytes, dtype=np.int64), (f,))
         before = np.broadcast_to(np.asarray(not_before_s, dtype=float), (f,))
-        offsets = np.concatenate([[0], np.cumsum(read)])
+        offsets = Parts.from_counts(read).offsets
         replies = Replies(
             np.full(f, Ack.NOT_SENT, dtype=np.int64), np.zeros(f), np.zeros(f), offsets,
             np.full(offsets[-1], 0xFF, dtype=np.uint8),

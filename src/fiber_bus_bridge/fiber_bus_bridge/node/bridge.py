@@ -167,7 +167,7 @@ class BridgeNode(Node):
                 self._no_targets() if unknown else asked, 1 if unknown else self._max_attempts
             )
         self._current, self._awaited = attempt, None
-        self._ordered = np.any(np.diff(motion.offsets).reshape(-1, 2), axis=1)
+        self._ordered = motion.moves
         self._reporter.done(attempt, f"ready: orders for {self._ordered.sum()} robots")
         if is_awaited:  # start was requested for this plan
             self.get_logger().info(self._start())

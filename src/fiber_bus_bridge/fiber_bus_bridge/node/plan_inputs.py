@@ -7,6 +7,7 @@ import numpy as np
 from fiber_core.array_types import Codes, Counts, Ids, Points, Rows
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason, first_reason
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import MessageError, PlanStamp, SegmentTable, held, segments, targets
 
@@ -83,8 +84,8 @@ class PlanInputs:
         """
         table = segments.decode(message)
         lengths = np.zeros((self._plane.n, 2), dtype=np.int64)
-        lengths[self._rows(table.ids, "segments")] = np.diff(table.offsets).reshape(-1, 2)
-        offsets = np.concatenate([[0], np.cumsum(lengths)])
+        lengths[self._rows(table.ids, "segments")] = table.counts
+        offsets = Parts.from_counts(lengths).offsets
         all_robots = SegmentTable(self._plane.ids, offsets, table.ticks, table.velocity)
         return all_robots.motion(units, counts)
 

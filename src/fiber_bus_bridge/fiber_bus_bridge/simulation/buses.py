@@ -13,6 +13,7 @@ from fiber_bus_bridge.simulation.noise import Received, add_noise
 from fiber_bus_bridge.simulation.positioners import Positioners
 from fiber_bus_bridge.wire import ROLL_CALL_ADDRESS, Addresses, Bytes, Frames
 from fiber_core.array_types import Bools, Codes, Floats, Ints, Rows
+from fiber_core.ragged import Parts
 
 __all__ = ["SimulatedBuses"]
 
@@ -90,7 +91,7 @@ class SimulatedBuses:
         """Carry a batch of messages; see BusBackend.transfer."""
         f = len(frames)
         read = np.broadcast_to(np.asarray(read_bytes, dtype=np.int64), (f,))
-        offsets = np.concatenate([[0], np.cumsum(read)])
+        offsets = Parts.from_counts(read).offsets
         not_before = np.broadcast_to(np.asarray(not_before_s, dtype=float), (f,))
         if f == 0:
             nothing = np.zeros(0)

@@ -6,6 +6,7 @@ import numpy as np
 
 from fiber_bus_bridge.wire import Bytes, Frames
 from fiber_core.array_types import Bools, Floats, Ints, Offsets
+from fiber_core.ragged import Parts
 
 __all__ = ["Received", "add_noise"]
 
@@ -48,7 +49,7 @@ class Received:
         return cls(
             frames.to.address.copy(), frames.to.ten_bit, np.zeros(f, dtype=bool),
             frames.offsets[:-1].copy(), frames.offsets[1:].copy(), frames.data.copy(),
-            np.diff(offsets) > 0, np.zeros(f, dtype=bool), np.zeros(f, dtype=bool),
+            Parts(offsets).counts > 0, np.zeros(f, dtype=bool), np.zeros(f, dtype=bool),
             np.zeros(offsets[-1], dtype=np.uint8),
         )  # fmt: skip
 
@@ -67,7 +68,7 @@ def add_noise(
         rate: probability that a bit is read wrong during each frame, shape (f,).
         rng: source of randomness.
     """
-    read = np.diff(offsets)
+    read = Parts(offsets).counts
     head = np.where(frames.to.ten_bit, 2, 1)
     restarts = (read > 0) & ((frames.lengths > 0) | frames.to.ten_bit)
     total = head + frames.lengths + restarts + read

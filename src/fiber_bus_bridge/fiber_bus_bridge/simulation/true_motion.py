@@ -11,6 +11,7 @@ from fiber_bus_bridge.simulation.positioners import Positioners
 from fiber_bus_bridge.wire import Frames
 from fiber_core.array_types import Floats, Ints, Rows
 from fiber_core.motion import SegmentMotion
+from fiber_core.ragged import Parts
 
 __all__ = ["Movements", "ObservedBuses", "TrueMotion"]
 
@@ -117,7 +118,7 @@ class TrueMotion:
                         durations[2 * row + joint].append(duration)
                         speeds[2 * row + joint].append(velocity)
             now[row] = until
-        offsets = np.concatenate([[0], np.cumsum([len(d) for d in durations])])
+        offsets = Parts.from_counts([len(d) for d in durations]).offsets
         flat = [np.array([x for part in parts for x in part]) for parts in (durations, speeds)]
         return SegmentMotion(self._start * self._quantum_rad, offsets, *flat)
 

@@ -14,6 +14,7 @@ from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc, frame_pec
 from fiber_bus_bridge.wire.roll_call import NO_SLOT
 from fiber_core.array_types import Ints
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
 
 __all__ = [
@@ -257,7 +258,7 @@ def _sealed(to: Addresses, table: NDArray[Any], check: int = 2) -> Frames:
     body = table.view(np.uint8).reshape(len(to), table.itemsize)
     body = body[:, :-2] if check == 2 else body
     called = (to.address == 0) & ~to.ten_bit
-    offsets = np.concatenate([[0], np.cumsum(body.shape[1] + check + called)])
+    offsets = Parts.from_counts(body.shape[1] + check + called).offsets
     data = np.empty(offsets[-1], dtype=np.uint8)
     data[offsets[:-1][called]] = CALL_PREFIX
     first = offsets[:-1] + called

@@ -13,6 +13,7 @@ from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire.crc import CRC8_INIT, CRC16_INIT, crc8, crc16
 from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_core.array_types import Bools, Ints, Offsets
+from fiber_core.ragged import Parts
 
 __all__ = [
     "Addresses",
@@ -98,12 +99,7 @@ class Frames:
     def __post_init__(self) -> None:
         offsets = np.array(self.offsets, dtype=np.int64)
         data = np.array(self.data, dtype=np.uint8)
-        if (
-            offsets.shape != (len(self.to) + 1,)
-            or data.shape != (offsets[-1],)
-            or offsets[0] != 0
-            or np.any(np.diff(offsets) < 0)
-        ):
+        if data.ndim != 1 or not Parts(offsets).cover(len(self.to), data.size):
             raise WireError(f"offsets do not cut {data.size} bytes into {len(self.to)} frames")
         for name, value in (("offsets", offsets), ("data", data)):
             value.setflags(write=False)
@@ -115,10 +111,8 @@ class Frames:
     def __getitem__(self, rows: Ints | Bools | slice) -> "Frames":
         """Return the frames chosen by an index or mask array, in that order."""
         rows = np.arange(len(self))[rows]
-        lengths = self.lengths[rows]
-        offsets = np.concatenate([[0], np.cumsum(lengths)])
-        source = np.repeat(self.offsets[rows] - offsets[:-1], lengths) + np.arange(offsets[-1])
-        return Frames(self.to[rows], offsets, self.data[source])
+        parts, source = Parts(self.offsets).select(rows)
+        return Frames(self.to[rows], parts.offsets, self.data[source])
 
     def then(self, more: "Frames") -> "Frames":
         """Return these frames, followed by more frames."""
@@ -135,7 +129,7 @@ class Frames:
     @cached_property
     def lengths(self) -> Ints:
         """Data bytes of each frame, shape (f,)."""
-        return np.diff(self.offsets)
+        return Parts(self.offsets).counts
 
     def payload(self, row: int) -> bytes:
         """Return the data bytes of one frame."""
@@ -157,7 +151,7 @@ class Frames:
     @classmethod
     def from_bytes(cls, to: Addresses, payloads: Sequence[bytes]) -> "Frames":
         """Make frames from a sequence of bytes objects, one per target."""
-        offsets = np.concatenate([[0], np.cumsum([len(p) for p in payloads])])
+        offsets = Parts.from_counts([len(p) for p in payloads]).offsets
         return cls(to, offsets, np.frombuffer(b"".join(payloads), dtype=np.uint8))
 
 

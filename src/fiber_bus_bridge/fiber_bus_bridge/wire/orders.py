@@ -17,6 +17,7 @@ from fiber_bus_bridge.wire.codes import MAX_SEGMENTS, Fault, Opcode
 from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc
 from fiber_core.array_types import Bools, Codes, Ints, Offsets
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
 
 __all__ = ["Orders", "decode_load", "encode_load", "order_fault", "read_segment", "segment_counts"]
@@ -56,6 +57,11 @@ class Orders:
         """Frames that are valid orders, shape (f,)."""
         return self.fault == Fault.NONE
 
+    @property
+    def counts(self) -> Ints:
+        """Number of segments of each profile, shape (f, 2)."""
+        return Parts(self.offsets).counts.reshape(-1, 2)
+
 
 def encode_load(
     units: WireUnits,
@@ -84,7 +90,7 @@ def encode_load(
     velocity = np.asarray(velocity, dtype=np.int64)
     if offsets.shape != (2 * len(to) + 1,) or not offsets[-1] == len(ticks) == len(velocity):
         raise WireError(f"offsets do not describe orders for {len(to)} robots")
-    counts = np.diff(offsets).reshape(-1, 2)
+    counts = Parts(offsets).counts.reshape(-1, 2)
     sequence = np.broadcast_to(np.asarray(sequence, dtype=np.int64), (len(to),))
     for name, wrong, value in (
         ("segments", (counts < 0) | (counts > MAX_SEGMENTS), counts),
@@ -103,7 +109,7 @@ def encode_load(
             row = int(np.searchsorted(offsets, at, side="right") - 1) // 2
             raise WireError(f"row {row}: {name} {value[at]} is outside {low}..{high} wire units")
     lengths = 4 + units.segment_bytes * counts.sum(axis=1)
-    starts = np.concatenate([[0], np.cumsum(lengths)])
+    starts = Parts.from_counts(lengths).offsets
     data = np.empty(starts[-1], dtype=np.uint8)
     _fill(
         to.address, to.ten_bit, sequence, offsets, ticks, velocity,
@@ -131,7 +137,7 @@ def decode_load(units: WireUnits, frames: Frames) -> Orders:
     _scan(
         to.address, to.ten_bit, frames.offsets, frames.data, *widths, fault, sequence, crc, counts
     )
-    offsets = np.concatenate([[0], np.cumsum(counts.reshape(-1))])
+    offsets = Parts.from_counts(counts).offsets
     ticks, velocity = (np.empty(offsets[-1], dtype=np.int64) for _ in range(2))
     _read(frames.offsets, frames.data, *widths, offsets, ticks, velocity)
     return Orders(fault, sequence, crc, offsets, ticks, velocity)

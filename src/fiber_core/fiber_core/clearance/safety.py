@@ -69,9 +69,8 @@ class Safety:
             motion: the nominal motion.
             pairs: rows a, b as from neighbour_pairs, shape (p, 2).
         """
-        profile = np.repeat(np.arange(2 * plane.n), np.diff(motion.offsets))
         fastest = np.zeros(2 * plane.n)
-        np.maximum.at(fastest, profile, np.abs(motion.velocity_rad_s))
+        np.maximum.at(fastest, motion.parts.owner, np.abs(motion.velocity_rad_s))
         fastest = fastest.reshape(-1, 2)
         return self.required_from(plane, motion.start, fastest, motion.makespan_s, pairs)
 

@@ -8,6 +8,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Floats, Ints, Offsets, Times
+from fiber_core.ragged import Parts
 from fiber_discretizer.errors import UnknownOption
 from fiber_discretizer.fit.douglas_peucker import bisection_knots
 from fiber_discretizer.fit.greedy import greedy_knots
@@ -41,7 +42,7 @@ class Polylines:
     @property
     def counts(self) -> Ints:
         """Number of straight lines of each profile, shape (p,)."""
-        return np.diff(self.offsets) - 1
+        return Parts(self.offsets).counts - 1
 
     def __call__(self, time_s: ArrayLike) -> Floats:
         """Return the joint angles at increasing times [rad], shape (p, t).
@@ -120,8 +121,7 @@ def _on_profile(find_knots: _Knots) -> _Paths:
         time_s: Floats, profiles: Floats, low: Floats, high: Floats, last: Ints, _: Floats
     ) -> tuple[Offsets, Floats, Floats]:
         offsets, knots = find_knots(time_s, profiles, low, high, last)
-        row = np.repeat(np.arange(len(profiles)), np.diff(offsets))
-        return offsets, time_s[knots], profiles[row, knots]
+        return offsets, time_s[knots], profiles[Parts(offsets).owner, knots]
 
     return method
 

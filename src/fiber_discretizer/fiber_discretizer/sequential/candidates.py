@@ -5,6 +5,7 @@ import numpy as np
 from fiber_core.array_types import Bools, Floats, Ints, Mask, Rows
 from fiber_core.clearance import Profiles
 from fiber_core.motion import SampledMotion
+from fiber_core.ragged import Parts
 from fiber_discretizer.corridor import corridor_walls
 from fiber_discretizer.fit.linearize import Polylines, linearize
 from fiber_discretizer.options import DiscretizeOptions
@@ -170,7 +171,7 @@ class Candidates:
         ends = self._plan.units.to_angles(np.stack([self.start, self.goal], axis=-1)[rows, joint])
         moves = (self.start[rows, joint] != self.goal[rows, joint]) & (window[:, 1] > window[:, 0])
         keep = np.stack([np.ones_like(moves), moves], axis=1)
-        offsets = np.concatenate([[0], np.cumsum(keep.sum(axis=1))])
+        offsets = Parts.from_counts(keep.sum(axis=1)).offsets
         return Polylines(offsets, window[keep], ends[keep])
 
     def _planned_at(self, rows: Rows, times: Floats) -> Floats:
@@ -222,8 +223,8 @@ class Candidates:
         if not found.all():  # a robot without a path gets one that the caller drops
             straight = linearize(_SHARES, center, -np.inf, np.inf, "minimal", np.inf, last)
             path = _merged(found, path, straight)
-        row = np.repeat(np.arange(len(rows)), np.diff(path.offsets))
-        return Polylines(path.offsets, path.time_s * duration[row], path.angles), found
+        time_s = path.time_s * duration[Parts(path.offsets).owner]
+        return Polylines(path.offsets, time_s, path.angles), found
 
     def _rounded(self, rows: Rows, lines: list[Polylines], slack: float | None = None) -> Segments:
         slack_rad = np.full(len(rows), self._options.slack_rad if slack is None else slack)
@@ -249,9 +250,8 @@ class Candidates:
 
 def _merged(first: Mask, one: Polylines, other: Polylines) -> Polylines:
     # the paths of `one` where `first`, else those of `other`
-    counts = np.where(first, np.diff(one.offsets), np.diff(other.offsets))
+    counts = np.where(first, one.counts, other.counts) + 1
     begin = np.where(first, one.offsets[:-1], other.offsets[:-1] + len(one.time_s))
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    pick = np.arange(offsets[-1]) + np.repeat(begin - offsets[:-1], counts)
+    parts, pick = Parts.gather(begin, counts)
     times = np.concatenate([one.time_s, other.time_s])[pick]
-    return Polylines(offsets, times, np.concatenate([one.angles, other.angles])[pick])
+    return Polylines(parts.offsets, times, np.concatenate([one.angles, other.angles])[pick])

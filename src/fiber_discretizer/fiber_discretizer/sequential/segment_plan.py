@@ -19,6 +19,7 @@ from fiber_core.clearance import (
 )
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
+from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer.corridor import neighbours_of
 from fiber_discretizer.segments import Segments
@@ -118,9 +119,7 @@ class SegmentPlan:
 
     def pairs_of(self, rows: Rows) -> Ints:
         """Return the pairs with at least one of some robots, increasing, shape (k,)."""
-        first, stop = self.neighbours.offsets[rows], self.neighbours.offsets[np.asarray(rows) + 1]
-        counts = stop - first
-        at = np.arange(counts.sum()) + np.repeat(first - np.cumsum(counts) + counts, counts)
+        _, at = Parts(self.neighbours.offsets).select(rows)
         return np.unique(self.neighbours.pair[at])
 
     def robots_in(self, pairs: Ints) -> Mask:

@@ -1,0 +1,126 @@
+"""Ragged arrays: parts of different lengths, one after another in a flat array.
+
+The segments of all profiles, the bytes of all frames and the knots of all polylines are stored
+in this way. `Parts` has the arithmetic of the offsets; the flat arrays stay plain numpy arrays.
+Compiled loops take the offsets themselves.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fiber_core.array_types import Bools, Ints, Offsets
+
+__all__ = ["Parts"]
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Where the parts of a flat array begin: part i is ``offsets[i] : offsets[i + 1]``.
+
+    The offsets are taken as they are; `cover` checks those that come from elsewhere.
+
+    Args:
+        offsets: first element of each part, and the number of elements, shape (p + 1,).
+    """
+
+    offsets: Offsets
+
+    @classmethod
+    def from_counts(cls, counts: ArrayLike) -> "Parts":
+        """Return parts of given lengths.
+
+        Args:
+            counts: number of elements of each part; an array of any shape is read row by row.
+        """
+        counts = np.asarray(counts)
+        offsets = np.zeros(counts.size + 1, dtype=np.int64)
+        np.cumsum(counts, dtype=np.int64, out=offsets[1:])
+        return cls(offsets)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Parts"]) -> "Parts":
+        """Return the parts of flat arrays that are joined in this order."""
+        return cls.from_counts(np.concatenate([np.zeros(0, np.int64), *(p.counts for p in parts)]))
+
+    def __len__(self) -> int:
+        """Return the number of parts."""
+        return len(self.offsets) - 1
+
+    @property
+    def total(self) -> int:
+        """Number of elements of all parts."""
+        return int(self.offsets[-1])
+
+    @property
+    def first(self) -> Ints:
+        """First element of each part, shape (p,)."""
+        return self.offsets[:-1]
+
+    @property
+    def counts(self) -> Ints:
+        """Number of elements of each part, shape (p,)."""
+        return np.diff(self.offsets)
+
+    @property
+    def owner(self) -> Ints:
+        """The part to which each element belongs, shape (m,)."""
+        return np.repeat(np.arange(len(self)), self.counts)
+
+    def cover(self, parts: int, total: int) -> bool:
+        """Return whether the offsets rise from 0 to `total` and make so many parts.
+
+        Args:
+            parts: expected number of parts.
+            total: length of the flat array.
+        """
+        return bool(
+            self.offsets.shape == (parts + 1,)
+            and self.offsets[0] == 0
+            and self.offsets[-1] == total
+            and np.all(self.counts >= 0)
+        )
+
+    def slice(self, part: int) -> slice:
+        """Return the elements of one part."""
+        return slice(int(self.offsets[part]), int(self.offsets[part + 1]))
+
+    def select(self, parts: ArrayLike) -> tuple["Parts", Ints]:
+        """Return some parts, in the given order, and the elements that they consist of.
+
+        Args:
+            parts: the chosen parts, shape (s,); a part may occur several times.
+
+        Returns:
+            The chosen parts, and for each of their elements its index in the present flat array.
+        """
+        parts = np.asarray(parts, dtype=np.int64)
+        return Parts.gather(self.offsets[parts], self.offsets[parts + 1] - self.offsets[parts])
+
+    @classmethod
+    def gather(cls, first: Ints, counts: Ints) -> tuple["Parts", Ints]:
+        """Return parts that are runs of a flat array, and the elements that they consist of.
+
+        Args:
+            first: element at which each run begins, shape (s,).
+            counts: number of elements of each run, shape (s,).
+
+        Returns:
+            The parts, and for each of their elements its index in the flat array.
+        """
+        gathered = cls.from_counts(counts)
+        return gathered, np.arange(gathered.total) + np.repeat(first - gathered.first, counts)
+
+    def without(self, empty: ArrayLike) -> tuple["Parts", Bools]:
+        """Return the same number of parts, some of them emptied, and the elements that remain.
+
+        Args:
+            empty: whether each part loses its elements, shape (p,).
+
+        Returns:
+            The parts, and whether each element of the present flat array remains.
+        """
+        empty, counts = np.asarray(empty, dtype=bool), self.counts
+        return Parts.from_counts(np.where(empty, 0, counts)), np.repeat(~empty, counts)
