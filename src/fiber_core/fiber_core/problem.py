@@ -1,6 +1,5 @@
 """Problems and plans, and the exchange files that hold them."""
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -151,8 +150,13 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
     Raises:
         LayoutError: a field does not fit; names it.
     """
+    missing = [name for name in _NEEDED if name not in data]
+    if missing:
+        raise LayoutError(f"{name} has no field {', '.join(missing)}")
     n = np.size(data["id"])
     arms = frozen_array(data["arm_mm"], np.float64, (n, 2), "arm_mm", LayoutError)
+    radius = frozen_array(data["radius_mm"], np.float64, (n,), "radius_mm", LayoutError)
+    spacing = data.get("spacing_mm", np.array(4 * radius.max(initial=0.0)))
     elbow_to_tip = np.zeros((n, 2, 2))
     elbow_to_tip[:, 1, 0] = arms[:, 1]
     plane = FocalPlane(
@@ -162,14 +166,14 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
         limits=data["limits_rad"],
         speeds=data["speed_rad_s"],
         phi_vertices=data.get("phi_outline_mm", elbow_to_tip),
-        phi_radius=data["radius_mm"],
+        phi_radius=radius,
         theta_vertices=data.get("theta_outline_mm", np.zeros((n, 0, 2))),
         theta_radius=data.get("theta_radius_mm", np.zeros(n)),
         enabled=data["enabled"],
         obstacles=data.get("disc_mm", np.zeros((0, 3))),
         bus=data.get("bus"),
         address=data.get("address"),
-        spacing_mm=float(data.get("spacing_mm", 4 * data["radius_mm"].max(initial=0.0))),
+        spacing_mm=float(frozen_array(spacing, np.float64, (), "spacing_mm", LayoutError)),
         name=str(data.get("name", name)),
     )
     return Problem(plane, data["start_rad"], data["target_mm"])
@@ -223,8 +227,9 @@ def _read(
     try:
         with np.load(path) as file:
             data = dict(file)
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as problem:
-        raise error(f"{path} is not a problem or plan file: {problem}") from None
+    except Exception as problem:  # zipfile, zlib and numpy raise errors of a dozen types
+        text = str(problem) or type(problem).__name__
+        raise error(f"{path} is not a problem or plan file: {text}") from None
     missing = [name for name in needed if name not in data]
     if missing:
         raise error(f"{path} has no field {', '.join(missing)}")

@@ -8,7 +8,6 @@ docs/recording.md lists every array. Two prefixes are older than the names used 
 """
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -138,28 +137,52 @@ def load_recording(path: Path) -> Recording:
             a value in it does not fit; names the file and the value.
     """
     data = _read(path)
-    about = json.loads(bytes(data["about"]))
-    if about.get("format") != FORMAT:
-        raise RecordingError(f"{path} is not a recording: its format is {about.get('format')!r}")
-    if about["version"] > VERSION:
-        raise RecordingError(
-            f"{path} has version {about['version']}, this software reads versions up to {VERSION}: "
-            "use a newer release"
-        )
+    about = _about(data["about"], path)
     try:
-        return _recording(data, about, str(path))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return _recording(data, about, str(path))
     except KeyError as missing:
         raise RecordingError(f"{path} has no array or value {missing}") from None
     except FiberError as error:
         raise RecordingError(f"{path}: {error}") from None
+    except (
+        ArithmeticError,
+        AttributeError,
+        IndexError,
+        MemoryError,
+        TypeError,
+        ValueError,
+    ) as error:
+        # numpy's words for an array of another type or shape than this software writes
+        raise RecordingError(f"{path} is damaged: {error}") from None
+
+
+def _about(text: NDArray[Any], path: Path) -> dict[str, Any]:
+    try:
+        about = json.loads(bytes(text))
+    except (RecursionError, TypeError, ValueError) as error:
+        raise RecordingError(f"{path} is not a recording: about is not JSON: {error}") from None
+    kind = about.get("format") if isinstance(about, dict) else about
+    if kind != FORMAT:
+        raise RecordingError(f"{path} is not a recording: its format is {kind!r}")
+    version = about.get("version")
+    if not isinstance(version, int):
+        raise RecordingError(f"{path} is damaged: its version is {version!r}")
+    if version > VERSION:
+        raise RecordingError(
+            f"{path} has version {version}, this software reads versions up to {VERSION}: "
+            "use a newer release"
+        )
+    return about
 
 
 def _read(path: Path) -> dict[str, NDArray[Any]]:
     try:
         with np.load(path) as file:
             data = dict(file)
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise RecordingError(f"{path} is not a recording: {error}") from None
+    except Exception as error:  # zipfile, zlib and numpy raise errors of a dozen types
+        text = str(error) or type(error).__name__
+        raise RecordingError(f"{path} is not a recording: {text}") from None
     if "about" not in data:
         raise RecordingError(f"{path} is not a recording: it has no array 'about'")
     return data

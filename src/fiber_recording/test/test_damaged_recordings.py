@@ -1,0 +1,148 @@
+"""Damaged recordings: a recording or an error of this project, nothing else."""
+
+import copy
+import json
+import random
+import warnings
+import zipfile
+
+import numpy as np
+import pytest
+
+from fiber_core.errors import FiberError
+from fiber_recording import load_recording
+
+CASES = 150  # for each kind of damage and of file
+
+
+@pytest.fixture(params=["recording_file", "resumed_file"])
+def good(request):
+    """A file of one phase, and one of two."""
+    return request.getfixturevalue(request.param)
+
+
+def reads(path):
+    """Return whether a file is read; anything but an error of this project fails the test."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            load_recording(path)
+        except FiberError:
+            return False
+    return True
+
+
+def flipped(data, rng):
+    """Some bits of a file changed, or its end or a part cut off."""
+    data = bytearray(data)
+    choice = rng.random()
+    if choice < 0.15:
+        return data[: rng.randrange(len(data))]
+    if choice < 0.25:
+        begin = rng.randrange(len(data))
+        del data[begin : begin + rng.randint(1, 100)]
+        return data
+    part = min(1500, len(data))
+    begin = rng.choice([0, len(data) - part])  # headers and directory more often
+    for _ in range(rng.randint(1, 6)):
+        at = rng.randrange(len(data)) if choice < 0.5 else begin + rng.randrange(part)
+        data[at] ^= 1 << rng.randrange(8)
+    return data
+
+
+def unpacked_flip(path, rng):
+    """Bits of an uncompressed array changed, its checksum made again."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: bytearray(archive.read(name)) for name in archive.namelist()}
+    name = rng.choice(sorted(members))
+    data = members[name]
+    for _ in range(rng.randint(1, 4)):
+        end = 128 if rng.random() < 0.7 else len(data)  # the header of the array more often
+        data[rng.randrange(min(end, len(data)))] = rng.randrange(256)
+    return members
+
+
+def changed_array(value, rng):
+    """An array of another type, shape or content."""
+    value = np.asarray(value)
+    changes = [
+        lambda: value.astype(str),
+        lambda: value.astype(object),
+        lambda: np.array({"a": value}, dtype=object),
+        lambda: value.astype(complex) if value.dtype.kind in "biuf" else value[..., None],
+        lambda: np.zeros(0),
+        lambda: value[..., None],
+        lambda: np.ravel(value)[:-1],
+        lambda: np.array(np.nan),
+        lambda: np.array("2026-11-29", "M8[s]"),
+        lambda: np.zeros(value.shape, [("a", "i4"), ("b", "f8")]),
+        lambda: np.full(value.shape, np.inf),
+        lambda: np.full(value.shape, np.nan),
+        lambda: np.full(value.shape, -1),
+        lambda: np.full(value.shape, 1e300),
+        lambda: np.full(value.shape, 2**63, np.uint64),
+        lambda: np.full(value.shape, np.iinfo(np.int64).min),
+        lambda: np.full(value.shape, 0.5, np.float16),
+        lambda: np.zeros((2, 0, 3)),
+        lambda: np.array(b"\xff\xfe"),
+    ]
+    return rng.choice(changes)()
+
+
+def write_members(path, members):
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, bytes(data))
+
+
+def test_a_file_with_changed_bits_is_read_or_refused(good, tmp_path):
+    rng, refused = random.Random(13), 0
+    path, data = tmp_path / "damaged.npz", good.read_bytes()
+    assert reads(good)
+    for _ in range(CASES):
+        path.write_bytes(flipped(data, rng))
+        refused += not reads(path)
+    assert refused > CASES // 4
+
+
+def test_an_array_with_changed_bits_is_read_or_refused(good, tmp_path):
+    rng, refused = random.Random(14), 0
+    for _ in range(CASES):
+        write_members(tmp_path / "damaged.npz", unpacked_flip(good, rng))
+        refused += not reads(tmp_path / "damaged.npz")
+    assert refused > CASES // 4
+
+
+def test_an_array_of_another_type_shape_or_range_is_read_or_refused(good, tmp_path):
+    rng, refused = random.Random(15), 0
+    with np.load(good) as file:
+        arrays = dict(file)
+    for _ in range(CASES):
+        damaged = dict(arrays)
+        for name in rng.sample(sorted(damaged), rng.randint(1, 2)):
+            damaged[name] = changed_array(damaged[name], rng)
+        if rng.random() < 0.2:
+            del damaged[rng.choice(sorted(damaged))]
+        np.savez(tmp_path / "damaged.npz", **damaged)
+        refused += not reads(tmp_path / "damaged.npz")
+    assert refused > CASES // 4
+
+
+def test_an_about_that_is_not_of_a_recording_is_refused(good, tmp_path):
+    rng = random.Random(16)
+    with np.load(good) as file:
+        arrays = dict(file)
+    about = json.loads(bytes(arrays["about"]))
+    values = [None, [], {}, "x", -1, 1e300, "nan", [1, 2], {"tick_us": "x"}, True]
+    for _ in range(CASES):
+        damaged = copy.deepcopy(about)
+        place = rng.choice([damaged, damaged["units"]])
+        place[rng.choice(sorted(place))] = rng.choice(values)
+        if rng.random() < 0.2:
+            del damaged[rng.choice(sorted(damaged))]
+        text = json.dumps(rng.choice(values) if rng.random() < 0.1 else damaged).encode()
+        if rng.random() < 0.2:
+            text = text[: rng.randrange(len(text))]
+        arrays["about"] = np.frombuffer(text, np.uint8)
+        np.savez(tmp_path / "damaged.npz", **arrays)
+        reads(tmp_path / "damaged.npz")
