@@ -7,6 +7,7 @@ decided once in a process, when the first message is imported.
 import os
 import random
 import socket
+import sys
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,16 @@ os.environ |= {
     "ROS_PYTHON_CHECK_FIELDS": "1",
 }
 os.environ.setdefault("ROS_LOG_DIR", str(_ROOT / "log/ros"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item):
+    """Fail a test in which an exception escaped a callback: the guard keeps the node alive."""
+    yield
+    guard = sys.modules.get("fiber_msgs_py.callback_guard")  # not loaded by every suite
+    failures = guard.take_failures() if guard else []
+    if failures:
+        raise failures[0]
 
 
 @pytest.fixture

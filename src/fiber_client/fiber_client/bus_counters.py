@@ -29,7 +29,7 @@ class BusCounterTotals:
         """Take the counters of a status; return whether it was the status of a bus."""
         if not status.name.startswith(_PREFIX):
             return False
-        counters = {name: int(str(status.values.get(name, 0))) for name in _NAMES}
+        counters = {name: status.count(name) for name in _NAMES}
         self._first.setdefault(status.name, counters)
         self._latest[status.name] = counters
         when, frames = self._mark

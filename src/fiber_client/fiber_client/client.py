@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -9,14 +10,13 @@ from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2
 
 from fiber_client.errors import PlaneError, PlaneRefusal
-from fiber_client.monitor import PlaneMonitor
+from fiber_client.monitor import STAGES, PlaneMonitor
 from fiber_core.outcomes import PlanOutcome
 from fiber_msgs_py import PlanStamp, Progress, Service, Topic, diagnostics, targets, topics
 from fiber_node import RosClient
 
 __all__ = ["PlaneClient"]
 
-_STAGES = ("planner", "discretizer", "bridge")
 _TARGET_RECEIVERS = ("planner", "discretizer", "bridge")
 
 
@@ -170,12 +170,35 @@ class PlaneClient(PlaneMonitor):
             The outcome of every robot.
 
         Raises:
-            MessageError, PlaneRefusal, WaitError: as in the four steps.
+            MessageError, PlaneRefusal, WaitError: as in the four steps. Robots that may have
+            started are stopped before.
         """
         stamp = self.send_targets(ids, xy_mm)
         self.wait_until_ready(stamp, timeout_s)
-        self.start(timeout_s)
-        return self.wait_for_outcome(stamp, timeout_s)
+        with self.stops_on_error(timeout_s):
+            self.start(timeout_s)
+            return self.wait_for_outcome(stamp, timeout_s)
+
+    @contextmanager
+    def stops_on_error(self, timeout_s: float) -> Iterator[None]:
+        """Stop the robots when an error or an interrupt ends the block, then raise it.
+
+        A PlaneRefusal stops no robot: the bridge refused to move them, and the robots that it
+        moves are those of another client.
+
+        Args:
+            timeout_s: time-out of the service stop [s].
+        """
+        try:
+            yield
+        except PlaneRefusal:
+            raise
+        except BaseException:
+            try:
+                self.call_service(topics.STOP, timeout_s)
+            except Exception as error:
+                self.node.get_logger().error(f"robots under way were not told to stop: {error}")
+            raise
 
     def wait_for_recording(self, stamp: PlanStamp, timeout_s: float) -> None:
         """Wait until a recorder in the graph has written the recording of a plan.
@@ -264,7 +287,7 @@ class PlaneClient(PlaneMonitor):
         if self._states_of_layout() is None:
             yield "layout" if self._layout is None else "joint_states"
             return
-        for stage in _STAGES:
+        for stage in STAGES:
             status = self._statuses.get(stage)
             if status is None:
                 yield f"diagnostics of {stage}"

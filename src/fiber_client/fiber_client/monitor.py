@@ -1,7 +1,7 @@
 """What a client receives from the graph: the plane, its motion, and the plans under way."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -10,6 +10,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 
 from fiber_client.errors import PlaneError, PlaneRefusal
 from fiber_core.array_types import Angles, Counts, Ids
+from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
 from fiber_core.outcomes import PlanOutcome
@@ -19,6 +20,7 @@ from fiber_msgs_py import (
     MessageError,
     PlanStamp,
     Progress,
+    RateLimit,
     diagnostics,
     frames,
     held,
@@ -30,7 +32,9 @@ from fiber_msgs_py import (
     topics,
 )
 
-__all__ = ["PlaneMonitor"]
+__all__ = ["STAGES", "PlaneMonitor"]
+
+STAGES = ("planner", "discretizer", "bridge")  # a plan ends when one of these nodes refuses it
 
 _STAMPS_KEPT = 8  # attempts of one plan count as plans of their own
 
@@ -81,6 +85,7 @@ class PlaneMonitor:
         self._statuses: dict[str, diagnostics.Status] = {}
         self._refusals: list[PlaneRefusal] = []  # since targets were last sent
         self._sent: PlanStamp | None = None  # the time of that
+        self._limit = RateLimit()
         for topic, callback in (
             (topics.LAYOUT, self._on_layout),
             (topics.TARGETS, self._on_targets),
@@ -93,7 +98,20 @@ class PlaneMonitor:
             # last: when diagnostics of a node come in, its other topics are connected too
             (topics.DIAGNOSTICS, self._on_diagnostics),
         ):
-            topic.subscription(self.node, callback)
+            topic.subscription(self.node, self._refusing(topic.name, callback))
+
+    def _refusing(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a callback that logs why a message was refused; the state stays as it was."""
+
+        def receive(message: Any) -> None:
+            try:
+                callback(message)
+            except FiberError as error:
+                line = self._limit.line(topic, f"{topic}: message refused: {error}")
+                if line is not None:
+                    self.node.get_logger().warning(line)
+
+        return receive
 
     @property
     def plane(self) -> FocalPlane:
@@ -177,13 +195,15 @@ class PlaneMonitor:
             self._angles_at_rest = angles
 
     def _on_held(self, message: PointCloud2) -> None:
-        _entry(self.held, PlanStamp.of(message), list).append(held.decode(message))
+        robots = held.decode(message)
+        _entry(self.held, PlanStamp.of(message), list).append(robots)
 
     def _on_frames(self, message: PointCloud2) -> None:
+        log = frames.decode(message)
         stamp, at_rest = PlanStamp.of(message), self._angles_at_rest
         if stamp not in self.counts_before and at_rest is not None and self._layout is not None:
             _entry(self.counts_before, stamp, lambda: self.units.to_counts(at_rest))
-        _entry(self.frames, stamp, list).append(frames.decode(message))
+        _entry(self.frames, stamp, list).append(log)
 
     def _on_outcome(self, message: PointCloud2) -> None:
         stamp = PlanStamp.of(message)
@@ -203,7 +223,8 @@ class PlaneMonitor:
         recent = self._sent is not None and PlanStamp.of(message) >= self._sent
         for status in diagnostics.decode(message):
             before = self._statuses.get(status.name)
-            if recent and before is not None and _refused(status) > _refused(before):
+            is_new = before is not None and _refused(status) > _refused(before)
+            if recent and is_new and status.name in STAGES:
                 self._refusals.append(PlaneRefusal(status.name, status.text))
             self._statuses[status.name] = status
             self._on_status(status, before)
@@ -219,4 +240,4 @@ def _entry(table: dict[PlanStamp, _Entry], stamp: PlanStamp, make: Callable[[], 
 
 
 def _refused(status: diagnostics.Status) -> int:
-    return sum(int(str(status.values.get(name, 0))) for name in ("refused", "dropped"))
+    return status.count("refused") + status.count("dropped")

@@ -11,7 +11,7 @@ it or is held with a reason; anything else is 1.
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from rclpy.utilities import remove_ros_args
@@ -24,7 +24,7 @@ from fiber_core.errors import FiberError
 from fiber_core.fields import random_field
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
 from fiber_formats import read_targets
-from fiber_msgs_py import PlanStamp, topics
+from fiber_msgs_py import PlanStamp
 from fiber_node.ros_environment import use_loopback
 
 __all__ = ["count_outcomes", "main", "summary", "went_well"]
@@ -70,7 +70,8 @@ def _parser() -> argparse.ArgumentParser:
 def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisplay) -> int:
     client.wait_for_graph(options.timeout)
     if options.home_first:
-        folded = _stop_on_interrupt(client, lambda: client.home(options.timeout), options.timeout)
+        with client.stops_on_error(options.timeout):
+            folded = client.home(options.timeout)
         reached = folded.count(Outcome.REACHED)
         display.say(f"home: {reached} of {len(folded.ids)} robots folded")
     ids, xy_mm = _targets(client, options.targets, display)
@@ -79,12 +80,10 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
     if options.no_start:
         display.say(f"plan {stamp}: its orders are ready; call the service start to start them")
         return 0
-
-    def move() -> PlanOutcome:
+    with client.stops_on_error(options.timeout):
         client.start(options.timeout)
-        return client.wait_for_outcome(stamp, options.timeout)
-
-    outcome = _stop_on_interrupt(client, move, options.timeout).of(ids)
+        ended = client.wait_for_outcome(stamp, options.timeout)
+    outcome = ended.of(ids)
     if options.json:
         made = client.attempts(stamp).index(client.last_attempt(stamp)) + 1
         statistics = _statistics(client.times[stamp], display)
@@ -92,17 +91,6 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
     else:
         print(summary(outcome))
     return 0 if went_well(outcome) else 1
-
-
-def _stop_on_interrupt(
-    client: PlaneClient, move: Callable[[], PlanOutcome], timeout_s: float
-) -> PlanOutcome:
-    # an interrupt of the command during a motion is meant for the robots
-    try:
-        return move()
-    except KeyboardInterrupt:
-        client.call_service(topics.STOP, timeout_s)
-        raise
 
 
 def _targets(client: PlaneClient, source: str, display: ProgressDisplay) -> tuple[Ids, Points]:

@@ -167,3 +167,58 @@ def test_a_refusal_of_these_targets_ends_the_wait_and_an_earlier_one_does_not(no
     report(3, plan.ns + 10**9)
     with pytest.raises(PlaneRefusal, match="planner: targets refused: robot 9"):
         client.wait_until_ready(plan, WAIT_S)
+
+
+def test_malformed_messages_change_nothing_and_do_not_end_the_client(nodes):
+    client = nodes.client
+    nodes.show_plane()
+    client.wait_for(lambda: _has_angles(nodes), WAIT_S)
+    lost = diagnostics.encode([Status("planner", Level.OK, "?", {"refused": "many"})], 5)
+    lost.status[0].level = bytes([77])
+    for topic in TOPICS:
+        message = lost if topic is topics.DIAGNOSTICS else topic.type()
+        if hasattr(message, "header"):
+            message.header.frame_id = "map"
+            message.header.stamp.sec = -1
+        nodes.publish(topic, message)
+    status = Status("planner", Level.OK, "?", {"refused": "many"})
+    nodes.publish(topics.DIAGNOSTICS, diagnostics.encode([status], 5))
+    client.wait_for(lambda: "planner" in client.statuses, WAIT_S)
+    nodes.announce(PLAN)
+    client.wait_for(lambda: PLAN.plan in client.times, WAIT_S)
+    assert np.array_equal(client.plane.ids, PLANE.ids) and _has_angles(nodes)
+    assert not client.frames and not client.outcomes and not client.held
+
+
+@pytest.mark.parametrize("error", [WaitError("outcome", 1.0), KeyboardInterrupt(), ValueError("?")])
+def test_an_error_after_the_start_stops_the_robots(nodes, monkeypatch, error):
+    called = []
+    monkeypatch.setattr(nodes.client, "call_service", lambda service, _: called.append(service))
+    with pytest.raises(type(error)), nodes.client.stops_on_error(WAIT_S):
+        raise error
+    assert called == [topics.STOP]
+
+
+def test_a_refused_start_does_not_stop_the_robots_of_another_client(nodes, monkeypatch):
+    called = []
+    monkeypatch.setattr(nodes.client, "call_service", lambda service, _: called.append(service))
+    with pytest.raises(PlaneRefusal), nodes.client.stops_on_error(WAIT_S):
+        raise PlaneRefusal("bridge", "robots are moving")
+    assert not called
+
+
+def test_a_failed_stop_does_not_hide_the_error(nodes, capfd):
+    with pytest.raises(ValueError, match="the first"), nodes.client.stops_on_error(0.1):
+        raise ValueError("the first")
+    assert "were not told to stop" in capfd.readouterr().err
+
+
+def test_a_refusal_of_a_node_that_plans_nothing_does_not_end_the_wait(nodes):
+    client = nodes.client
+    plan = client.send_targets([1], [[0.0, 0.0]])
+    for name in ("viewer", "bridge: bus 0"):
+        for refused in (1, 2):
+            status = Status(name, Level.ERROR, "outcome refused", {"refused": refused})
+            nodes.publish(topics.DIAGNOSTICS, diagnostics.encode([status], plan.ns + 10**9))
+    nodes.announce(Attempt.first(plan))
+    client.wait_until_ready(plan, WAIT_S)

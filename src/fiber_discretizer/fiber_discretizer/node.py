@@ -41,7 +41,7 @@ class DiscretizerNode(Node):
         try:
             stamp = PlanStamp.of(message)
         except FiberError as error:
-            self._report.refuse(f"trajectory refused: {error}")
+            self._report.refuse(f"trajectory refused: {error}", "trajectory")
             return
 
         def discretize_when_current(attempt: Attempt) -> None:
@@ -54,7 +54,9 @@ class DiscretizerNode(Node):
         try:
             newest = self._newest
             if newest is not None and attempt.stamp <= newest.stamp:
-                self._report.drop(f"trajectory {attempt} dropped: plan {newest} is not older")
+                self._report.drop(
+                    f"trajectory {attempt} dropped: plan {newest} is not older", "trajectory"
+                )
                 return
             ids, motion, velocities = trajectory.decode(message)
             result = discretize_trajectory(
@@ -71,7 +73,7 @@ class DiscretizerNode(Node):
             self._newest = attempt
             self._publish(result, self._plane_cache.plane.ids, attempt)
         except FiberError as error:
-            self._report.refuse(f"trajectory refused: {error}")
+            self._report.refuse(f"trajectory refused: {error}", "trajectory")
 
     def _publish(self, result: DiscretizeStageResult, ids: Ids, attempt: Attempt) -> None:
         wire, certificate = result.discretization.wire, result.discretization.certificate

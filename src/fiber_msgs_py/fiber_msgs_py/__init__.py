@@ -21,10 +21,12 @@ from fiber_msgs_py import (
     trajectory,
 )
 from fiber_msgs_py.attempts import Attempt, AttemptTable
+from fiber_msgs_py.callback_guard import guarded, report_failures_to
 from fiber_msgs_py.diagnostics import Level, Status
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.held import Stage
 from fiber_msgs_py.progress import Progress
+from fiber_msgs_py.rate_limit import RateLimit
 from fiber_msgs_py.segments import SegmentTable
 from fiber_msgs_py.stamps import FRAME_ID, PlanStamp
 from fiber_msgs_py.topics import Service, Topic
@@ -37,6 +39,7 @@ __all__ = [
     "MessageError",
     "PlanStamp",
     "Progress",
+    "RateLimit",
     "SegmentTable",
     "Service",
     "Stage",
@@ -45,12 +48,14 @@ __all__ = [
     "corridors",
     "diagnostics",
     "frames",
+    "guarded",
     "held",
     "joint_states",
     "layout",
     "outcome",
     "point_clouds",
     "progress",
+    "report_failures_to",
     "segments",
     "targets",
     "topics",

@@ -11,6 +11,8 @@ from fiber_msgs_py.stamps import PlanStamp, header
 
 __all__ = ["Level", "Status", "decode", "encode"]
 
+_LONGEST_COUNT = 20  # digits
+
 
 class Level(IntEnum):
     """Severity, with the numbers of DiagnosticStatus."""
@@ -38,6 +40,11 @@ class Status:
     text: str
     values: Mapping[str, object] = field(default_factory=dict)
     hardware_id: str = ""
+
+    def count(self, name: str) -> int:
+        """Return a value that counts something; 0 where it is missing or no whole number."""
+        text = str(self.values.get(name, 0))
+        return int(text) if text.isdecimal() and len(text) < _LONGEST_COUNT else 0
 
     def to_message(self) -> DiagnosticStatus:
         """Return the status as a message; values are sent as text."""

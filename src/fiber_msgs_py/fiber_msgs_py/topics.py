@@ -11,6 +11,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from fiber_msgs_py import qos
+from fiber_msgs_py.callback_guard import guarded, guarded_service
 
 __all__ = [
     "CLEAR",
@@ -102,8 +103,12 @@ class Topic:
     def subscription(
         self, node: SubscriptionFactory[_Made], callback: Callable[[Any], None], **options: object
     ) -> _Made:
-        """Return a new subscription of a node; options as for Node.create_subscription."""
-        return node.create_subscription(self.type, self.name, callback, self.qos, **options)
+        """Return a new subscription of a node; options as for Node.create_subscription.
+
+        An exception that escapes the callback is reported and does not end the node.
+        """
+        call = guarded(node, self.name, callback)
+        return node.create_subscription(self.type, self.name, call, self.qos, **options)
 
 
 @dataclass(frozen=True)
@@ -121,8 +126,12 @@ class Service:
     def server(
         self, node: ServiceFactory[_Made], callback: Callable[[Any, Any], Any], **options: object
     ) -> _Made:
-        """Return a new service of a node; options as for Node.create_service."""
-        return node.create_service(self.type, self.name, callback, **options)
+        """Return a new service of a node; options as for Node.create_service.
+
+        An exception that escapes the callback is answered as a failure and does not end the node.
+        """
+        call = guarded_service(node, self.name, callback)
+        return node.create_service(self.type, self.name, call, **options)
 
     def client(self, node: ClientFactory[_Made], **options: object) -> _Made:
         """Return a new client of a node; options as for Node.create_client."""

@@ -103,7 +103,7 @@ class PlaneCache:
             self._layout = layout.decode(message)
             self._layout_ns = PlanStamp.of(message).ns
         except FiberError as error:
-            self._report.refuse(f"layout refused: {error}")
+            self._report.refuse(f"layout refused: {error}", "layout")
         self._publish_count()
         self._start_if_current()
 
@@ -112,7 +112,7 @@ class PlaneCache:
             ids, angles, velocities, self._states_ns = joint_states.decode(message)
             self._states = (ids, angles, velocities)
         except FiberError as error:
-            self._report.refuse(f"joint states refused: {error}")
+            self._report.refuse(f"joint states refused: {error}", "joint_states")
         self._publish_count()
         self._start_if_current()
 

@@ -4,7 +4,15 @@ from collections.abc import Callable, Iterable
 
 from rclpy.node import Node
 
-from fiber_msgs_py import Attempt, diagnostics, progress, topics
+from fiber_msgs_py import (
+    Attempt,
+    RateLimit,
+    diagnostics,
+    guarded,
+    progress,
+    report_failures_to,
+    topics,
+)
 from fiber_msgs_py.diagnostics import Level, Status
 from fiber_msgs_py.progress import Progress
 
@@ -16,9 +24,10 @@ _PERIOD_S = 1.0
 class Reporter:
     """Publishes progress and diagnostics of a node, and logs what is done and refused.
 
-    Diagnostics are published every second, and at once when something is refused or dropped. A
-    refusal stays the node's message until the node reports progress again. `counters` are figures
-    by name that go into the diagnostics, beside the numbers of messages refused and dropped.
+    Diagnostics are published every second, and at once when something is refused or dropped. An
+    exception that escapes a callback of the node counts as a refusal. A refusal stays the node's
+    message until the node reports progress again. `counters` are figures by name that go into the
+    diagnostics, beside the numbers of messages refused and dropped.
 
     Args:
         node: the node.
@@ -33,7 +42,10 @@ class Reporter:
         self.counters: dict[str, object] = {}
         self._progress = topics.PROGRESS.publisher(node)
         self._diagnostics = topics.DIAGNOSTICS.publisher(node)
-        node.create_timer(_PERIOD_S, self.publish)
+        self._limit = RateLimit()
+        # a client that waits for this node must not wait for what failed
+        report_failures_to(node, self._count_refusal)
+        node.create_timer(_PERIOD_S, guarded(node, "diagnostics", self._on_timer))
 
     def progress(self, attempt: Attempt, fraction: float, text: str) -> None:
         """Publish how far the work on an attempt of a plan is.
@@ -56,18 +68,42 @@ class Reporter:
         """Show in the next diagnostics what the node waits for."""
         self._level, self._text = Level.OK, text
 
-    def refuse(self, text: str) -> None:
-        """Log, count and publish that something was refused, and why."""
-        self._level, self._text = Level.ERROR, text
-        self.refused += 1
-        self._node.get_logger().error(text)
-        self.publish()
+    def refuse(self, text: str, source: str | None = None) -> None:
+        """Log, count and publish that something was refused, and why.
 
-    def drop(self, text: str) -> None:
-        """Log, count and publish that something out of date was dropped."""
+        Args:
+            text: one line for people.
+            source: the topic of a refused message, of which one line a second is logged.
+        """
+        self._count_refusal(text)
+        line = text if source is None else self._limit.line(source, text)
+        if line is not None:
+            self._node.get_logger().error(line)
+
+    def drop(self, text: str, source: str | None = None) -> None:
+        """Log, count and publish that something out of date was dropped.
+
+        Args:
+            text: one line for people.
+            source: the topic of a dropped message, of which one line a second is logged.
+        """
         self._level, self._text = Level.WARN, text
         self.dropped += 1
-        self._node.get_logger().warning(text)
+        line = text if source is None else self._limit.line(source, text)
+        if line is not None:
+            self._node.get_logger().warning(line)
+        self.publish()
+
+    def _count_refusal(self, text: str) -> None:
+        self._level, self._text = Level.ERROR, text
+        self.refused += 1
+        self.publish()
+
+    def _on_timer(self) -> None:
+        for source, lines in self._limit.overdue():
+            self._node.get_logger().error(
+                f"{source}: {lines} more messages were refused or dropped, their lines left out"
+            )
         self.publish()
 
     def publish(self) -> None:

@@ -49,7 +49,7 @@ class PlannerNode(Node):
             attempt = targets.decode_attempt(message)
             ids, xy_mm = targets.decode(message)
         except FiberError as error:
-            self._report.refuse(f"targets refused: {error}")
+            self._report.refuse(f"targets refused: {error}", "targets")
             return
         self._plane_cache.when_current(attempt, lambda: self._handle(attempt, ids, xy_mm))
 
@@ -57,10 +57,12 @@ class PlannerNode(Node):
         try:
             newest = self._newest
             if newest is not None and attempt.stamp <= newest.stamp:
-                self._report.drop(f"targets {attempt} dropped: plan {newest} is not older")
+                self._report.drop(
+                    f"targets {attempt} dropped: plan {newest} is not older", "targets"
+                )
                 return
             if self._plane_cache.moving:
-                self._report.refuse(f"targets {attempt} refused: robots are moving")
+                self._report.refuse(f"targets {attempt} refused: robots are moving", "targets")
                 return
             start = self._plane_cache.angles
             assignment = assign(self._plane_cache.plane, start, ids, xy_mm)
@@ -74,7 +76,7 @@ class PlannerNode(Node):
             )
             self._publish(result, attempt)
         except FiberError as error:
-            self._report.refuse(f"targets refused: {error}")
+            self._report.refuse(f"targets refused: {error}", "targets")
 
     def _publish(self, result: PlanStageResult, attempt: Attempt) -> None:
         ids, motion, is_held = result.problem.plane.ids, result.planned.motion, result.held

@@ -5,6 +5,7 @@ robots move it only keeps messages; it builds the recording after the plan has e
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from fiber_msgs_py import (
     PlanStamp,
     corridors,
     frames,
+    guarded,
     joint_states,
     layout,
     outcome,
@@ -87,7 +89,7 @@ class RecorderNode(Node):
         self._received = ReceivedPlans()
         self._began_ns = self.get_clock().now().nanoseconds
         self._report = Reporter(self, "recorder")
-        for topic, callback in (
+        for topic, observe in (
             (topics.LAYOUT, self._on_layout),
             (topics.JOINT_STATES, self._on_joint_states),
             (topics.TARGETS, self._on_targets),
@@ -97,20 +99,30 @@ class RecorderNode(Node):
             (topics.FRAMES, self._on_frames),
             (topics.OUTCOME, self._on_outcome),
         ):
-            topic.subscription(self, callback)
-        self.create_timer(_CHECK_PERIOD_S, self._write_ended_plans)
+            topic.subscription(self, self._refusing(topic.name, observe))
+        self.create_timer(_CHECK_PERIOD_S, guarded(self, "recordings", self._write_ended_plans))
 
     def _text_parameter(self, name: str, default: str) -> str:
         return self.declare_parameter(name, default).get_parameter_value().string_value
 
+    def _refusing(self, topic: str, observe: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a callback that reports why a message was refused."""
+        name = topic.rpartition("/")[2]
+
+        def receive(message: Any) -> None:
+            try:
+                observe(message)
+            except FiberError as error:
+                self._report.refuse(f"{name} refused: {error}", name)
+
+        return receive
+
     def _on_layout(self, message: PointCloud2) -> None:
-        try:
-            plane, self._units = layout.decode(message)
-            self._plane = replace(plane, name=self._plane_name)
-        except FiberError as error:
-            self._report.refuse(f"layout refused: {error}")
+        plane, self._units = layout.decode(message)
+        self._plane = replace(plane, name=self._plane_name)
 
     def _on_joint_states(self, message: JointState) -> None:
+        joint_states.decode(message)  # refuses a malformed message, which would be read too late
         self._states = message
         if not np.any(message.velocity):
             self._states_at_rest = message
@@ -125,10 +137,7 @@ class RecorderNode(Node):
             self._received.plan(attempt.plan).targets = message
 
     def _on_progress(self, message: DiagnosticStatus) -> None:
-        try:
-            self._received.announce(progress.decode(message).attempt)
-        except FiberError as error:
-            self._report.refuse(f"progress refused: {error}")
+        self._received.announce(progress.decode(message).attempt)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         self._received.attempt(PlanStamp.of(message)).trajectory = message
@@ -137,24 +146,18 @@ class RecorderNode(Node):
         self._received.attempt(PlanStamp.of(message)).corridors = message
 
     def _on_frames(self, message: PointCloud2) -> None:
+        log = frames.decode(message)
         attempt = self._received.attempt(PlanStamp.of(message))
         before = self._plane_with(self._states_at_rest)
-        try:
-            if attempt.counts is None and before is not None:
-                attempt.plane, attempt.counts = before.plane, before.counts
-            attempt.logs.append(frames.decode(message))
-        except FiberError as error:
-            self._report.refuse(f"frames refused: {error}")
+        if attempt.counts is None and before is not None:
+            attempt.plane, attempt.counts = before.plane, before.counts
+        attempt.logs.append(log)
 
     def _on_outcome(self, message: PointCloud2) -> None:
         stamp = PlanStamp.of(message)
+        ended = PlanOutcome(stamp.ns, *outcome.decode(message))
         plan = self._received.plan(stamp)
-        try:
-            plan.outcome = PlanOutcome(stamp.ns, *outcome.decode(message))
-        except FiberError as error:
-            self._report.refuse(f"outcome refused: {error}")
-            return
-        plan.outcome_s = time.monotonic()
+        plan.outcome, plan.outcome_s = ended, time.monotonic()
 
     def _plane_with(self, states: JointState | None) -> _PlaneWithStates | None:
         if self._plane is None or self._units is None or states is None:
@@ -175,6 +178,9 @@ class RecorderNode(Node):
             except (FiberError, OSError) as error:
                 self._report.refuse(f"plan {stamp} not recorded: {error}")
                 self._received.drop(stamp)
+            except Exception:
+                self._received.drop(stamp)  # the guard of this callback reports the error
+                raise
 
     def _ended_before_this_node(self, stamp: PlanStamp, plan: ReceivedPlan) -> bool:
         """Return whether a plan ended before this node began; it may have a recording."""

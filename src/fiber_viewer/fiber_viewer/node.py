@@ -18,7 +18,17 @@ from visualization_msgs.msg import Marker, MarkerArray
 from fiber_core.array_types import Angles, Codes, Mask
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
-from fiber_msgs_py import FRAME_ID, PlanStamp, joint_states, layout, outcome, qos, targets, topics
+from fiber_msgs_py import (
+    FRAME_ID,
+    PlanStamp,
+    guarded,
+    joint_states,
+    layout,
+    outcome,
+    qos,
+    targets,
+    topics,
+)
 from fiber_msgs_py.point_clouds import (
     ViewState,
     arms_cloud,
@@ -68,13 +78,13 @@ class ViewerNode(Node):
         topics.LAYOUT.subscription(self, self._on_layout)
         topics.TARGETS.subscription(self, self._on_targets)
         topics.OUTCOME.subscription(self, self._on_outcome)
-        self.create_timer(1.0 / rate_hz, self._on_timer)
+        self.create_timer(1.0 / rate_hz, guarded(self, "view", self._on_timer))
 
     def _on_layout(self, message: PointCloud2) -> None:
         try:
             self._plane = layout.decode(message)[0]
         except FiberError as error:
-            self._report.refuse(f"layout refused: {error}")
+            self._report.refuse(f"layout refused: {error}", "layout")
             return
         self._outcome = self._states = None
         self._publish(self._plane_points, plane_cloud(self._plane))
@@ -93,7 +103,7 @@ class ViewerNode(Node):
         try:
             ids, outcomes, _, _ = outcome.decode(message)
         except FiberError as error:
-            self._report.refuse(f"outcome refused: {error}")
+            self._report.refuse(f"outcome refused: {error}", "outcome")
             return
         if self._plane is not None and np.array_equal(ids, self._plane.ids):
             self._outcome, self._shown = outcomes, None
@@ -102,7 +112,7 @@ class ViewerNode(Node):
         try:
             self._states = joint_states.decode(message)
         except FiberError as error:
-            self._report.refuse(f"joint states refused: {error}")
+            self._report.refuse(f"joint states refused: {error}", "joint_states")
             return
         self._received_s, self._shown = time.monotonic(), None
 

@@ -29,7 +29,15 @@ from fiber_core.array_types import Mask
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Outcome
-from fiber_msgs_py import Attempt, AttemptTable, MessageError, PlanStamp, targets, topics
+from fiber_msgs_py import (
+    Attempt,
+    AttemptTable,
+    MessageError,
+    PlanStamp,
+    guarded,
+    targets,
+    topics,
+)
 from fiber_node import Reporter, declare_parameters, run
 
 __all__ = ["BridgeNode", "main"]
@@ -80,9 +88,9 @@ class BridgeNode(Node):
         self._targets = topics.TARGETS.publisher(self)
         self._subscribe()
         pause_s = _SOON_S if hardware.in_real_time or not scale else _TICK_S / scale
-        self._timer = self.create_timer(pause_s, self._on_tick)
+        self._timer = self.create_timer(pause_s, guarded(self, "tick", self._on_tick))
         self._timer.cancel()
-        self.create_timer(_TIMEOUT_CHECK_S, self._check_timeout)
+        self.create_timer(_TIMEOUT_CHECK_S, guarded(self, "time-out", self._check_timeout))
         self._configure()
         for line in hardware.lines:
             self.get_logger().info(line)
@@ -131,7 +139,7 @@ class BridgeNode(Node):
         try:
             self._plan_inputs.add_held(message)
         except FiberError as error:
-            self._reporter.refuse(f"held refused: {error}")
+            self._reporter.refuse(f"held refused: {error}", "held")
 
     def _on_segments(self, message: Any) -> None:
         with self._lock:
@@ -141,15 +149,18 @@ class BridgeNode(Node):
                 attempt = self._announced.find(stamp) or Attempt.first(stamp)
                 is_awaited = attempt == self._awaited
                 if attempt.number > 1 and not is_awaited:
-                    self._reporter.drop(f"segments {attempt} dropped: this attempt has ended")
+                    self._reporter.drop(
+                        f"segments {attempt} dropped: this attempt has ended", "segments"
+                    )
                 elif self._current is not None and stamp <= self._current.stamp:
                     self._reporter.drop(
-                        f"segments {attempt} dropped: plan {self._current} is not older"
+                        f"segments {attempt} dropped: plan {self._current} is not older",
+                        "segments",
                     )
                 else:
                     self._accept_orders(attempt, message)
             except FiberError as error:
-                self._reporter.refuse(f"segments refused: {error}")
+                self._reporter.refuse(f"segments refused: {error}", "segments")
                 if is_awaited:
                     self._give_up_attempt("its orders were refused")
 
