@@ -18,9 +18,7 @@ from fiber_positioners import (
 )
 
 here = Path(__file__).parent
-layout = read_layout(here / "layout.csv", preset="desi", obstacles=here / "fiducials.csv")
-plane = layout.plane
-print(layout.summary)
+plane = read_layout(here / "layout.csv", preset="desi", obstacles=here / "fiducials.csv")
 print(f"{plane.n} robots, {plane.enabled.sum()} enabled, {len(plane.obstacles)} fixed discs")
 print(f"theta arms of {plane.arms[:, 0].min():.2f} to {plane.arms[:, 0].max():.2f} mm")
 

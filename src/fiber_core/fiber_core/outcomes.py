@@ -109,6 +109,10 @@ class PlanOutcome:
     reason: Codes
     error_mm: Floats
 
+    def __post_init__(self):
+        for name in ("ids", "outcome", "reason", "error_mm"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name)))
+
     def of(self, ids: ArrayLike) -> "PlanOutcome":
         """Return the outcomes of some robots, in the order in which their ids are given.
 

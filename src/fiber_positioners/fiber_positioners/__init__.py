@@ -13,10 +13,10 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import PRESETS, preset
 from fiber_core.problem import Problem, load_problem, save_problem
-from fiber_formats import read_layout, read_starts, read_targets, write_results
+from fiber_formats import read_starts, read_targets, write_results
 from fiber_planner import PlannedMotion, Planner, planners
 from fiber_positioners.orders import Orders, make_orders
-from fiber_positioners.problems import random_problem, with_targets
+from fiber_positioners.problems import random_problem, read_layout, with_targets
 from fiber_positioners.reconfiguration import Reconfiguration, reconfigure
 from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
 from fiber_recording import Recording, load_recording

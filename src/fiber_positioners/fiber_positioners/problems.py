@@ -1,5 +1,6 @@
-"""Problems to solve: random ones, and targets from a table."""
+"""Planes from files, and problems to solve: random ones, and targets from a table."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,36 @@ from fiber_core import fields
 from fiber_core.assignment import assign
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
+from fiber_formats import read_layout as read_layout_file
 from fiber_formats import read_targets
 
-__all__ = ["random_problem", "with_targets"]
+__all__ = ["random_problem", "read_layout", "with_targets"]
+
+_LOG = logging.getLogger("fiber_positioners")
+
+
+def read_layout(
+    path: str | Path, preset: str | None = None, obstacles: str | Path | None = None
+) -> FocalPlane:
+    """Read a focal plane from a table or from an instrument's own files.
+
+    A line of the log (warnings of the logger "fiber_positioners") tells the figures that a preset
+    supplied; further lines name what the files hold and what is not used.
+    `fiber_formats.read_layout` returns the same lines with the plane instead.
+
+    Args:
+        path: a file, or several joined by commas where an instrument splits them.
+        preset: instrument that supplies what the files lack; by default the one that the format
+            or the arms point to.
+        obstacles: table of fixed discs x_mm, y_mm, radius_mm.
+
+    Raises:
+        FormatError: a file is refused; names file, column, robot and value.
+    """
+    layout = read_layout_file(str(path), preset, obstacles)
+    for line in (layout.summary, *layout.notices):
+        _LOG.warning("%s", line)
+    return layout.plane
 
 
 def random_problem(

@@ -1,6 +1,7 @@
 """A reconfiguration gives every robot an outcome, repeats to the byte, and is saved whole."""
 
 import json
+import logging
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from fiber_positioners import (
     make_orders,
     preset,
     random_problem,
+    read_layout,
     reconfigure,
     run_on_simulated_buses,
     with_targets,
@@ -176,3 +178,22 @@ def test_orders_carry_the_reasons_of_all_stages():
     run = run_on_simulated_buses(orders)
     result = Reconfiguration(orders, run, 0)
     assert np.array_equal(result.outcome, reconfigure(problem).outcome)
+
+
+def test_a_plane_from_a_table_tells_what_the_preset_supplied(tmp_path):
+    (tmp_path / "own.csv").write_text(
+        "id,x_mm,y_mm,arm_theta_mm,arm_phi_mm,remark\n4,0,0,3,3,a\n9,10.4,0,3,3,b\n"
+    )
+    logged = []
+    handler = logging.Handler()
+    handler.emit = lambda record: logged.append(record.getMessage())
+    logger = logging.getLogger("fiber_positioners")
+    logger.addHandler(handler)
+    try:
+        plane = read_layout(tmp_path / "own.csv")
+    finally:
+        logger.removeHandler(handler)
+    assert plane.ids.tolist() == [4, 9]
+    assert "2 robots, 0 disabled" in logged[0] and "from preset desi" in logged[0]
+    assert any("remark" in line for line in logged[1:])
+    assert reconfigure(random_problem(plane, seed=1)).report["reached"] == 2
