@@ -2,6 +2,7 @@
 
 import array
 import copy
+import time
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from fiber_client.client import PlaneClient
 from fiber_core.fields import random_field
 from fiber_core.outcomes import Outcome, Reason
 from fiber_msgs_py import PlanStamp, Topic, topics
-from fiber_node import RosClient
+from fiber_msgs_py.callback_guard import take_failures
+from fiber_node import RosClient, WaitError
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -168,8 +170,23 @@ def new_targets(client, seed):
     return client.plane.ids[drawn.asked], drawn.targets[drawn.asked]
 
 
+def wait_for_refusals(client):
+    """Wait until no refusal has been new for two seconds: a later one would end the next plan."""
+    counts, since_s = {}, time.monotonic()
+
+    def quiet():
+        nonlocal counts, since_s
+        now = {name: client.statuses[name].count("refused") for name in NODES}
+        if now != counts:
+            counts, since_s = now, time.monotonic()
+        return time.monotonic() > since_s + 2.0
+
+    client.wait_for(quiet, WAIT_S, "the last refusal")
+
+
 def check_alive(graph, client):
     """All nodes publish diagnostics of their own after now, and none has ended."""
+    wait_for_refusals(client)
     before = client.statuses
     client.wait_for(
         lambda: all(client.statuses[name] is not before.get(name) for name in NODES), WAIT_S
@@ -218,6 +235,38 @@ def test_killers_on_every_topic_end_no_node_and_plans_end_with_outcomes(tmp_path
         client.wait_for(lambda: "recorder" in client.times[stamp], WAIT_S, "the recording")
         assert (tmp_path / f"plan-{PlanStamp(ended.stamp_ns)}.npz").exists()
         check_alive(graph, client)
+
+
+def test_after_an_error_in_motion_stop_is_served_and_the_node_lives(new_domain, monkeypatch):
+    domain = new_domain()
+    bridge = {"robots": ROBOTS, "time_scale": 0.5}
+    with Graph(bridge=bridge, domain=domain) as graph, PlaneClient(domain) as client:
+        client.wait_for_graph(COMPILE_S)
+        stamp = client.send_targets(*new_targets(client, 1))
+        client.wait_until_ready(stamp, COMPILE_S)
+        with pytest.raises(WaitError), client.stops_on_error(WAIT_S):
+            client.start(WAIT_S)
+            client.wait_for(lambda: client.moving, WAIT_S, "motion")
+            client.wait_for_outcome(stamp, 0.2)
+        assert (client.wait_for_outcome(stamp, WAIT_S).reason == Reason.STOPPED).any()
+
+        client.call_service(topics.CLEAR, WAIT_S)
+        stamp = client.send_targets(*new_targets(client, 2))
+        client.wait_until_ready(stamp, WAIT_S)
+        client.start(WAIT_S)
+        client.wait_for(lambda: client.moving, WAIT_S, "motion")
+        node = next(node for node in graph.nodes if node.get_name() == "bridge")
+
+        def fail(*_):
+            raise ZeroDivisionError("a session without care")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(node._session, "advance", fail)
+            client.wait_for(lambda: "without care" in client.statuses["bridge"].text, WAIT_S)
+        client.call_service(topics.STOP, WAIT_S)
+        assert (client.wait_for_outcome(stamp, WAIT_S).reason == Reason.STOPPED).any()
+        assert graph.running
+    assert {type(error) for error in take_failures()} == {ZeroDivisionError}
 
 
 def test_latched_killers_do_not_end_a_graph_that_starts_later(tmp_path, new_domain):

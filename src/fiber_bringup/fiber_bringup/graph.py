@@ -32,8 +32,9 @@ class Graph:
     """Bridge, planner and discretizer, with recorder and viewer where requested, in one process.
 
     The nodes run from `with` to its end. Each graph has a context of its own, so that one process
-    can hold several graphs in different domains. An exception that escapes a callback of a node
-    ends the graph and is raised at the end of `with`. `nodes` are the nodes.
+    can hold several graphs in different domains. An exception in a callback of a topic or a service
+    is reported and does not end a node; any other that escapes a node ends the graph and is raised
+    at the end of `with`. `nodes` are the nodes.
 
     Args:
         planner: parameters of the planner node, by name.

@@ -196,6 +196,7 @@ class PlaneClient(PlaneMonitor):
         except BaseException:
             try:
                 self.call_service(topics.STOP, timeout_s)
+                self.node.get_logger().warning("robots that may be under way were told to stop")
             except Exception as error:
                 self.node.get_logger().error(f"robots under way were not told to stop: {error}")
             raise
