@@ -9,7 +9,14 @@ from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
 from fiber_core.array_types import Angles, Bools, Floats, Mask, Offsets, Rows
-from fiber_core.clearance import Bodies, Safety, bodies_of, neighbour_pairs, pair_gap_below
+from fiber_core.clearance import (
+    Bodies,
+    Safety,
+    bodies_of,
+    neighbour_pairs,
+    neighbours_of,
+    pair_gap_below,
+)
 from fiber_core.errors import FieldError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
@@ -98,12 +105,9 @@ def random_problem(
 def _neighbours(plane: FocalPlane, slack_mm: float) -> tuple[Rows, Offsets]:
     # flat lists of the rows that can come near each robot, obstacles from n on, and offsets
     beyond = max(0.0, (plane.arms.sum(axis=1) - plane.reach_mm).max(initial=0.0))
-    a, b = neighbour_pairs(plane, float(slack_mm + 2 * beyond)).T.astype(np.int64)
-    robots = b < plane.n
-    own, other = np.concatenate([a, b[robots]]), np.concatenate([b, a[robots]])
-    order = np.lexsort([other, own])
-    offsets = np.searchsorted(own[order], np.arange(plane.n + 1))
-    return other[order], offsets
+    pairs = neighbour_pairs(plane, float(slack_mm + 2 * beyond))
+    near = neighbours_of(plane.n, pairs, by_row=True)
+    return near.body, near.offsets
 
 
 def _arrange(

@@ -1,50 +1,18 @@
 """The corridor of a joint: how far it can turn at each sample without touching a neighbour."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike
 
-from fiber_core.array_types import Bools, Floats, Ints, Offsets, Rows
-from fiber_core.clearance import Profiles, posed_gap
+from fiber_core.array_types import Bools, Floats, Rows
+from fiber_core.clearance import Neighbours, Profiles, posed_gap
 
-__all__ = ["Neighbours", "corridor_walls", "neighbours_of"]
+__all__ = ["corridor_walls"]
 
 _STEPS = 24  # largest number of steps in which a wall is approached
 _FINEST_RAD = 2e-3  # a smaller step ends the approach
 _OUT_RAD = 0.02  # least step out of a neighbour
-
-
-class Neighbours(NamedTuple):
-    """The neighbours of each robot, ragged by robot.
-
-    Args:
-        offsets: first neighbour of each robot, shape (n + 1,).
-        body: rows of the neighbours, robots and obstacles, shape (2 p,).
-        pair: the pair that robot and neighbour form, shape (2 p,).
-    """
-
-    offsets: Offsets
-    body: Ints
-    pair: Ints
-
-
-def neighbours_of(n: int, pairs: ArrayLike) -> Neighbours:
-    """Return the neighbours of each robot.
-
-    Args:
-        n: number of robots; rows from n on are obstacles.
-        pairs: rows of neighbours, shape (p, 2).
-    """
-    pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
-    robot, other = np.concatenate([pairs, pairs[:, ::-1]]).T
-    pair = np.tile(np.arange(len(pairs)), 2)
-    keep = np.flatnonzero(robot < n)
-    keep = keep[np.argsort(robot[keep], kind="stable")]
-    offsets = np.searchsorted(robot[keep], np.arange(n + 1))
-    return Neighbours(offsets, other[keep], pair[keep])
 
 
 @njit(cache=True)

@@ -3,11 +3,18 @@
 import numpy as np
 
 from fiber_core.array_types import Floats
-from fiber_core.clearance import Safety, bodies_of, certified_pairs, levers_of, profiles_of
+from fiber_core.clearance import (
+    Safety,
+    bodies_of,
+    certified_pairs,
+    levers_of,
+    neighbours_of,
+    profiles_of,
+)
 from fiber_core.corridor import JointCorridors
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
-from fiber_discretizer.corridor import corridor_walls, neighbours_of
+from fiber_discretizer.corridor import corridor_walls
 
 __all__ = ["joint_corridors"]
 

@@ -5,10 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiber_core.clearance import bodies_of, neighbour_pairs, profiles_of, sampled_gaps
+from fiber_core.clearance import (
+    bodies_of,
+    neighbour_pairs,
+    neighbours_of,
+    profiles_of,
+    sampled_gaps,
+)
 from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
-from fiber_discretizer.corridor import corridor_walls, neighbours_of
+from fiber_discretizer.corridor import corridor_walls
 
 REQUIRED_MM = 0.1
 TRIANGLE = [[0.0, 0.0], [10.4, 0.0], [5.2, 9.0]]

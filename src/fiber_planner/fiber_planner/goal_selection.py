@@ -5,8 +5,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Bools, Codes, Floats, Ints, Offsets, Pairs
-from fiber_core.clearance import bodies_of, neighbour_pairs, pair_gap_below
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Ints, Pairs
+from fiber_core.clearance import (
+    Neighbours,
+    bodies_of,
+    neighbour_pairs,
+    neighbours_of,
+    pair_gap_below,
+)
 from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
@@ -60,8 +66,8 @@ def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[Angles, Code
     clash = _clashes(bodies_of(plane), pairs, options, count, margin_mm)
     pairs, clash = pairs[clash.any(axis=(1, 2))], clash[clash.any(axis=(1, 2))]
     order = np.lexsort((plane.centers[:, 1], plane.centers[:, 0]))
-    offsets, neighbours, by_row = _adjacency(pairs, clash, len(free))
-    pose = _choose(offsets, neighbours, by_row, count, order)
+    near = neighbours_of(len(free), pairs)
+    pose = _choose(near.offsets, near.body, _clashes_by_robot(near, pairs, clash), count, order)
 
     reason = np.full(plane.n, int(Reason.OK))
     reason[pose == _STAYS] = Reason.GOAL_BLOCKED
@@ -89,12 +95,12 @@ def _options(problem: Problem) -> tuple[Floats, Ints]:
     return options, np.isfinite(times).sum(axis=0)
 
 
-def _adjacency(pairs: Pairs, clash: Bools, rows: int) -> tuple[Offsets, Ints, Bools]:
-    # clashing pairs of each row: offsets, neighbours, clash[e, own pose, neighbour's pose]
-    a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
-    both = np.concatenate([clash, clash.transpose(0, 2, 1)])
-    by_row = np.argsort(a, kind="stable")
-    return np.searchsorted(a[by_row], np.arange(rows + 1)), b[by_row], both[by_row]
+def _clashes_by_robot(near: Neighbours, pairs: Pairs, clash: Bools) -> Bools:
+    # clash[e, own pose, neighbour's pose] of each robot with each of its neighbours
+    clash = clash[near.pair]
+    is_second = pairs[near.pair, 0] == near.body  # the robot stands second in the pair
+    clash[is_second] = clash[is_second].transpose(0, 2, 1)
+    return clash
 
 
 @nb.njit(cache=True)

@@ -1,12 +1,29 @@
 """Neighbours: the pairs of robots and obstacles that can come close to each other."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from fiber_core.array_types import Pairs
+from fiber_core.array_types import Ints, Offsets, Pairs
 from fiber_core.focal_plane import FocalPlane
 
-__all__ = ["neighbour_pairs"]
+__all__ = ["Neighbours", "neighbour_pairs", "neighbours_of"]
+
+
+class Neighbours(NamedTuple):
+    """The neighbours of each robot, ragged by robot; compiled loops take it as it is.
+
+    Args:
+        offsets: first neighbour of each robot, shape (n + 1,).
+        body: rows of the neighbours, robots and obstacles, shape (m,).
+        pair: the pair that robot and neighbour form, shape (m,).
+    """
+
+    offsets: Offsets
+    body: Ints
+    pair: Ints
 
 
 def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> Pairs:
@@ -39,3 +56,21 @@ def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> Pairs:
     apart = np.hypot(*(centers[close[:, 0]] - centers[close[:, 1]]).T)
     close = close[apart <= reach[close].sum(axis=1) + slack_mm]
     return close[np.lexsort(close.T[::-1])].astype(np.int32)
+
+
+def neighbours_of(n: int, pairs: ArrayLike, by_row: bool = False) -> Neighbours:
+    """Return the neighbours of each robot.
+
+    Args:
+        n: rows 0..n-1 get a list of neighbours; later rows are only neighbours of others.
+        pairs: rows of two neighbours each, shape (p, 2).
+        by_row: sort the neighbours of a robot by their rows. Otherwise they have the order of
+            the pairs: first those pairs in which the robot stands first.
+    """
+    pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
+    own, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+    pair = np.tile(np.arange(len(pairs)), 2)
+    order = np.lexsort([other, own]) if by_row else np.argsort(own, kind="stable")
+    order = order[own[order] < n]
+    offsets = np.searchsorted(own[order], np.arange(n + 1))
+    return Neighbours(offsets, other[order], pair[order])

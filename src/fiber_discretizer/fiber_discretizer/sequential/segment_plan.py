@@ -13,6 +13,7 @@ from fiber_core.clearance import (
     gaps,
     levers_of,
     neighbour_pairs,
+    neighbours_of,
     point_speeds,
     profiles_of,
     unproven,
@@ -21,7 +22,6 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer.corridor import neighbours_of
 from fiber_discretizer.segments import Segments
 
 __all__ = ["SegmentPlan", "profile_rows", "profiles_with"]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fiber_core import kinematics
 from fiber_core.array_types import Angles, Bools, Floats, Ints, Offsets, Pairs
-from fiber_core.clearance import Bodies, bodies_of, neighbour_pairs
+from fiber_core.clearance import Bodies, bodies_of, neighbour_pairs, neighbours_of
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
 
@@ -74,7 +74,7 @@ def scene_of(problem: Problem, seed: int = 0) -> Scene:
     movable = np.concatenate([plane.enabled, np.zeros(len(plane.obstacles), dtype=bool)])
     pairs = neighbour_pairs(plane).astype(np.int64)
     pairs = pairs[movable[pairs].any(axis=1)]
-    offsets, neighbours, pair_rows = _adjacency(pairs, len(movable))
+    near = neighbours_of(len(movable), pairs, by_row=True)
     options, option_count = _options(problem)
     return Scene(
         bodies=bodies,
@@ -86,9 +86,9 @@ def scene_of(problem: Problem, seed: int = 0) -> Scene:
             ],
             axis=1,
         ),
-        offsets=offsets,
-        neighbours=neighbours,
-        pair_rows=pair_rows,
+        offsets=near.offsets,
+        neighbours=near.body,
+        pair_rows=near.pair,
         pairs=pairs,
         start=problem.start,
         low=np.ascontiguousarray(plane.limits[:, :, 0]),
@@ -100,15 +100,6 @@ def scene_of(problem: Problem, seed: int = 0) -> Scene:
         options=options,
         option_count=option_count,
     )
-
-
-def _adjacency(pairs: Pairs, rows: int) -> tuple[Offsets, Ints, Ints]:
-    # neighbour lists in the order of the rows
-    a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
-    edge = np.tile(np.arange(len(pairs)), 2)
-    order = np.lexsort([b, a])
-    offsets = np.searchsorted(a[order], np.arange(rows + 1))
-    return offsets, np.ascontiguousarray(b[order]), edge[order]
 
 
 def _folded_phi(plane: FocalPlane) -> Floats:
