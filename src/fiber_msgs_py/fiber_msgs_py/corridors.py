@@ -60,6 +60,7 @@ def decode(message: PointCloud2) -> tuple[Ids, JointCorridors]:
         raise MessageError("corridors", "instants differ", field="walls of", value=sorted(lengths))
     low, high = (np.stack([rows[_WALLS[w]], rows[_WALLS[w + 2]]], axis=1) for w in (0, 1))
     try:
-        return ids, JointCorridors(rows["lasts"], low, high)
+        with np.errstate(invalid="ignore"):  # a signalling nan; it is refused
+            return ids, JointCorridors(rows["lasts"], low, high)
     except MotionError as error:
         raise MessageError("corridors", f"values are not corridors: {error}") from None

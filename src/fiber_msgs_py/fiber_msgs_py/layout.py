@@ -108,7 +108,7 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
     checked_ids(robots["id"], "layout")
     refuse(robots["enabled"] > 1, "layout", "enabled", ids, robots["enabled"], "is neither 0 nor 1")
     try:
-        with np.errstate(over="ignore"):  # what is infinite in mm is refused
+        with np.errstate(over="ignore", invalid="ignore"):  # what is infinite in mm is refused
             return _plane(robots, fixed, float(rows["spacing"][0])), _units(rows[0])
     except LayoutError as error:
         raise MessageError("layout", f"is not a focal plane: {error}") from None

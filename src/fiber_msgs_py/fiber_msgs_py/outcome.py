@@ -59,7 +59,7 @@ def decode(message: PointCloud2) -> tuple[Ids, Codes, Codes, Floats]:
     ids = checked_ids(rows["id"], "outcome")
     outcome = checked_codes(rows["outcome"], Outcome, ids, "outcome", "outcome")
     reason = checked_codes(rows["reason"], Reason, ids, "outcome", "reason")
-    with np.errstate(over="ignore"):  # what is infinite in mm is refused
+    with np.errstate(over="ignore", invalid="ignore"):  # what is infinite in mm is refused
         error_mm = rows["error"] * 1e3
     _check_error(ids, error_mm)
     return ids, outcome, reason, error_mm

@@ -84,7 +84,7 @@ def decode(message: PointCloud2) -> tuple[Ids, Points]:
     """
     rows = decode_table(message, "targets", _COLUMNS)
     ids = checked_ids(rows["id"], "targets")
-    with np.errstate(over="ignore"):  # what is infinite in mm is refused
+    with np.errstate(over="ignore", invalid="ignore"):  # what is infinite in mm is refused
         xy_mm = np.stack([rows["x"], rows["y"]], axis=1) * 1e3
     for axis, values in zip(("x", "y"), xy_mm.T):
         refuse(~np.isfinite(values), "targets", axis, ids, rows[axis], "is not finite")

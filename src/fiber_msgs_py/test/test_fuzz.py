@@ -41,6 +41,7 @@ from fiber_msgs_py import (
 CASES = 700  # for each decoder
 SIZES = (0, 1, 2, 3, 7, 255, 2**16, 2**31 - 1, 2**31, 2**32 - 1)
 NUMBERS = (0.0, -1.0, 5e-324, 1e300, -1.7e308, 1e19, 2.0**53, np.nan, np.inf, -np.inf)
+SIGNALLING_NANS = (b"\x01\0\0\0\0\0\xf0\x7f", b"\x01\0\x80\x7f")  # double and single
 TEXTS = (
     "",
     "map",
@@ -200,6 +201,8 @@ def damage_data(message, rng):
             value = struct.pack("<d", rng.uniform(-1e6, 1e6))
         elif field.datatype == PointField.FLOAT32:
             value = struct.pack("<f", rng.choice([0.0, -1.0, 3e38, np.nan, np.inf]))
+        if rng.random() < 0.1:
+            value = rng.choice(SIGNALLING_NANS)
         at = row * message.point_step + field.offset
         data[at : at + len(value)] = value[: max(0, len(data) - at)]
     message.data = array.array("B", data)
