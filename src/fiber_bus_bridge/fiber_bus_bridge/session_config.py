@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+from fiber_bus_bridge.errors import BridgeError
+from fiber_core.bounds import MAX_ANGLE_RAD, MAX_LENGTH_MM, check_number
+
 __all__ = ["SessionConfig"]
 
 
@@ -20,6 +23,9 @@ class SessionConfig:
         stretch_s: how much longer than the shortest a heartbeat may take on a bus [s]; a STOP would
             be late by as much. inf on a host without real-time behaviour.
         resumes: how often in a plan the other robots resume after a stop of all.
+
+    Raises:
+        BridgeError: a value is not a number, negative or out of bounds; names it.
     """
 
     tolerance_mm: float = 0.1
@@ -30,3 +36,19 @@ class SessionConfig:
     heartbeat_period_s: float = 2.5e-3
     stretch_s: float = 1e-3
     resumes: int = 3
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("tolerance_mm", 0.0, MAX_LENGTH_MM),
+            ("start_tolerance_rad", 0.0, MAX_ANGLE_RAD),
+            ("grace_s", 0.0, 3600.0),
+            ("heartbeat_period_s", 1e-5, 60.0),
+            ("stretch_s", 0.0, float("inf")),
+        ):
+            check_number(getattr(self, name), name, low, high, BridgeError)
+        for name, low, high in (
+            ("watchdog_ms", 0, 2**16 - 1),  # 16 bits each in CONFIG
+            ("silence_ms", 0, 2**16 - 1),
+            ("resumes", 0, 1000),
+        ):
+            check_number(getattr(self, name), name, low, high, BridgeError, whole=True)

@@ -148,7 +148,7 @@ def assign(
     low, high = np.moveaxis(plane.limits, -1, 0)
     outside = ((start < low - _ENCODER_RAD) | (start > high + _ENCODER_RAD)).any(axis=1)
     stuck = ~plane.enabled | outside
-    solutions, valid = kinematics.inverse(plane, asked)
+    solutions, valid = kinematics.inverse(plane.with_fixed_joints_at(start), asked)
     distance = np.hypot(*(asked - plane.centers).T)
     nearest, farthest = np.abs(plane.arms[:, 0] - plane.arms[:, 1]), plane.arms.sum(axis=1)
     rim = kinematics.RIM_MM

@@ -12,7 +12,7 @@ from fiber_core.array_types import Angles, Floats, Ids, Ints, Mask, Points, Rows
 from fiber_core.errors import LayoutError
 from fiber_core.validation import frozen_array
 
-__all__ = ["FocalPlane", "addresses_on"]
+__all__ = ["FIXED_JOINT_RAD", "FocalPlane", "addresses_on"]
 
 FIXED_JOINT_RAD = 1e-5  # a joint with a narrower range is fixed: it never moves
 _ROBOTS_PER_BUS = 500  # ten controllers for 5000 robots: Kaci et al. (SPIE 9912, 2016)

@@ -14,7 +14,12 @@ from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer.makarem2014 import discretize_makarem2014
 from fiber_discretizer.options import DiscretizeOptions, ProgressCallback
 from fiber_discretizer.sequential import discretize_sequentially
-from fiber_discretizer.validate import check_trajectory, starting_counts
+from fiber_discretizer.validate import (
+    check_size,
+    check_trajectory,
+    starting_counts,
+    until_rest,
+)
 
 __all__ = ["Discretization", "discretize"]
 
@@ -72,14 +77,18 @@ def discretize(
             (n, 2, t), or None; only compared with the limits.
 
     Raises:
-        MotionError: trajectory, velocities or start_counts do not fit the plane.
+        MotionError: trajectory, velocities or start_counts do not fit the plane, or the
+            trajectory has more samples than an order can express.
     """
     options = options or DiscretizeOptions()
+    check_size(trajectory)
     report = progress or _no_report
     report(0.0, "checking the trajectory")
     counts = starting_counts(plane, trajectory, units, start_counts)
+    plane = plane.with_fixed_joints_at(units.to_angles(counts))
     reason = check_trajectory(plane, trajectory, counts, units, options, velocities)
     trajectory = _with_robots_at_rest(trajectory, reason != Reason.OK)
+    trajectory = until_rest(trajectory, units, options)
     wire, reason, rounds = _BY_SHARING[options.sharing](
         plane, trajectory, counts, units, safety, options, reason, report
     )

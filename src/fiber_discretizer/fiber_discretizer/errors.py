@@ -4,10 +4,14 @@ from collections.abc import Iterable
 
 from fiber_core.errors import FiberError
 
-__all__ = ["UnknownOption"]
+__all__ = ["OptionError", "UnknownOption"]
 
 # names that options had before
 _RENAMED = {"turns": "sequential", "halves": "makarem2014", "paper": "douglas_peucker"}
+
+
+class OptionError(FiberError):
+    """A number among the options of the discretizer is out of its range."""
 
 
 class UnknownOption(FiberError):

@@ -4,7 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from fiber_discretizer.errors import UnknownOption
+from fiber_core.bounds import MAX_ANGLE_RAD, check_number
+from fiber_discretizer.errors import OptionError, UnknownOption
 from fiber_discretizer.fit.linearize import LINEARIZERS
 from fiber_discretizer.quantize import Rounding
 
@@ -45,6 +46,7 @@ class DiscretizeOptions:
 
     Raises:
         UnknownOption: the sharing, method, rule or joint does not exist.
+        OptionError: a number is not finite, negative or out of bounds; names it.
     """
 
     sharing: str = "sequential"
@@ -69,3 +71,16 @@ class DiscretizeOptions:
         ):
             if getattr(self, name) not in known:
                 raise UnknownOption(name, getattr(self, name), known)
+        for name, low, high in (
+            ("max_segments", 1, 1000),
+            ("rounds", 0, 1000),
+        ):
+            check_number(getattr(self, name), name, low, high, OptionError, whole=True)
+        for name, high in (
+            ("reach_rad", MAX_ANGLE_RAD),
+            ("allowance_mm", 1e3),
+            ("slack_rad", MAX_ANGLE_RAD),
+            ("start_tolerance_rad", MAX_ANGLE_RAD),
+            ("speed_tolerance", 1.0),
+        ):
+            check_number(getattr(self, name), name, 0.0, high, OptionError)

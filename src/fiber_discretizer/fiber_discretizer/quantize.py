@@ -6,7 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
+from fiber_core.bounds import check_number
 from fiber_core.wire_units import WireUnits
+from fiber_discretizer.errors import OptionError
 from fiber_discretizer.fit.linearize import Polylines
 from fiber_discretizer.segments import Segments
 
@@ -27,6 +29,9 @@ class Rounding:
             make the whole motion longer.
         sooner_ticks: how many ticks the last segment may become shorter.
         nudge_units: how many velocity units the segment before it may change.
+
+    Raises:
+        OptionError: a value is negative, no whole number, or out of bounds; names it.
     """
 
     good_quanta: int = 6
@@ -34,6 +39,16 @@ class Rounding:
     later_ticks: int = 8
     sooner_ticks: int = 64
     nudge_units: int = 8
+
+    def __post_init__(self) -> None:
+        for name, high in (
+            ("good_quanta", 2**31),
+            ("worst_quanta", 2**31),
+            ("later_ticks", 10_000),
+            ("sooner_ticks", 10_000),
+            ("nudge_units", 10_000),
+        ):
+            check_number(getattr(self, name), name, 0, high, OptionError, whole=True)
 
 
 def quantize(

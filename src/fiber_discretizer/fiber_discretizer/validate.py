@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from fiber_core.array_types import Codes, Counts, Velocities
+from fiber_core.array_types import Codes, Counts, Floats, Velocities
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
@@ -13,9 +13,11 @@ from fiber_core.validation import frozen_array
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer.options import DiscretizeOptions
 
-__all__ = ["check_trajectory", "peak_speeds", "starting_counts"]
+__all__ = ["check_size", "check_trajectory", "peak_speeds", "starting_counts", "until_rest"]
 
 _START_NOISE_RAD = 1e-9  # of the certificate too: a joint that starts farther out fails it
+_MOST_SAMPLES = 100_000  # six times the ticks of the longest order of the usual units
+_MOST_ROWS = 100_000_000  # samples times robots: 20 000 samples of 5000 robots
 _PROFILE_NOISE_RAD = 1e-6  # rounding brings later parts of a profile inside
 
 
@@ -41,8 +43,9 @@ def check_trajectory(
     Returns:
         Reason of each robot, shape (n,): DISABLED where a disabled robot is to move,
         BAD_TRAJECTORY where a profile does not begin at the present angle, has angles or
-        velocities that are too fast, moves outside the joint limits, or moves a joint with a
-        speed limit below one velocity unit.
+        velocities that are too fast, moves outside the joint limits, moves a joint with a
+        speed limit below one velocity unit, or comes to rest after the end of the longest
+        order.
 
     Raises:
         MotionError: velocities do not have the shape of the trajectory.
@@ -61,9 +64,58 @@ def check_trajectory(
     bad |= moves & ((start < low - _START_NOISE_RAD) | (start > high + _START_NOISE_RAD))
     least, most = angles.min(axis=2), angles.max(axis=2)
     bad |= moves & ((least < low - _PROFILE_NOISE_RAD) | (most > high + _PROFILE_NOISE_RAD))
+    bad |= moves & (_arrivals_s(trajectory) > longest_s(units, options))
     reason = np.where(bad.any(axis=1), int(Reason.BAD_TRAJECTORY), int(Reason.OK))
     reason[moves.any(axis=1) & ~plane.enabled] = Reason.DISABLED
     return reason
+
+
+def check_size(trajectory: SampledMotion) -> None:
+    """Refuse a trajectory with more samples than any order can express.
+
+    Raises:
+        MotionError: names the numbers of samples and robots.
+    """
+    samples, rows = len(trajectory.time_s), len(trajectory.time_s) * trajectory.n
+    if samples > _MOST_SAMPLES or rows > _MOST_ROWS:
+        raise MotionError(
+            f"the trajectory has {samples} samples of {trajectory.n} robots, expected at most "
+            f"{_MOST_SAMPLES} samples, and {_MOST_ROWS} samples times robots"
+        )
+
+
+def longest_s(units: WireUnits, options: DiscretizeOptions) -> float:
+    """Return the duration of the longest motion that an order can carry [s]."""
+    return options.max_segments * units.max_ticks * units.tick_s
+
+
+def until_rest(
+    trajectory: SampledMotion, units: WireUnits, options: DiscretizeOptions
+) -> SampledMotion:
+    """Return a trajectory that is too long for an order without the rest at its end.
+
+    Args:
+        trajectory: joint profiles of all robots; no robot moves after the end of the longest
+            order.
+        units: size of tick, width of the duration field.
+        options: for max_segments.
+    """
+    if trajectory.time_s[-1] <= longest_s(units, options):
+        return trajectory
+    arrival_s = max(_arrivals_s(trajectory).max(initial=0.0), trajectory.time_s[1])
+    if arrival_s > longest_s(units, options):  # all rest
+        still = np.repeat(trajectory.angles[:, :, :1], 2, axis=2)
+        return SampledMotion(np.array([0.0, units.tick_s]), still)
+    keep = trajectory.time_s <= arrival_s
+    return SampledMotion(trajectory.time_s[keep], trajectory.angles[:, :, keep])
+
+
+def _arrivals_s(trajectory: SampledMotion) -> Floats:
+    # when each joint comes to rest [s], shape (n, 2)
+    still = trajectory.angles == trajectory.angles[:, :, -1:]
+    last = still.shape[2] - np.argmin(still[:, :, ::-1], axis=2)
+    last = np.where(still.all(axis=2), 0, np.minimum(last, still.shape[2] - 1))
+    return trajectory.time_s[last]
 
 
 def peak_speeds(trajectory: SampledMotion) -> Velocities:

@@ -4,16 +4,18 @@
 halves, `fiber_core.assignment.assign` and `plan_assignment`, and logs refused targets in between.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fiber_core import kinematics
 from fiber_core.array_types import Codes, Mask
 from fiber_core.assignment import Assignment, assign
-from fiber_core.focal_plane import FocalPlane
+from fiber_core.focal_plane import FIXED_JOINT_RAD, FocalPlane
 from fiber_core.outcomes import Reason, first_reason, holds
 from fiber_core.problem import Problem
+from fiber_core.wire_units import WireUnits
 from fiber_planner.errors import PlannerError
 from fiber_planner.interface import PlannedMotion, Planner, ProgressCallback
 
@@ -29,7 +31,8 @@ class PlanStageResult:
         problem: the plane, the present joint angles and the accepted targets.
         planned: the motion that the planner made.
         reason: Reason of each robot, shape (n,): OK (it arrives at its target), NO_TARGET,
-            why its target was refused, or why the planner holds it.
+            why its target was refused, or why the planner holds it; TOO_MANY_SEGMENTS if the
+            robot is too slow for an order.
     """
 
     assignment: Assignment
@@ -83,6 +86,10 @@ def plan_assignment(
 ) -> PlanStageResult:
     """Plan the motion to the accepted targets of an assignment; the second half of plan_targets.
 
+    A robot that is too slow for the longest order of the wire stays where it is, as a disabled
+    one: planned with the others it would make their motion too long for an order. A fixed joint
+    stays at its present angle.
+
     Args:
         start: joint angles as the encoders read them [rad], shape (n, 2).
         assignment: the checked targets, from fiber_core.assignment.assign.
@@ -94,11 +101,39 @@ def plan_assignment(
     """
     plane = assignment.plane
     problem = Problem(plane, np.asarray(start, dtype=np.float64), assignment.targets)
-    planned = planner.plan(problem, progress)
+    slow = _too_slow(problem)
+    planned = planner.plan(_to_plan(problem, slow), progress)
     if planned.motion.n != plane.n:
         raise PlannerError(
             f"planner {planner.name!r} returned a motion of {planned.motion.n} robots "
             f"for a plane of {plane.n}"
         )
-    reason = first_reason(assignment.reason, planned.reason)
+    late = np.where(slow & problem.asked, Reason.TOO_MANY_SEGMENTS, planned.reason)
+    reason = first_reason(assignment.reason, late)
     return PlanStageResult(assignment, problem, planned, reason)
+
+
+def _to_plan(problem: Problem, slow: Mask) -> Problem:
+    # the problem with the slow robots disabled, and the fixed joints where they are
+    plane = problem.plane.with_fixed_joints_at(problem.start)
+    if not slow.any():
+        return problem if plane is problem.plane else replace(problem, plane=plane)
+    targets = np.where(slow[:, None], np.nan, problem.targets)
+    return Problem(plane.with_enabled(plane.enabled & ~slow), problem.start, targets)
+
+
+def _too_slow(problem: Problem) -> Mask:
+    # Robots with a joint slower than one velocity unit, and those that need, alone, more than
+    # half of the longest order: the other half is for detours. Shape (n,).
+    plane = problem.plane
+    units = WireUnits.for_plane(plane)
+    fixed = np.diff(plane.limits, axis=2)[:, :, 0] <= FIXED_JOINT_RAD
+    slow = np.any((plane.speeds < units.velocity_rad_s) & ~fixed, axis=1)
+    longest_s = 0.5 * units.longest_order_s
+    whole_range_s = (np.ptp(plane.limits, axis=2) / plane.speeds).max(axis=1)
+    for row in np.flatnonzero(~slow & problem.asked & (whole_range_s > longest_s)):
+        alone = plane.permuted([row])
+        angles, valid = kinematics.inverse(alone, problem.targets[[row]])
+        turn = np.abs(angles[0][valid[0]] - problem.start[row])
+        slow[row] = (turn / plane.speeds[row]).max(axis=1).min(initial=np.inf) > longest_s
+    return slow & plane.enabled

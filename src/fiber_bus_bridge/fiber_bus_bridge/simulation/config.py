@@ -10,12 +10,17 @@ from fiber_bus_bridge.errors import BridgeError
 from fiber_bus_bridge.simulation.buses import SimulatedBuses
 from fiber_bus_bridge.simulation.faults import FaultKind, Faults, draw_faults
 from fiber_bus_bridge.simulation.positioners import Positioners
+from fiber_core import bounds
 from fiber_core.array_types import Angles
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 from fiber_formats import FoundProblem, problem_from
 
 __all__ = ["SimulationConfig", "simulated_buses", "simulated_plane", "simulated_problem"]
+
+
+_LATEST_FAULT_S = 1e6  # twelve days of simulated time
+_MOST_FAULTS = 10_000  # of one kind
 
 
 @dataclass(frozen=True)
@@ -55,9 +60,16 @@ class SimulationConfig:
 
     def __post_init__(self) -> None:
         self.fault_kinds()
-        for name in ("robots", "seed", "clock_ppm", "start_skew_s"):
-            if getattr(self, name) < 0:
-                raise BridgeError(f"{name} is {getattr(self, name)}, expected zero or more")
+        bus_timing(self.clock)
+        for name, high in (("robots", bounds.MAX_ROBOTS), ("seed", 2**64)):
+            bounds.check_number(getattr(self, name), name, 0, high, BridgeError, whole=True)
+        for name, high in (
+            ("clock_ppm", bounds.MAX_CLOCK_PPM),
+            ("start_skew_s", bounds.MAX_SKEW_S),
+            ("faults_from_s", _LATEST_FAULT_S),
+            ("faults_until_s", _LATEST_FAULT_S),
+        ):
+            bounds.check_number(getattr(self, name), name, 0.0, high, BridgeError)
 
     def fault_kinds(self) -> list[FaultKind]:
         """Return the requested kinds of faults, each as often as requested.
@@ -73,6 +85,9 @@ class SimulationConfig:
                 raise BridgeError(
                     f"fault {part.strip()!r}: expected one of {names}, with :2 for two of them"
                 )
+            bounds.check_number(
+                int(count or 1), f"number of faults {name!r}", 0, _MOST_FAULTS, BridgeError
+            )
             kinds += [FaultKind[name.upper()]] * int(count or 1)
         return kinds
 

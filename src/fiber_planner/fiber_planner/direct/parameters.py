@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
+from fiber_core.bounds import check_number
 from fiber_core.clearance import Safety
+from fiber_core.errors import MotionError
 from fiber_planner.errors import PlannerError
 
 __all__ = ["DirectParameters"]
@@ -48,20 +48,19 @@ class DirectParameters:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in (
-            "margin_mm", "clock_ppm", "start_skew_s", "stop_skew_s", "allowance_mm", "effort"
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise PlannerError(f"{name} is {value}, expected zero or more")
-        if not (np.isfinite(self.stretch) and self.stretch >= 1):
-            raise PlannerError(f"stretch is {self.stretch}, expected 1 or more")
-        if not self.budget_s >= 0:
-            raise PlannerError(f"budget_s is {self.budget_s}, expected zero or more")
+        try:
+            _ = self.safety  # checks the first four
+        except MotionError as error:
+            raise PlannerError(str(error)) from None
+        for name, low, high in (
+            ("allowance_mm", 0.0, 1e3),
+            ("stretch", 1.0, 10.0),  # ten times the time of the slowest robot; memory grows with it
+            ("effort", 0.0, 1e6),  # 200 times the default: hours for 5000 robots
+            ("budget_s", 0.0, float("inf")),
+        ):
+            check_number(getattr(self, name), name, low, high, PlannerError)
         for name, low, high in (("intervals", 4, 1024), ("seed", 0, 2**32 - 1)):
-            value = getattr(self, name)
-            if value != int(value) or not low <= value <= high:
-                raise PlannerError(f"{name} is {value}, expected a whole number {low}..{high}")
+            check_number(getattr(self, name), name, low, high, PlannerError, whole=True)
 
     @property
     def safety(self) -> Safety:

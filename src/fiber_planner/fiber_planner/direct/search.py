@@ -90,7 +90,8 @@ class Search:
         self._scene = scene_of(problem, parameters.seed)
         self._ends = choose_ends(problem, self._scene, parameters)
         self._reason, self._alone_s = self._ends.reason, self._ends.alone_s
-        self._tick_s = WireUnits.for_plane(problem.plane).tick_s
+        units = WireUnits.for_plane(problem.plane)
+        self._tick_s, self._longest_s = units.tick_s, units.longest_order_s
         self._spent, self._sweep, self._folding = 0, 0, 0.0
         self._effort_share = _effort_share(problem.plane.n)
         self._limit = parameters.effort * self._effort_share
@@ -151,11 +152,12 @@ class Search:
 
     def _stretches(self, usual: Sequence[float]) -> list[float]:
         # The makespans to try, in units of the time alone: at least long enough to fold,
-        # go, and unfold, however short the way is.
+        # go, and unfold, however short the way is; and no longer than an order can last.
         plane = self._problem.plane
         bend = np.minimum(np.pi, np.diff(plane.limits[:, 1])[:, 0])
         fold_s = float((bend / plane.speeds[:, 1]).max(initial=0.0))
         most = max(self._parameters.stretch, 1.0 + 2.0 * fold_s / max(self._alone_s, 1e-9))
+        most = min(most, max(1.0, self._longest_s / max(self._alone_s, 1e-9)))
         tried = [stretch for stretch in usual if stretch <= most] or [most]
         while tried[-1] * _LONGER <= most:
             tried.append(tried[-1] * _LONGER)

@@ -1,11 +1,12 @@
 """Parameters of the decentralized navigation function, their defaults and ranges."""
 
 from dataclasses import dataclass
-from numbers import Integral
 
 import numpy as np
 
+from fiber_core import bounds
 from fiber_core.array_types import Floats
+from fiber_core.bounds import check_number
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.errors import PlannerError
 
@@ -17,10 +18,19 @@ _PATIENCE_S, _YIELD_S = 0.05, 0.3
 _LEAST_HORIZON_S = 2.5  # the motion time the paper announces
 _HORIZON_RATIO = 3.0
 
-_NUMERIC = (int, float, np.integer, np.floating)
 _FROM_PLANE = ("outer_mm", "inner_mm", "dt_s", "horizon_s")
-_MAY_BE_ZERO = ("lambda2", "margin_mm")
-_NUMBERS = ("lambda1", "tolerance_mm", *_MAY_BE_ZERO, *_FROM_PLANE)
+# The ranges: weights of any sensible size; a step from a microsecond; a horizon of 28 hours.
+_RANGES = {
+    "lambda1": (1e-12, 1e12),
+    "lambda2": (0.0, 1e12),
+    "outer_mm": (bounds.MIN_LENGTH_MM, bounds.MAX_LENGTH_MM),
+    "inner_mm": (bounds.MIN_LENGTH_MM, bounds.MAX_LENGTH_MM),
+    "dt_s": (1e-6, 1e3),
+    "tolerance_mm": (1e-9, bounds.MAX_LENGTH_MM),
+    "horizon_s": (1e-6, 1e5),
+    "margin_mm": (0.0, 1e3),
+}
+_MOST_WAIT_S = 1e5
 
 
 @dataclass(frozen=True)
@@ -65,14 +75,10 @@ class DnfParameters:
     adaptive: bool = True
 
     def __post_init__(self) -> None:
-        for name in _NUMBERS:
+        for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
-            if value is None and name in _FROM_PLANE:
-                continue
-            if not (isinstance(value, _NUMERIC) and np.isfinite(value) and value >= 0):
-                raise PlannerError(f"{name} is {value}, expected a number, at least zero")
-            if value == 0 and name not in _MAY_BE_ZERO:
-                raise PlannerError(f"{name} is {value}, expected more than zero")
+            if value is not None or name not in _FROM_PLANE:
+                check_number(value, name, low, high, PlannerError)
         for name, choices in (("sign", ("corrected", "printed")), ("attraction", ("joint", "tip"))):
             if getattr(self, name) not in choices:
                 raise PlannerError(f"{name} is {getattr(self, name)!r}, expected one of {choices}")
@@ -133,12 +139,9 @@ class DnfPriorityParameters(DnfParameters):
         super().__post_init__()
         for name in ("patience_s", "yield_s"):
             value = getattr(self, name)
-            if value is not None and not (
-                isinstance(value, _NUMERIC) and np.isfinite(value) and value > 0
-            ):
-                raise PlannerError(f"{name} is {value}, expected a number above zero")
-        if not isinstance(self.claims, Integral) or self.claims < 0:
-            raise PlannerError(f"claims is {self.claims!r}, expected a whole number, at least zero")
+            if value is not None:
+                check_number(value, name, 1e-6, _MOST_WAIT_S, PlannerError)
+        check_number(self.claims, "claims", 0, 10_000, PlannerError, whole=True)
         if self.attraction != "joint" or not self.adaptive:
             raise PlannerError(
                 f"attraction is {self.attraction!r} and adaptive is {self.adaptive}, "

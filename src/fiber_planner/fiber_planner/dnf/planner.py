@@ -15,12 +15,15 @@ from fiber_planner.dnf.navigation_function import Contacts, ControlLaw, Swarm
 from fiber_planner.dnf.parameters import DnfParameters, DnfPriorityParameters
 from fiber_planner.dnf.priority import NoPriorities, Priorities
 from fiber_planner.dnf.tip_repulsion import TipNeighbours
+from fiber_planner.errors import PlannerError
 from fiber_planner.goal_selection import choose_goals, travel_s
 from fiber_planner.interface import PlannedMotion, ProgressCallback
 
 __all__ = ["DnfArmsPlanner", "DnfArmsPriorityPlanner", "DnfPlanner", "DnfPriorityPlanner"]
 
 _STEPS_PER_REPORT = 25
+# The motion has one row for each robot and step; the usual has 250 to 10 000 steps.
+_MOST_STEPS, _MOST_ROWS = 1_000_000, 100_000_000
 
 
 class _Neighbours(Protocol):
@@ -64,7 +67,7 @@ class DnfPlanner:
         """Plan the motion of every robot, see Planner.plan.
 
         Raises:
-            PlannerError: D and d do not suit the plane.
+            PlannerError: D and d do not suit the plane, or the horizon has too many steps.
         """
         law = ControlLaw.of(problem.plane, self.parameters)
         goal, reason = choose_goals(problem, self.parameters.margin_mm)
@@ -93,6 +96,12 @@ class DnfPlanner:
         towards_aim = swarm._replace(goal=priorities.aim)
         horizon_s = self.parameters.end_s(float(alone_s.max(initial=0.0)))
         steps = max(1, int(np.ceil(horizon_s / law.dt - 1e-9)))
+        if steps > _MOST_STEPS or steps * plane.n > _MOST_ROWS:
+            raise PlannerError(
+                f"a horizon of {horizon_s:.6g} s has {steps} steps of {law.dt:.6g} s for "
+                f"{plane.n} robots, expected at most {_MOST_STEPS} steps, and {_MOST_ROWS} "
+                "steps times robots; set horizon_s or dt_s"
+            )
 
         angles = np.array(problem.start)
         history = [angles]
