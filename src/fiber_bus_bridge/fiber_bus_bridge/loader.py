@@ -149,7 +149,7 @@ class Loader:
         """
         blocked = wanted & (self._neighbours_of(lost) | lost)
         progress = _Progress(
-            motion.without(~wanted | blocked),
+            motion.only(wanted & ~blocked),
             wanted & ~blocked,
             np.zeros_like(wanted),
             np.where(blocked, Reason.UNSAFE_AS_LOADED, Reason.OK).astype(np.int64),
@@ -270,7 +270,7 @@ class Loader:
         """The motion in the frames of the chosen robots; all other robots rest."""
         orders = decode_load(self.units, frames)
         every = WireMotion(self.units, motion.start, orders.offsets, orders.ticks, orders.velocity)
-        return every.without(~chosen)
+        return every.only(chosen)
 
     def _load_and_verify(self, rows: Rows, frames: Frames, boot: Ints, t: float) -> _Delivery:
         """LOAD and VERIFY; both are repeated once for robots on which they failed by chance."""

@@ -17,7 +17,7 @@ from fiber_core.errors import MotionError
 from fiber_core.ragged import Parts
 from fiber_core.validation import frozen_array
 
-__all__ = ["SampledMotion", "SegmentMotion"]
+__all__ = ["SampledMotion", "SegmentMotion", "profile_rows"]
 
 
 def _finite(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Floats:
@@ -235,10 +235,19 @@ class SegmentMotion:
             rows: rows of the robots, in the order of the result, shape (k,).
         """
         rows = np.asarray(rows)
-        parts, kept = self.parts.select((2 * rows[:, None] + [0, 1]).ravel())
+        parts, kept = self.parts.select(profile_rows(rows))
         return SegmentMotion(
             self.start[rows], parts.offsets, self.duration_s[kept], self.velocity_rad_s[kept]
         )
+
+
+def profile_rows(rows: ArrayLike) -> Ints:
+    """Return the profiles of robots: theta and phi of each, shape (2 k,).
+
+    Args:
+        rows: rows of the robots, shape (k,).
+    """
+    return (2 * np.asarray(rows, dtype=np.int64)[:, None] + np.array([0, 1])).ravel()
 
 
 @nb.njit(cache=True)

@@ -193,6 +193,44 @@ class WireMotion:
                     f"robot row {robot}: {name} {value[at]} is outside {low}..{high} wire units"
                 )
 
+    @classmethod
+    def at_rest(cls, units: WireUnits, start: Counts) -> "WireMotion":
+        """Return the motion in which all robots stay where they are.
+
+        Args:
+            units: size of tick and quantum.
+            start: their joint positions [quanta], shape (n, 2).
+        """
+        nothing = np.zeros(0, dtype=np.int64)
+        return cls(units, start, np.zeros(2 * len(start) + 1, np.int64), nothing, nothing)
+
+    @classmethod
+    def moving(
+        cls,
+        units: WireUnits,
+        start: Counts,
+        rows: ArrayLike,
+        offsets: Offsets,
+        ticks: Ints,
+        velocity: Ints,
+    ) -> "WireMotion":
+        """Return the motion of n robots of which only k have segments; the others rest.
+
+        Args:
+            units: size of tick and quantum.
+            start: joint positions of all robots at time zero [quanta], shape (n, 2).
+            rows: rows of the robots with segments, increasing, shape (k,).
+            offsets: first segment of each profile of these robots, shape (2 k + 1,).
+            ticks: duration of each segment [ticks], shape (m,).
+            velocity: joint velocity in each segment [velocity units], shape (m,).
+
+        Raises:
+            MotionError: a number does not fit its field.
+        """
+        counts = np.zeros((len(start), 2), dtype=np.int64)
+        counts[np.asarray(rows, dtype=np.int64)] = Parts(offsets).counts.reshape(-1, 2)
+        return cls(units, start, Parts.from_counts(counts).offsets, ticks, velocity)
+
     @property
     def parts(self) -> Parts:
         """The segments of each profile, as parts of the flat arrays."""
@@ -224,6 +262,14 @@ class WireMotion:
         return WireMotion(
             self.units, self.start, parts.offsets, self.ticks[moves], self.velocity[moves]
         )
+
+    def only(self, chosen: ArrayLike) -> "WireMotion":
+        """Return the same motion with all robots but some resting at their start.
+
+        Args:
+            chosen: whether each robot moves as before, shape (n,).
+        """
+        return self.without(~np.asarray(chosen, dtype=bool))
 
     def decoded(self) -> SegmentMotion:
         """Return the motion that a perfect positioner makes from these numbers."""

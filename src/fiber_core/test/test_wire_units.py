@@ -20,6 +20,26 @@ def random_motion(seed, units, n=30):
     )
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_robots_without_segments_rest_and_the_others_move_as_alone(seed):
+    units = WireUnits.for_plane(preset("sdss_v", 7))
+    motion, rows = random_motion(seed, units, 4), np.array([1, 2, 5, 6])
+    start = np.arange(16).reshape(8, 2)
+    start[rows] = motion.start
+    columns = (motion.offsets, motion.ticks, motion.velocity)
+    every = WireMotion.moving(units, start, rows, *columns)
+    assert np.array_equal(every.counts[rows], motion.counts)
+    assert np.array_equal(every.end[rows], motion.end)
+    others = np.setdiff1d(np.arange(8), rows)
+    assert not every.moves[others].any() and np.array_equal(every.end[others], start[others])
+    for name in ("start", "offsets", "ticks", "velocity"):
+        only = getattr(every.only(every.moves), name)
+        assert np.array_equal(only, getattr(every, name))
+    at_rest = WireMotion.at_rest(units, start)
+    assert not at_rest.moves.any() and np.array_equal(at_rest.end, start)
+    assert np.array_equal(every.only(np.zeros(8, bool)).offsets, at_rest.offsets)
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_the_units_of_every_instrument_carry_its_speed_and_half_a_turn(name):
     plane = preset(name, 7)

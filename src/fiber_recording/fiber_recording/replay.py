@@ -13,7 +13,6 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
-from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.executed_orders import StartedOrders, started_orders
 from fiber_recording.phases import Phase, executed_motion
@@ -115,7 +114,7 @@ def replay(
     started[orders.row] = True
     load_bytes[orders.row[::-1]] = frames[orders.frame[::-1]].lengths
     return Replay(
-        phases=tuple(phases) or (Phase.whole(_at_rest(units, counts)),),
+        phases=tuple(phases) or (Phase.whole(WireMotion.at_rest(units, counts)),),
         started=started,
         lost=stops.lost,
         load_bytes=load_bytes,
@@ -155,15 +154,7 @@ def _next_begin_s(orders: StartedOrders) -> Times:
 def _motion(units: WireUnits, counts: Counts, rows: Rows, frames: Frames) -> WireMotion:
     """Return the motion of some robots, rows ascending, from their LOADs; other robots rest."""
     orders = decode_load(units, frames)
-    segments = np.zeros((len(counts), 2), dtype=np.int64)
-    segments[rows] = orders.counts
-    offsets = Parts.from_counts(segments).offsets
-    return WireMotion(units, counts, offsets, orders.ticks, orders.velocity)
-
-
-def _at_rest(units: WireUnits, counts: Counts) -> WireMotion:
-    nothing = np.zeros(0, dtype=np.int64)
-    return WireMotion(units, counts, np.zeros(2 * len(counts) + 1, np.int64), nothing, nothing)
+    return WireMotion.moving(units, counts, rows, orders.offsets, orders.ticks, orders.velocity)
 
 
 class _Reports:

@@ -7,9 +7,8 @@ import numpy as np
 from fiber_core.array_types import Codes, Counts, Ids, Points, Rows
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason, first_reason
-from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
-from fiber_msgs_py import MessageError, PlanStamp, SegmentTable, held, segments, targets
+from fiber_msgs_py import MessageError, PlanStamp, held, segments, targets
 
 __all__ = ["PlanInputs"]
 
@@ -83,11 +82,8 @@ class PlanInputs:
             MotionError: a number does not fit its field.
         """
         table = segments.decode(message)
-        lengths = np.zeros((self._plane.n, 2), dtype=np.int64)
-        lengths[self._rows(table.ids, "segments")] = table.counts
-        offsets = Parts.from_counts(lengths).offsets
-        all_robots = SegmentTable(self._plane.ids, offsets, table.ticks, table.velocity)
-        return all_robots.motion(units, counts)
+        rows = self._rows(table.ids, "segments")
+        return WireMotion.moving(units, counts, rows, table.offsets, table.ticks, table.velocity)
 
     def _rows(self, ids: Ids, name: str) -> Rows:
         rows = self._plane.index_of(ids)

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Bools, Counts, Ints, Mask, Rows
 from fiber_core.clearance import (
@@ -19,12 +18,12 @@ from fiber_core.clearance import (
     unproven,
 )
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.motion import SegmentMotion
+from fiber_core.motion import SegmentMotion, profile_rows
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer.segments import Segments
 
-__all__ = ["SegmentPlan", "profile_rows", "profiles_with"]
+__all__ = ["SegmentPlan", "profiles_with"]
 
 
 class Snapshot(NamedTuple):
@@ -179,11 +178,6 @@ class SegmentPlan:
         """Let some robots, shape (n,), stay where they are."""
         rows = np.flatnonzero(robots)
         self.assign(rows, Segments.none(2 * len(rows)))
-
-
-def profile_rows(rows: ArrayLike) -> Ints:
-    """Return the profiles of robots, shape (m,): theta and phi of each, shape (2 m,)."""
-    return (2 * np.asarray(rows, dtype=np.int64)[:, None] + np.array([0, 1])).ravel()
 
 
 def profiles_with(profiles: Profiles, rows: Rows, changed: Profiles) -> Profiles:

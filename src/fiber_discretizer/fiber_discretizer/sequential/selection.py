@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Floats, Ints, Mask, Rows
+from fiber_core.motion import profile_rows
 from fiber_discretizer.segments import Segments
-from fiber_discretizer.sequential.segment_plan import SegmentPlan, profile_rows
+from fiber_discretizer.sequential.segment_plan import SegmentPlan
 
 __all__ = ["Selection"]
 
