@@ -32,7 +32,7 @@ def remaining_motion(
     velocity: list[int] = []
     lengths = np.zeros(len(now), dtype=np.int64)
     for profile in np.flatnonzero(np.repeat(chosen, 2)):
-        part = slice(motion.offsets[profile], motion.offsets[profile + 1])
+        part = motion.parts.slice(int(profile))
         part_ticks, part_velocity = motion.ticks[part], motion.velocity[part]
         if len(part_ticks) == 0:
             continue

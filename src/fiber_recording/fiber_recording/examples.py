@@ -132,7 +132,7 @@ def _interrupted(orders: WireMotion, rng: np.random.Generator) -> tuple[Phase, P
     ticks, velocity = [], []
     for row in rows[rows != _FAILED]:
         for joint in (0, 1):
-            part = slice(*orders.offsets[2 * row + joint : 2 * row + joint + 2])
+            part = orders.parts.slice(2 * row + joint)
             left = np.clip(np.cumsum(orders.ticks[part]) - elapsed, 0, orders.ticks[part])
             ticks += left[left > 0].tolist()
             velocity += orders.velocity[part][left > 0].tolist()

@@ -27,7 +27,7 @@ def stop_time_s(motion: WireMotion, row: int, counts: ArrayLike, near_s: float) 
     counts = np.asarray(counts)
     ends, places = [], []
     for profile in (2 * row, 2 * row + 1):
-        part = slice(*motion.offsets[profile : profile + 2])
+        part = motion.parts.slice(profile)
         lasts, velocity = motion.ticks[part], motion.velocity[part]
         ends.append(np.concatenate([[0], np.cumsum(lasts)]))
         places.append(np.concatenate([[0], np.cumsum(lasts * velocity)]))

@@ -133,7 +133,7 @@ class Frames:
 
     def payload(self, row: int) -> bytes:
         """Return the data bytes of one frame."""
-        return self.data[self.offsets[row] : self.offsets[row + 1]].tobytes()
+        return self.data[Parts(self.offsets).slice(row)].tobytes()
 
     @classmethod
     def empty(cls, to: Addresses) -> "Frames":

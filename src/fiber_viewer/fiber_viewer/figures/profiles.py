@@ -41,7 +41,7 @@ def _make_panels(
 
 def _segments(motion: SegmentMotion, row: int, joint: int) -> tuple[Floats, Floats]:
     """Durations [s] and velocities [rad/s] of the segments of a joint."""
-    chosen = slice(*motion.offsets[2 * row + joint : 2 * row + joint + 2])
+    chosen = motion.parts.slice(2 * row + joint)
     return motion.duration_s[chosen], motion.velocity_rad_s[chosen]
 
 
