@@ -128,8 +128,8 @@ lint: $(ENV_STAMP) ## check style, format, complexity and types
 	@$(PYTHON) -m basedpyright --pythonpath $(PYTHON)
 
 .PHONY: coverage
-coverage: build ## which lines the tests reach, package by package, into out/coverage
-	@$(INSTALLED) && tools/coverage.sh out/coverage $(PYTHON)
+coverage: build ## which lines the tests reach, into out/coverage (SUITES="src/fiber_core/test" for some)
+	@$(INSTALLED) && tools/coverage.sh out/coverage $(PYTHON) $(SUITES)
 
 .PHONY: pictures
 pictures: ## draw the picture of the packages in docs/architecture.md from the imports

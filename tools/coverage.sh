@@ -1,13 +1,18 @@
 #!/usr/bin/env bash
-# Which lines the tests reach: coverage.sh FOLDER PYTHON
+# Which lines the tests reach: coverage.sh FOLDER PYTHON [SUITE...]
 # Compiled loops do not run as Python and are left out of the count (see pyproject.toml).
 set -eu
-out=$1 python=$2
+out=$(realpath -m "$1") python=$2
+shift 2
+[ $# -gt 0 ] || set -- src/*/test test
 mkdir -p "$out"
-export COVERAGE_FILE=$PWD/$out/.coverage
+# the sources, before what is installed of them
+PYTHONPATH=$(printf "$PWD/%s:" src/*)${PYTHONPATH:-}
+COVERAGE_FILE=$out/.coverage
+export PYTHONPATH COVERAGE_FILE
 rm -f "$COVERAGE_FILE"
 failed=0
-for suite in src/*/test test; do
+for suite in "$@"; do
   echo "$suite"
   log=$out/$(echo "$suite" | tr / -).log
   "$python" -m pytest -q "$suite" --cov=src --cov-append --cov-report= >"$log" 2>&1 ||
