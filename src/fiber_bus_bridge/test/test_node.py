@@ -153,6 +153,10 @@ def test_impossible_parameters_end_the_bridge(tmp_path):
     with RosClient("rest") as peer:
         with pytest.raises(MessageError, match="time_scale -1.0"):
             peer.add_node(BridgeNode, problem=path, time_scale=-1.0)
+        with pytest.raises(MessageError, match="time_scale inf is above 1e[+]06"):
+            peer.add_node(BridgeNode, problem=path, time_scale=float("inf"))
+        with pytest.raises(BridgeError, match="grace_s is nan, expected a number from 0 to 3600"):
+            peer.add_node(BridgeNode, **{"problem": path, "session.grace_s": float("nan")})
         with pytest.raises(MessageError, match="attempts 0 is less than one"):
             peer.add_node(BridgeNode, problem=path, attempts=0)
         with pytest.raises(BridgeError, match="robots is -4"):

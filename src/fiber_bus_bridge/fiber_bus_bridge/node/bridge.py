@@ -46,6 +46,7 @@ _TICK_S = 0.1  # time of the buses between two publications while robots move
 _SOON_S = 1e-3
 _TIMEOUT_CHECK_S = 0.5
 _Response: TypeAlias = Trigger.Response
+_MOST = 1e6  # of attempts, of their seconds, and of simulated seconds per second
 
 
 class BridgeNode(Node):
@@ -119,6 +120,8 @@ class BridgeNode(Node):
         value = self.declare_parameter(name, default).value
         if not isinstance(value, (int, float)) or not value >= least:
             raise MessageError("parameters", problem, field=name, value=value)
+        if value > _MOST:
+            raise MessageError("parameters", f"is above {_MOST:g}", field=name, value=value)
         return value
 
     def _no_targets(self) -> np.ndarray:
