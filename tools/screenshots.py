@@ -73,7 +73,9 @@ def main(argv: list[str] | None = None) -> int:
             write_player(page, args.faults)
             name, size, more = _FAULTS_SHOT
             faults = load_recording(args.faults)
-            t = faults.pauses_s[-1][0] if faults.pauses_s else faults.executed.makespan_s
+            # half way through the last pause, when all robots rest
+            pause_s = faults.pauses_s[-1] if faults.pauses_s else [faults.executed.makespan_s]
+            t = sum(pause_s) / len(pause_s)
             robot = faults.problem.plane.ids[(faults.outcome == Outcome.FAILED).argmax()]
             view = f"#t={t:.3f}&robots={robot}&{more}"
             _take_picture(browser, page, view, args.out / name, size, Path(folder))
