@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
+from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import Addresses, Frames
 from fiber_core.array_types import Ints
 
@@ -51,7 +52,7 @@ def roll_call_bytes(robots: ArrayLike) -> Ints:
 
 
 @njit(cache=True)
-def write_present(slot, out):
+def write_present(slot: Whole, out: Bytes) -> None:
     """Pull the bit of a slot low in the bytes of a roll call, in place."""
     if slot >> 3 < len(out):
         out[slot >> 3] &= 0xFF ^ (0x80 >> (slot & 7))
