@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Bools, Floats, Mask, Offsets, Rows
+from fiber_core.array_types import Angles, Bools, Floats, Mask, Rows
 from fiber_core.clearance import (
     Bodies,
+    Neighbours,
     Safety,
     bodies_of,
     neighbour_pairs,
@@ -102,18 +103,17 @@ def random_problem(
     return random_field(plane, rng, gap_mm, asked, start).problem
 
 
-def _neighbours(plane: FocalPlane, slack_mm: float) -> tuple[Rows, Offsets]:
-    # flat lists of the rows that can come near each robot, obstacles from n on, and offsets
+def _neighbours(plane: FocalPlane, slack_mm: float) -> Neighbours:
+    # the bodies that can come near each robot
     beyond = max(0.0, (plane.arms.sum(axis=1) - plane.reach_mm).max(initial=0.0))
     pairs = neighbour_pairs(plane, float(slack_mm + 2 * beyond))
-    near = neighbours_of(plane.n, pairs, by_row=True)
-    return near.body, near.offsets
+    return neighbours_of(plane.n, pairs, by_row=True)
 
 
 def _arrange(
     plane: FocalPlane,
     rng: np.random.Generator,
-    neighbours: tuple[Rows, Offsets],
+    neighbours: Neighbours,
     moves: Mask,
     standing: Angles,
     gap_mm: float,
@@ -128,7 +128,7 @@ def _arrange(
     options = np.empty((kinematics.most_configurations(plane), 2))
     bodies, limits = bodies_of(plane), plane.limits
     left = _place_all(
-        rng, bodies, limits, *neighbours, moves_all, angles, queue, options, gap_mm, spacing_mm
+        rng, bodies, limits, neighbours, moves_all, angles, queue, options, gap_mm, spacing_mm
     )
     if len(left):
         ids = np.sort(plane.ids[left])
@@ -212,8 +212,7 @@ def _place_all(
     rng: np.random.Generator,
     bodies: Bodies,
     limits: Floats,
-    other: Rows,
-    offsets: Offsets,
+    neighbours: Neighbours,
     moves: Bools,
     angles: Angles,
     queue: Rows,
@@ -223,6 +222,7 @@ def _place_all(
 ) -> Rows:
     # Writes the angles of all robots of the queue; returns the rows that found no place.
     size, head, waiting = len(queue), 0, len(queue)
+    other, offsets = neighbours.body, neighbours.offsets
     placed = ~moves
     found = np.empty(len(other), dtype=np.int64)
     leaving = np.empty(len(other), dtype=np.int64)

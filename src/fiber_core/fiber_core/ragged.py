@@ -41,6 +41,16 @@ class Parts:
         return cls(offsets)
 
     @classmethod
+    def from_owners(cls, owners: ArrayLike, parts: int) -> "Parts":
+        """Return the parts of a flat array that is sorted by the part of each element.
+
+        Args:
+            owners: the part to which each element belongs, ascending, shape (m,).
+            parts: number of parts.
+        """
+        return cls(np.searchsorted(np.asarray(owners), np.arange(parts + 1)))
+
+    @classmethod
     def concatenate(cls, parts: Sequence["Parts"]) -> "Parts":
         """Return the parts of flat arrays that are joined in this order."""
         return cls.from_counts(np.concatenate([np.zeros(0, np.int64), *(p.counts for p in parts)]))

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from fiber_core.array_types import Bools, Floats, Rows
-from fiber_core.clearance import Neighbours, Profiles, posed_gap
+from fiber_core.clearance import Neighbours, Profiles, most_neighbours, posed_gap
 
 __all__ = ["corridor_walls"]
 
@@ -58,7 +58,7 @@ def corridor_walls(
     m, t = times.shape
     low, high = desired[:, joint].copy(), desired[:, joint].copy()
     is_open = np.ones(m, np.bool_)
-    most = np.diff(neighbours.offsets).max()
+    most = most_neighbours(neighbours)
     poses, work = np.empty((most, 4)), np.empty((2, most))
     for r in range(m):
         i = rows[r]

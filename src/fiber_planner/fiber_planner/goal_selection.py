@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Bools, Codes, Floats, Ints, Pairs
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Ints
 from fiber_core.clearance import (
     Neighbours,
     bodies_of,
@@ -67,7 +67,7 @@ def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[Angles, Code
     pairs, clash = pairs[clash.any(axis=(1, 2))], clash[clash.any(axis=(1, 2))]
     order = np.lexsort((plane.centers[:, 1], plane.centers[:, 0]))
     near = neighbours_of(len(free), pairs)
-    pose = _choose(near.offsets, near.body, _clashes_by_robot(near, pairs, clash), count, order)
+    pose = _choose(near.offsets, near.body, _clashes_by_robot(near, clash), count, order)
 
     reason = np.full(plane.n, int(Reason.OK))
     reason[pose == _STAYS] = Reason.GOAL_BLOCKED
@@ -95,10 +95,10 @@ def _options(problem: Problem) -> tuple[Floats, Ints]:
     return options, np.isfinite(times).sum(axis=0)
 
 
-def _clashes_by_robot(near: Neighbours, pairs: Pairs, clash: Bools) -> Bools:
+def _clashes_by_robot(near: Neighbours, clash: Bools) -> Bools:
     # clash[e, own pose, neighbour's pose] of each robot with each of its neighbours
     clash = clash[near.pair]
-    is_second = pairs[near.pair, 0] == near.body  # the robot stands second in the pair
+    is_second = near.side == 1
     clash[is_second] = clash[is_second].transpose(0, 2, 1)
     return clash
 

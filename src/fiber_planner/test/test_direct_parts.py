@@ -18,14 +18,13 @@ from fiber_planner.direct.local_search import straighten
 from fiber_planner.direct.pieces import pieces_of
 from fiber_planner.direct.plan_state import PlanState, mark_changed, measure_all
 from fiber_planner.direct.profile_sampling import (
-    next_uniform,
     sample_fold,
     sample_via,
     sample_window,
-    seeded_rng,
 )
-from fiber_planner.direct.scene import place_keys, scene_of
+from fiber_planner.direct.scene import scene_of
 from fiber_planner.direct.shortcut import shortcut_profiles
+from fiber_planner.direct.splitmix64 import next_uniform, place_keys, seeded_rng
 from fiber_planner.direct.time_grid import TimeGrid, time_grid
 
 _STEPS = 24

@@ -10,7 +10,12 @@ from fiber_core.clearance.certificate import (
 from fiber_core.clearance.collision_bodies import Bodies, bodies_of
 from fiber_core.clearance.distance import gaps, pair_gap, pair_gap_below, posed_gap, sampled_gaps
 from fiber_core.clearance.hold_unsafe import hold_until_safe
-from fiber_core.clearance.neighbours import Neighbours, neighbour_pairs, neighbours_of
+from fiber_core.clearance.neighbours import (
+    Neighbours,
+    most_neighbours,
+    neighbour_pairs,
+    neighbours_of,
+)
 from fiber_core.clearance.piecewise import Profiles, profiles_of
 from fiber_core.clearance.safety import Safety, levers_of, point_speeds
 
@@ -26,6 +31,7 @@ __all__ = [
     "gaps",
     "hold_until_safe",
     "levers_of",
+    "most_neighbours",
     "neighbour_pairs",
     "neighbours_of",
     "pair_gap",

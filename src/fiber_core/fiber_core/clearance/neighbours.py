@@ -2,14 +2,16 @@
 
 from typing import NamedTuple
 
+import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from fiber_core.array_types import Ints, Offsets, Pairs
+from fiber_core.array_types import Ints, Offsets, Pairs, Points
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.ragged import Parts
 
-__all__ = ["Neighbours", "neighbour_pairs", "neighbours_of"]
+__all__ = ["Neighbours", "most_neighbours", "neighbour_pairs", "neighbours_of"]
 
 
 class Neighbours(NamedTuple):
@@ -19,11 +21,18 @@ class Neighbours(NamedTuple):
         offsets: first neighbour of each robot, shape (n + 1,).
         body: rows of the neighbours, robots and obstacles, shape (m,).
         pair: the pair that robot and neighbour form, shape (m,).
+        side: 0 where the robot stands first in this pair, 1 where it stands second, shape (m,).
     """
 
     offsets: Offsets
     body: Ints
     pair: Ints
+    side: Ints
+
+    @property
+    def parts(self) -> Parts:
+        """The neighbours of each robot, as parts of the flat arrays."""
+        return Parts(self.offsets)
 
 
 def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> Pairs:
@@ -58,19 +67,34 @@ def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> Pairs:
     return close[np.lexsort(close.T[::-1])].astype(np.int32)
 
 
-def neighbours_of(n: int, pairs: ArrayLike, by_row: bool = False) -> Neighbours:
+def neighbours_of(
+    n: int, pairs: ArrayLike, by_row: bool = False, places: Points | None = None
+) -> Neighbours:
     """Return the neighbours of each robot.
 
     Args:
         n: rows 0..n-1 get a list of neighbours; later rows are only neighbours of others.
         pairs: rows of two neighbours each, shape (p, 2).
-        by_row: sort the neighbours of a robot by their rows. Otherwise they have the order of
-            the pairs: first those pairs in which the robot stands first.
+        by_row: sort the neighbours of a robot by their rows.
+        places: sort the neighbours of a robot by these places, first by x, then by y: so sums
+            over the neighbours do not depend on the order of the rows [mm], shape (b, 2). Without
+            by_row and places, neighbours have the order of the pairs: first those pairs in which
+            the robot stands first.
     """
     pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
     own, other = np.concatenate([pairs, pairs[:, ::-1]]).T
-    pair = np.tile(np.arange(len(pairs)), 2)
-    order = np.lexsort([other, own]) if by_row else np.argsort(own, kind="stable")
+    keys = [other] if by_row else [] if places is None else list(places[other].T[::-1])
+    order = np.lexsort([*keys, own])
     order = order[own[order] < n]
-    offsets = np.searchsorted(own[order], np.arange(n + 1))
-    return Neighbours(offsets, other[order], pair[order])
+    parts = Parts.from_owners(own[order], n)
+    side, pair = np.divmod(order, max(len(pairs), 1))
+    return Neighbours(parts.offsets, other[order], pair, side)
+
+
+@nb.njit(cache=True)
+def most_neighbours(neighbours: Neighbours) -> int:
+    """Return the largest number of neighbours of a robot, 0 without robots."""
+    most = 0
+    for i in range(len(neighbours.offsets) - 1):
+        most = max(most, neighbours.offsets[i + 1] - neighbours.offsets[i])
+    return most

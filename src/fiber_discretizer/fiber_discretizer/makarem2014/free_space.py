@@ -5,7 +5,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Bools, Floats, Ints, Mask, Pairs
-from fiber_core.clearance import bodies_of, pair_gap
+from fiber_core.clearance import bodies_of, levers_of, pair_gap
 from fiber_core.focal_plane import FocalPlane
 
 __all__ = ["FreeSpace", "free_space_mm"]
@@ -102,9 +102,7 @@ def _fill(
     others: Floats | None = None,
 ) -> None:
     pairs = pairs[rows].astype(np.int64)
-    reach_phi = np.hypot(*np.moveaxis(plane.phi_vertices, -1, 0)).max(axis=1) + plane.phi_radius
-    levers = np.stack([plane.reach_mm, reach_phi], axis=1)
-    affected = np.unique(pairs)
+    levers, affected = levers_of(plane), np.unique(pairs)
     first = second = (angles, _travel(affected, levers, angles))
     if others is not None:
         second = (others, _travel(affected, levers, others))

@@ -8,6 +8,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Floats, Mask
+from fiber_core.clearance import levers_of
 from fiber_core.focal_plane import FocalPlane
 
 __all__ = ["joint_shares", "lever_arms_mm", "tip_distances_mm"]
@@ -77,10 +78,9 @@ def lever_arms_mm(plane: FocalPlane, joint: int, phi: Floats, robots: Mask) -> F
         phi: phi angles at each sample [rad], shape (n, t).
         robots: the robots, shape (n,), m of them.
     """
-    x, y = np.moveaxis(plane.phi_vertices[robots], -1, 0)
-    around_elbow = np.hypot(x, y).max(axis=1) + plane.phi_radius[robots]
     if joint == 1:
-        return np.repeat(around_elbow[:, None], np.shape(phi)[1], axis=1)
+        return np.repeat(levers_of(plane)[robots, 1:], np.shape(phi)[1], axis=1)
+    x, y = np.moveaxis(plane.phi_vertices[robots], -1, 0)
     lever = np.zeros((len(x), np.shape(phi)[1]))
     if plane.theta_vertices.shape[1]:
         corners = np.hypot(*np.moveaxis(plane.theta_vertices[robots], -1, 0))

@@ -19,7 +19,6 @@ from fiber_core.clearance import (
 )
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion, profile_rows
-from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer.segments import Segments
 
@@ -118,7 +117,7 @@ class SegmentPlan:
 
     def pairs_of(self, rows: Rows) -> Ints:
         """Return the pairs with at least one of some robots, increasing, shape (k,)."""
-        _, at = Parts(self.neighbours.offsets).select(rows)
+        _, at = self.neighbours.parts.select(rows)
         return np.unique(self.neighbours.pair[at])
 
     def robots_in(self, pairs: Ints) -> Mask:

@@ -6,6 +6,7 @@ import numba as nb
 import numpy as np
 
 from fiber_core.array_types import Bools, Floats, Ints
+from fiber_core.clearance import most_neighbours
 from fiber_planner.direct.moves import (
     INFEASIBLE,
     nearer_fold,
@@ -17,7 +18,6 @@ from fiber_planner.direct.plan_state import (
     PlanState,
     commit,
     mark_changed,
-    most_neighbours,
     rank_neighbours,
     weighted_cost,
 )
@@ -25,10 +25,9 @@ from fiber_planner.direct.profile_sampling import (
     copy_profile,
     fill_two_ramps,
     least_intervals,
-    next_uniform,
-    seeded_rng,
 )
 from fiber_planner.direct.scene import Scene
+from fiber_planner.direct.splitmix64 import next_uniform, seeded_rng
 
 __all__ = ["fold_arms", "raise_weights", "restore", "straighten", "sweep"]
 
@@ -105,9 +104,9 @@ def sweep(
             plan.weight[ignored] = weight
         if choice != INFEASIBLE:
             commit(scene, plan, i, buffers.best_profile, buffers.best_costs)
-            for e in range(scene.offsets[i], scene.offsets[i + 1]):
-                if buffers.best_costs[e - scene.offsets[i]] > 0.0:
-                    in_conflict[scene.neighbours[e]] = True
+            for e in range(scene.near.offsets[i], scene.near.offsets[i + 1]):
+                if buffers.best_costs[e - scene.near.offsets[i]] > 0.0:
+                    in_conflict[scene.near.body[e]] = True
             plan.choice[i] = choice
             plan.folded[i, 0], plan.folded[i, 1] = buffers.best_folded
     return evaluated
@@ -116,7 +115,7 @@ def sweep(
 @nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _buffers(scene, plan):
     profile = np.empty((2, plan.q.shape[2]))
-    costs = np.empty(most_neighbours(scene))
+    costs = np.empty(most_neighbours(scene.near))
     order = np.empty(len(costs), dtype=np.int64)
     folded, best_folded = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
     return _Buffers(
@@ -138,8 +137,8 @@ def _robots_in_conflict(scene, plan):
 def _present_cost(scene, plan, i):
     # the weighted collision cost of robot i
     total = 0.0
-    for e in range(scene.offsets[i], scene.offsets[i + 1]):
-        total += plan.weight[scene.pair_rows[e]] * plan.cost[scene.pair_rows[e]]
+    for e in range(scene.near.offsets[i], scene.near.offsets[i + 1]):
+        total += plan.weight[scene.near.pair[e]] * plan.cost[scene.near.pair[e]]
     return total
 
 
@@ -147,8 +146,8 @@ def _present_cost(scene, plan, i):
 def _costliest_pair(scene, plan, i):
     # the pair of robot i with the highest weighted collision cost
     costliest, most = -1, -1.0
-    for e in range(scene.offsets[i], scene.offsets[i + 1]):
-        p = scene.pair_rows[e]
+    for e in range(scene.near.offsets[i], scene.near.offsets[i + 1]):
+        p = scene.near.pair[e]
         if plan.weight[p] * plan.cost[p] > most:
             costliest, most = p, plan.weight[p] * plan.cost[p]
     return costliest
@@ -275,7 +274,7 @@ def restore(
         Number of robots that have their targets again.
     """
     profile = np.empty((2, plan.q.shape[2]))
-    costs = np.empty(most_neighbours(scene))
+    costs = np.empty(most_neighbours(scene.near))
     order = np.empty(len(costs), dtype=np.int64)
     count = 0
     for row in rows:

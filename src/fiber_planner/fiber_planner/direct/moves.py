@@ -8,15 +8,14 @@ from fiber_core.array_types import Floats, Ints
 from fiber_core.clearance import pair_gap_below
 from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.profile_sampling import (
-    RngState,
     copy_profile,
     least_intervals,
-    next_uniform,
     sample_fold,
     sample_via,
     sample_window,
 )
 from fiber_planner.direct.scene import Scene
+from fiber_planner.direct.splitmix64 import RngState, next_uniform
 
 __all__ = ["INFEASIBLE", "nearer_fold", "resample_half", "sample_folded", "sample_profile"]
 
@@ -54,8 +53,8 @@ def _sample_option(scene, plan, i, step_s, rng):
         if least_intervals(angle, scene.speed[i, joint] * step_s) > last:
             return own
     theta, phi = scene.options[i, other]
-    for e in range(scene.offsets[i], scene.offsets[i + 1]):
-        j, required = scene.neighbours[e], plan.required[scene.pair_rows[e]]
+    for e in range(scene.near.offsets[i], scene.near.offsets[i + 1]):
+        j, required = scene.near.body[e], plan.required[scene.near.pair[e]]
         theta_j, phi_j = plan.q[j, 0, last], plan.q[j, 1, last]
         if pair_gap_below(scene.bodies, i, j, theta, phi, theta_j, phi_j, required) < required:
             return own

@@ -17,7 +17,6 @@ __all__ = [
     "mark_changed",
     "measure_all",
     "measure_pairs",
-    "most_neighbours",
     "rank_neighbours",
     "weighted_cost",
 ]
@@ -82,8 +81,8 @@ def measure_pairs(scene: Scene, plan: PlanState, pairs: Ints) -> None:
 def mark_changed(scene: Scene, plan: PlanState, i: int) -> None:
     """Mark the profile of robot i as changed: certificate and shortcuts are due again."""
     plan.changed[i] = plan.shortcut_due[i] = True
-    for e in range(scene.offsets[i], scene.offsets[i + 1]):
-        plan.shortcut_due[scene.neighbours[e]] = True
+    for e in range(scene.near.offsets[i], scene.near.offsets[i + 1]):
+        plan.shortcut_due[scene.near.body[e]] = True
 
 
 @nb.njit(cache=True)
@@ -96,15 +95,6 @@ def count_conflicts(plan: PlanState) -> int:
     return count
 
 
-@nb.njit(cache=True)
-def most_neighbours(scene: Scene) -> int:
-    """Return the largest number of neighbours of a body: the length of `costs` and `order`."""
-    most = 0
-    for i in range(len(scene.offsets) - 1):
-        most = max(most, scene.offsets[i + 1] - scene.offsets[i])
-    return most
-
-
 @nb.njit(cache=True, error_model="numpy")
 def rank_neighbours(scene: Scene, plan: PlanState, i: int, order: Ints) -> None:
     """Sort the neighbours of robot i by weighted collision cost, highest first.
@@ -113,14 +103,14 @@ def rank_neighbours(scene: Scene, plan: PlanState, i: int, order: Ints) -> None:
         scene: the robots and their surroundings.
         plan: the plan, with its costs.
         i: row of the robot.
-        order: indices of the neighbours, counted from scene.offsets[i], written.
+        order: indices of the neighbours, counted from scene.near.offsets[i], written.
     """
-    begin, count = scene.offsets[i], scene.offsets[i + 1] - scene.offsets[i]
+    begin, count = scene.near.offsets[i], scene.near.offsets[i + 1] - scene.near.offsets[i]
     for e in range(count):
-        p = scene.pair_rows[begin + e]
+        p = scene.near.pair[begin + e]
         at = e
         while at > 0:
-            q = scene.pair_rows[begin + order[at - 1]]
+            q = scene.near.pair[begin + order[at - 1]]
             if plan.weight[q] * plan.cost[q] >= plan.weight[p] * plan.cost[p]:
                 break
             order[at] = order[at - 1]
@@ -144,10 +134,10 @@ def weighted_cost(
         costs: collision cost with each neighbour, written for those that were evaluated.
     """
     total = 0.0
-    begin = scene.offsets[i]
-    for at in range(scene.offsets[i + 1] - begin):
+    begin = scene.near.offsets[i]
+    for at in range(scene.near.offsets[i + 1] - begin):
         e = int(begin + order[at])
-        p = int(scene.pair_rows[e])
+        p = int(scene.near.pair[e])
         limit = (best - total) / plan.weight[p]
         a, b = scene.pairs[p]  # always in this order: the result is the same for both robots
         qa = profile if a == i else plan.q[a]
@@ -173,5 +163,5 @@ def commit(scene: Scene, plan: PlanState, i: int, profile: Floats, costs: Floats
     """
     copy_profile(profile, plan.q[i])
     mark_changed(scene, plan, i)
-    for e in range(scene.offsets[i], scene.offsets[i + 1]):
-        plan.cost[scene.pair_rows[e]] = costs[e - scene.offsets[i]]
+    for e in range(scene.near.offsets[i], scene.near.offsets[i + 1]):
+        plan.cost[scene.near.pair[e]] = costs[e - scene.near.offsets[i]]

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
 from fiber_core.array_types import Mask
-from fiber_core.clearance import bodies_of, pair_gap_below
+from fiber_core.clearance import bodies_of, levers_of, neighbours_of, pair_gap_below
 from fiber_core.problem import Problem
 
 __all__ = ["reachable"]
@@ -41,18 +41,12 @@ def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
     result = np.asarray(valid.any(axis=1))
     fixed = np.concatenate([~plane.enabled, np.ones(len(plane.obstacles), dtype=bool)])
     pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    both = both[~fixed[both[:, 0]] & fixed[both[:, 1]]]
-    both = both[result[both[:, 0]]]
-    if not len(both):
-        return result
-    both = both[np.lexsort(both.T[::-1])]
-    robots, first = np.unique(both[:, 0], return_index=True)
+    pairs = pairs[fixed[pairs[:, 0]] != fixed[pairs[:, 1]]]
+    near = neighbours_of(plane.n, pairs, by_row=True)
+    robots = np.flatnonzero(result & (near.parts.counts > 0))
     standing = np.concatenate([problem.start, np.zeros((len(plane.obstacles), 2))])
-    bodies = bodies_of(plane)
-    lever = np.stack([plane.reach_mm, bodies.phi_reach[: plane.n] + plane.phi_radius], axis=1)
     result[robots] = _reachable(
-        bodies, lever, robots, np.append(first, len(both)), np.ascontiguousarray(both[:, 1]),
+        bodies_of(plane), levers_of(plane), robots, near,
         standing, plane.limits, angles, valid, margin_mm,
     )  # fmt: skip
     return result
@@ -101,11 +95,11 @@ def _straight_path_is_open(bodies, i, angles, valid, others, standing, margin, s
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _reachable(bodies, lever, robots, first, other, standing, limits, angles, valid, margin):
+def _reachable(bodies, levers, robots, near, standing, limits, angles, valid, margin):
     result = np.zeros(len(robots), dtype=np.bool_)
     for r in range(len(robots)):
         i = robots[r]
-        others = other[first[r] : first[r + 1]]
+        others = near.body[near.offsets[i] : near.offsets[i + 1]]
         low, size, count = _grid(limits[i], standing[i])
         goals = np.zeros((count[0], count[1]), dtype=np.bool_)  # cells with a configuration
         found = False
@@ -121,7 +115,7 @@ def _reachable(bodies, lever, robots, first, other, standing, limits, angles, va
         if found:
             result[r] = _straight_path_is_open(
                 bodies, i, angles[i], valid[i], others, standing, margin, size
-            ) or _flood(bodies, i, lever[i], others, standing, low, size, count, goals, margin)
+            ) or _flood(bodies, i, levers[i], others, standing, low, size, count, goals, margin)
     return result
 
 

@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Bools, Floats, Ints, Offsets, Pairs
-from fiber_core.clearance import Bodies, bodies_of, neighbour_pairs, neighbours_of
+from fiber_core.array_types import Angles, Bools, Floats, Ints, Pairs
+from fiber_core.clearance import Bodies, Neighbours, bodies_of, neighbour_pairs, neighbours_of
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
+from fiber_planner.direct.splitmix64 import place_keys
 
-__all__ = ["Scene", "place_keys", "scene_of"]
+__all__ = ["Scene", "scene_of"]
 
 _MOST_OPTIONS = 6
 _FOLDED_RAD = np.deg2rad(135.0)
@@ -28,9 +29,7 @@ class Scene(NamedTuple):
         lever: lengths that turn angles into displacements [mm], shape (b, 3): the theta arm,
             the farthest point of the phi link from the elbow, the farthest point of the theta
             link from the centre.
-        offsets: neighbours of body i are neighbours[offsets[i] : offsets[i + 1]], (b + 1,).
-        neighbours: rows of bodies, shape (m,).
-        pair_rows: row in `pairs` of each neighbour, shape (m,).
+        near: neighbours of every body, by row.
         pairs: rows a < b of which at least one can move, shape (p, 2).
         start: joint angles now [rad], shape (n, 2).
         low: lower joint limits [rad], shape (n, 2).
@@ -47,9 +46,7 @@ class Scene(NamedTuple):
 
     bodies: Bodies
     lever: Floats
-    offsets: Offsets
-    neighbours: Ints
-    pair_rows: Ints
+    near: Neighbours
     pairs: Pairs
     start: Angles
     low: Angles
@@ -74,7 +71,6 @@ def scene_of(problem: Problem, seed: int = 0) -> Scene:
     movable = np.concatenate([plane.enabled, np.zeros(len(plane.obstacles), dtype=bool)])
     pairs = neighbour_pairs(plane).astype(np.int64)
     pairs = pairs[movable[pairs].any(axis=1)]
-    near = neighbours_of(len(movable), pairs, by_row=True)
     options, option_count = _options(problem)
     return Scene(
         bodies=bodies,
@@ -86,9 +82,7 @@ def scene_of(problem: Problem, seed: int = 0) -> Scene:
             ],
             axis=1,
         ),
-        offsets=near.offsets,
-        neighbours=near.body,
-        pair_rows=near.pair,
+        near=neighbours_of(len(movable), pairs, by_row=True),
         pairs=pairs,
         start=problem.start,
         low=np.ascontiguousarray(plane.limits[:, :, 0]),
@@ -129,23 +123,3 @@ def _options(problem: Problem) -> tuple[Floats, Ints]:
     count[on_target] = 1
     options[count == 0, 0] = problem.start[count == 0]
     return np.ascontiguousarray(options), count
-
-
-def place_keys(plane: FocalPlane, seed: int) -> NDArray[np.uint64]:
-    """Return a number per robot that depends only on its place and a seed, shape (n,).
-
-    Args:
-        plane: the focal plane.
-        seed: of the random numbers.
-    """
-    place = np.ascontiguousarray(plane.centers + 0.0).view(np.uint64)  # + 0.0: no minus zero
-    with np.errstate(over="ignore"):
-        key = _mixed(place[:, 0] + np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15))
-        return _mixed(key ^ (place[:, 1] * np.uint64(0xD1B54A32D192ED03)))
-
-
-def _mixed(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    # the finalizer of splitmix64 (Steele, Lea, Flood, OOPSLA 2014)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))

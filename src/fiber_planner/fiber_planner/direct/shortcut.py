@@ -3,10 +3,10 @@
 import numba as nb
 import numpy as np
 
+from fiber_core.clearance import most_neighbours
 from fiber_planner.direct.plan_state import (
     PlanState,
     commit,
-    most_neighbours,
     rank_neighbours,
     weighted_cost,
 )
@@ -36,7 +36,7 @@ def shortcut_profiles(scene: Scene, plan: PlanState) -> int:
     """
     steps = plan.q.shape[2]
     profile = np.empty((2, steps))
-    costs = np.empty(most_neighbours(scene))
+    costs = np.empty(most_neighbours(scene.near))
     order = np.empty(len(costs), dtype=np.int64)
     breaks = np.empty(steps + 1, dtype=np.int64)
     changed = 0

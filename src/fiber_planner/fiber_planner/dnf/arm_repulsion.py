@@ -26,8 +26,15 @@ import math
 import numba as nb
 import numpy as np
 
-from fiber_core.array_types import Angles, Floats, Ints, Offsets, Pairs, Points
-from fiber_core.clearance import bodies_of, gaps, neighbour_pairs
+from fiber_core.array_types import Angles, Floats, Ints, Pairs, Points
+from fiber_core.clearance import (
+    bodies_of,
+    gaps,
+    levers_of,
+    neighbour_pairs,
+    neighbours_of,
+    point_speeds,
+)
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.dnf.integrator import longest_step
 from fiber_planner.dnf.navigation_function import Contacts, ControlLaw, repulsion
@@ -68,14 +75,13 @@ class ArmNeighbours:
         self._plane, self._law, self._margin = plane, law, margin_mm
         self._bodies = bodies_of(plane)
         # outlines farther apart than this do not repel, and no step can make them touch
-        levers = np.stack([plane.reach_mm, self._bodies.phi_reach[: plane.n]], axis=1)
-        stride = 1.1 * law.dt * (plane.speeds * levers).sum(axis=1).max(initial=0.0)
+        stride = 1.1 * law.dt * point_speeds(levers_of(plane), plane.speeds).max(initial=0.0)
         self._range = max(law.outer - law.inner, stride / SHARE)
         pairs = neighbour_pairs(plane, self._range + margin_mm)
         self._pairs = _by_place(self._bodies.center, pairs, plane.n)
         touching = self._pairs[gaps(plane, self._pairs, start) <= 0.0]
         self.immovable = np.isin(np.arange(plane.n), touching)
-        self._offsets, self._edges = _edges(self._bodies.center, self._pairs, plane.n)
+        self._near = neighbours_of(plane.n, self._pairs, places=self._bodies.center)
         at_goal = gaps(plane, self._pairs, goal) - margin_mm
         self._outer = law.inner + np.clip(at_goal, 0.0, law.outer - law.inner)
 
@@ -102,8 +108,7 @@ class ArmNeighbours:
             self._margin, self._range,
         )  # fmt: skip
         potential, push = _push(
-            contacts, self._pairs, self._offsets, self._edges, self._outer,
-            elbows, plane.centers, ranks, self._law,
+            contacts, self._near, self._outer, elbows, plane.centers, ranks, self._law,
         )  # fmt: skip
         return potential, push, (contacts, phi, theta, elbows)
 
@@ -120,7 +125,7 @@ class ArmNeighbours:
         bodies = self._bodies
         rows, phi, theta, elbows = contacts
         return _fractions(
-            rows, phi, theta, elbows, step, self._pairs, self._offsets, self._edges,
+            rows, phi, theta, elbows, step, self._near,
             bodies.center, bodies.arm1, bodies.phi_count, bodies.theta_count,
         )  # fmt: skip
 
@@ -134,16 +139,6 @@ def _by_place(centers: Points, pairs: Pairs, n: int) -> Pairs:
         | ((centers[a, 0] == centers[b, 0]) & (centers[a, 1] > centers[b, 1]))
     )
     return np.stack([np.where(swap, b, a), np.where(swap, a, b)], axis=1)
-
-
-def _edges(centers: Points, pairs: Pairs, n: int) -> tuple[Offsets, Ints]:
-    # Pairs of robot i: edges[offsets[i] : offsets[i + 1]], 2 (number of the pair) + (0 if
-    # i comes first in it, else 1), in the order of the neighbours' places.
-    own, other = np.concatenate([pairs, pairs[:, ::-1]]).T
-    edges = np.concatenate([2 * np.arange(len(pairs)), 2 * np.arange(len(pairs)) + 1])
-    order = np.lexsort((centers[other, 1], centers[other, 0], own))
-    order = order[own[order] < n]
-    return np.searchsorted(own[order], np.arange(n + 1)), edges[order]
 
 
 @nb.njit(cache=True)
@@ -254,13 +249,12 @@ def _on_edge(point, start, end):
 
 
 @nb.njit(cache=True)
-def _push(contacts, pairs, offsets, edges, outer, elbows, centers, ranks, law):
+def _push(contacts, near, outer, elbows, centers, ranks, law):
     n = len(elbows)
     potential, push = np.zeros(n), np.zeros((n, 2))
     for i in range(n):
-        for e in range(offsets[i], offsets[i + 1]):
-            pair, second = edges[e] >> 1, edges[e] & 1
-            j = pairs[pair, 1 - second]
+        for e in range(near.offsets[i], near.offsets[i + 1]):
+            j, pair, second = near.body[e], near.pair[e], near.side[e]
             if j < n and ranks[j] < ranks[i]:
                 continue
             for c in range(_CONTACTS):
@@ -281,7 +275,7 @@ def _push(contacts, pairs, offsets, edges, outer, elbows, centers, ranks, law):
 
 @nb.njit(cache=True)
 def _fractions(
-    contacts, phi, theta, elbows, step, pairs, offsets, edges,
+    contacts, phi, theta, elbows, step, near,
     centers, arm1, phi_count, theta_count,
 ):  # fmt: skip
     fractions, nearest = np.ones(len(step)), np.full(len(step), -1)
@@ -290,8 +284,8 @@ def _fractions(
         if h == 0.0 and k == 0.0:
             continue
         cx, cy = centers[i, 0], centers[i, 1]
-        for e in range(offsets[i], offsets[i + 1]):
-            pair, second = edges[e] >> 1, edges[e] & 1
+        for e in range(near.offsets[i], near.offsets[i + 1]):
+            pair, second = near.pair[e], near.side[e]
             for c in range(_CONTACTS):
                 gap = contacts[pair, c, 0]
                 if gap == np.inf:
@@ -316,5 +310,5 @@ def _fractions(
                     slack = max(nx * (vx - x) + ny * (vy - y), 0.0)
                     fraction = longest_step(-(nx * mx + ny * my), curve, share + slack)
                     if fraction < fractions[i]:
-                        fractions[i], nearest[i] = fraction, pairs[pair, 1 - second]
+                        fractions[i], nearest[i] = fraction, near.body[e]
     return fractions, nearest

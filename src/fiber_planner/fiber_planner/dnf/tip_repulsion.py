@@ -28,7 +28,8 @@ import numba as nb
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fiber_core.array_types import Angles, Floats, Ints, Offsets, Points
+from fiber_core.array_types import Angles, Floats, Ints, Points
+from fiber_core.clearance import Neighbours, neighbours_of
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.dnf.integrator import longest_step
 from fiber_planner.dnf.navigation_function import Contacts, ControlLaw, repulsion, to_joints
@@ -57,8 +58,7 @@ class TipNeighbours:
         self._shrink = np.concatenate([np.zeros(plane.n), shrink])
         places = np.concatenate([plane.centers, plane.obstacles[:, :2]])
         reaches = np.concatenate([plane.arms.sum(axis=1), shrink])
-        # neighbours of robot i: rows[offsets[i] : offsets[i + 1]]; obstacles are rows n and more
-        self._offsets, self._rows = _near(places, reaches, law.outer, plane.n)
+        self._near = _near(places, reaches, law.outer, plane.n)
 
     def repel(
         self, angles: Angles, elbows: Points, tips: Points, ranks: Floats
@@ -77,7 +77,7 @@ class TipNeighbours:
         """
         spots = np.concatenate([tips, self._plane.obstacles[:, :2]])
         potential, push = _push(
-            spots, self._shrink, self._offsets, self._rows,
+            spots, self._shrink, self._near,
             elbows, self._plane.centers, ranks, self._law,
         )  # fmt: skip
         return potential, push, (spots, elbows)
@@ -95,29 +95,24 @@ class TipNeighbours:
         plane = self._plane
         spots, elbows = contacts
         return _fractions(
-            spots, elbows, step, self._shrink, self._offsets, self._rows,
+            spots, elbows, step, self._shrink, self._near,
             plane.centers, plane.arms, self._law.inner,
         )  # fmt: skip
 
 
-def _near(places: Points, reaches: Floats, outer: float, n: int) -> tuple[Offsets, Ints]:
-    # All robots and obstacles that can come within D of a tip of robots 0..n-1. The neighbours
-    # of a robot are sorted by place, so that sums do not depend on the order of the rows.
+def _near(places: Points, reaches: Floats, outer: float, n: int) -> Neighbours:
+    # All robots and obstacles, rows n and more, that can come within D of a tip of robots 0..n-1.
     pairs = np.zeros((0, 2), dtype=np.int64)
     if n:
         farthest = 2 * max(reaches.max(), 0.0) + outer
         pairs = cKDTree(places).query_pairs(farthest, output_type="ndarray")
-    a, b = np.concatenate([pairs, pairs[:, ::-1]]).T.astype(np.int64)
-    apart = np.hypot(*(places[a] - places[b]).T)
-    near = (a < n) & (apart < reaches[a] + reaches[b] + outer)
-    a, b = a[near], b[near]
-    order = np.lexsort((places[b, 1], places[b, 0], a))
-    return np.searchsorted(a[order], np.arange(n + 1)), b[order]
+    apart = np.hypot(*(places[pairs[:, 0]] - places[pairs[:, 1]]).T)
+    return neighbours_of(n, pairs[apart < reaches[pairs].sum(axis=1) + outer], places=places)
 
 
 @nb.njit(cache=True)
-def _push(spots, shrink, offsets, rows, elbows, centers, ranks, law):
-    n = len(elbows)
+def _push(spots, shrink, near, elbows, centers, ranks, law):
+    n, offsets, rows = len(elbows), near.offsets, near.body
     potential, push = np.zeros(n), np.zeros((n, 2))
     for i in range(n):
         x, y = spots[i, 0], spots[i, 1]
@@ -143,7 +138,8 @@ def _push(spots, shrink, offsets, rows, elbows, centers, ranks, law):
 
 
 @nb.njit(cache=True)
-def _fractions(spots, elbows, step, shrink, offsets, rows, centers, arms, inner):
+def _fractions(spots, elbows, step, shrink, near, centers, arms, inner):
+    offsets, rows = near.offsets, near.body
     fractions, nearest = np.ones(len(elbows)), np.full(len(elbows), -1)
     for i in range(len(elbows)):
         h, k = step[i]
