@@ -1,9 +1,10 @@
 """Settings of a session: tolerances, timeouts, and the period of the heartbeat."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from fiber_bus_bridge.errors import BridgeError
-from fiber_core.bounds import MAX_ANGLE_RAD, MAX_LENGTH_MM, check_number
+from fiber_core.bounds import MAX_ANGLE_RAD, MAX_LENGTH_MM, Range, check_ranges
 
 __all__ = ["SessionConfig"]
 
@@ -28,6 +29,17 @@ class SessionConfig:
         BridgeError: a value is not a number, negative or out of bounds; names it.
     """
 
+    RANGES: ClassVar = {
+        "tolerance_mm": Range(0.0, MAX_LENGTH_MM),
+        "start_tolerance_rad": Range(0.0, MAX_ANGLE_RAD),
+        "watchdog_ms": Range(0, 2**16 - 1, whole=True),  # 16 bits each in CONFIG
+        "grace_s": Range(0.0, 3600.0),
+        "silence_ms": Range(0, 2**16 - 1, whole=True),
+        "heartbeat_period_s": Range(1e-5, 60.0),
+        "stretch_s": Range(0.0, float("inf")),
+        "resumes": Range(0, 1000, whole=True),
+    }
+
     tolerance_mm: float = 0.1
     start_tolerance_rad: float = 1e-4
     watchdog_ms: int = 10_000
@@ -38,17 +50,4 @@ class SessionConfig:
     resumes: int = 3
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("tolerance_mm", 0.0, MAX_LENGTH_MM),
-            ("start_tolerance_rad", 0.0, MAX_ANGLE_RAD),
-            ("grace_s", 0.0, 3600.0),
-            ("heartbeat_period_s", 1e-5, 60.0),
-            ("stretch_s", 0.0, float("inf")),
-        ):
-            check_number(getattr(self, name), name, low, high, BridgeError)
-        for name, low, high in (
-            ("watchdog_ms", 0, 2**16 - 1),  # 16 bits each in CONFIG
-            ("silence_ms", 0, 2**16 - 1),
-            ("resumes", 0, 1000),
-        ):
-            check_number(getattr(self, name), name, low, high, BridgeError, whole=True)
+        check_ranges(self, self.RANGES, BridgeError)

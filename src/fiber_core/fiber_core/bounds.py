@@ -4,6 +4,9 @@ The bounds are far from every instrument that exists. Inside them all loops end 
 fit the memory; a value outside is refused by name where it enters.
 """
 
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import numpy as np
 
 __all__ = [
@@ -18,7 +21,9 @@ __all__ = [
     "MAX_SPEED_RAD_S",
     "MIN_LENGTH_MM",
     "MIN_SPEED_RAD_S",
+    "Range",
     "check_number",
+    "check_ranges",
 ]
 
 # Arms, radii, vertices and spacings, to ten metres; the longest arms in use are 17 mm. The
@@ -70,3 +75,34 @@ def check_number(
         if not whole or value % 1 == 0:
             return
     raise error(f"{name} is {value!r}, expected {kind} from {low:.10g} to {high:.10g}")
+
+
+class Range(NamedTuple):
+    """The values that a setting may have.
+
+    Args:
+        low, high: the least and the largest value; both are in the range.
+        whole: whether only whole numbers are.
+    """
+
+    low: float
+    high: float
+    whole: bool = False
+
+
+def check_ranges(config: object, ranges: Mapping[str, Range], error: type[Exception]) -> None:
+    """Refuse a dataclass of settings with a value outside its range.
+
+    Args:
+        config: the settings.
+        ranges: the range of each number, by name of its field; a field whose default is None may
+            be None.
+        error: exception to raise.
+
+    Raises:
+        error: a value is no number, or outside its range; names it.
+    """
+    for name, (low, high, whole) in ranges.items():
+        value = getattr(config, name)
+        if value is not None or getattr(type(config), name, 0) is not None:
+            check_number(value, name, low, high, error, whole)

@@ -2,22 +2,20 @@
 
 from typing import Any
 
-from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
-from fiber_core.array_types import Ids
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
 from fiber_discretizer.discretize_stage import DiscretizeStageResult, discretize_trajectory
 from fiber_discretizer.joint_corridors import joint_corridors
 from fiber_discretizer.options import DiscretizeOptions
 from fiber_msgs_py import Attempt, PlanStamp, Stage, corridors, held, segments, topics, trajectory
-from fiber_node import AttemptListener, PlaneCache, Reporter, declare_parameters, run
+from fiber_node import AttemptListener, PlaneCache, PlaneNode, Reporter, run
 
 __all__ = ["DiscretizerNode", "main"]
 
 
-class DiscretizerNode(Node):
+class DiscretizerNode(PlaneNode):
     """Turns each trajectory, of any planner, into orders that are proven safe.
 
     Args:
@@ -26,8 +24,9 @@ class DiscretizerNode(Node):
 
     def __init__(self, **options: Any):
         super().__init__("discretizer", **options)
-        self._options = declare_parameters(self, DiscretizeOptions)
-        self._safety = declare_parameters(self, Safety, "safety")
+        self._options = self.parameters.declare(DiscretizeOptions)
+        self._safety = self.parameters.declare(Safety, "safety")
+        self.parameters.finish()
         self._newest: Attempt | None = None
         self._report = Reporter(self, "discretizer")
         self._plane_cache = PlaneCache(self, self._report)
@@ -59,23 +58,25 @@ class DiscretizerNode(Node):
                 )
                 return
             ids, motion, velocities = trajectory.decode(message)
+            safety = self._safety.value
             result = discretize_trajectory(
                 self._plane_cache.plane,
                 self._plane_cache.angles,
                 ids,
                 motion,
                 self._plane_cache.units,
-                self._safety,
-                options=self._options,
+                safety,
+                options=self._options.value,
                 progress=lambda fraction, text: self._report.progress(attempt, fraction, text),
                 velocities=velocities,
             )
             self._newest = attempt
-            self._publish(result, self._plane_cache.plane.ids, attempt)
+            self._publish(result, safety, attempt)
         except FiberError as error:
             self._report.refuse(f"trajectory refused: {error}", "trajectory")
 
-    def _publish(self, result: DiscretizeStageResult, ids: Ids, attempt: Attempt) -> None:
+    def _publish(self, result: DiscretizeStageResult, safety: Safety, attempt: Attempt) -> None:
+        ids = self._plane_cache.plane.ids
         wire, certificate = result.discretization.wire, result.discretization.certificate
         reason, is_held, stamp = result.reason, result.held, attempt.stamp
         self._held.publish(held.encode(ids[is_held], reason[is_held], Stage.DISCRETIZER, stamp))
@@ -100,7 +101,7 @@ class DiscretizerNode(Node):
             f"least clearance {clearance} mm",
         )
         if self._corridors.get_subscription_count():  # corridors take longer than all the rest
-            found = joint_corridors(self._plane_cache.plane, wire.decoded(), self._safety)
+            found = joint_corridors(self._plane_cache.plane, wire.decoded(), safety)
             self._corridors.publish(corridors.encode(ids, found, stamp))
 
 

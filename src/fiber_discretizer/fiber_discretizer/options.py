@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
-from fiber_core.bounds import MAX_ANGLE_RAD, check_number
+from fiber_core.bounds import MAX_ANGLE_RAD, Range, check_ranges
 from fiber_discretizer.errors import OptionError, UnknownOption
 from fiber_discretizer.fit.linearize import LINEARIZERS
 from fiber_discretizer.quantize import Rounding
@@ -49,6 +49,22 @@ class DiscretizeOptions:
         OptionError: a number is not finite, negative or out of bounds; names it.
     """
 
+    RANGES: ClassVar = {
+        "max_segments": Range(1, 1000, whole=True),
+        "rounds": Range(0, 1000, whole=True),
+        "reach_rad": Range(0.0, MAX_ANGLE_RAD),
+        "allowance_mm": Range(0.0, 1e3),
+        "slack_rad": Range(0.0, MAX_ANGLE_RAD),
+        "start_tolerance_rad": Range(0.0, MAX_ANGLE_RAD),
+        "speed_tolerance": Range(0.0, 1.0),
+    }
+    CHOICES: ClassVar = {
+        "sharing": SHARINGS,
+        "method": tuple(LINEARIZERS),
+        "rule": RULES,
+        "first_joint": (0, 1),
+    }
+
     sharing: str = "sequential"
     method: str = "relaxed"
     rule: str = "safe"
@@ -63,24 +79,7 @@ class DiscretizeOptions:
     rounding: Rounding = field(default_factory=Rounding)
 
     def __post_init__(self):
-        for name, known in (
-            ("sharing", SHARINGS),
-            ("method", tuple(LINEARIZERS)),
-            ("rule", RULES),
-            ("first_joint", (0, 1)),
-        ):
+        for name, known in self.CHOICES.items():
             if getattr(self, name) not in known:
                 raise UnknownOption(name, getattr(self, name), known)
-        for name, low, high in (
-            ("max_segments", 1, 1000),
-            ("rounds", 0, 1000),
-        ):
-            check_number(getattr(self, name), name, low, high, OptionError, whole=True)
-        for name, high in (
-            ("reach_rad", MAX_ANGLE_RAD),
-            ("allowance_mm", 1e3),
-            ("slack_rad", MAX_ANGLE_RAD),
-            ("start_tolerance_rad", MAX_ANGLE_RAD),
-            ("speed_tolerance", 1.0),
-        ):
-            check_number(getattr(self, name), name, 0.0, high, OptionError)
+        check_ranges(self, self.RANGES, OptionError)

@@ -1,8 +1,9 @@
 """Shared parts of all nodes: parameters, progress and diagnostics, the plane, the main loop."""
 
 from fiber_node.attempt_listener import AttemptListener
-from fiber_node.parameters import declare_parameters
+from fiber_node.parameters import Declared, NodeParameters, ParameterError
 from fiber_node.plane_cache import PlaneCache
+from fiber_node.plane_node import PlaneNode
 from fiber_node.reporter import Reporter
 from fiber_node.ros_client import RosClient, WaitError
 from fiber_node.run_node import run
@@ -10,11 +11,14 @@ from fiber_node.thread_executor import ThreadExecutor
 
 __all__ = [
     "AttemptListener",
+    "Declared",
+    "NodeParameters",
+    "ParameterError",
     "PlaneCache",
+    "PlaneNode",
     "Reporter",
     "RosClient",
     "ThreadExecutor",
     "WaitError",
-    "declare_parameters",
     "run",
 ]

@@ -1,7 +1,5 @@
 """The shared parts of nodes, on real nodes in a domain of their own."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 import rclpy
@@ -26,19 +24,7 @@ from fiber_msgs_py import (
     targets,
     topics,
 )
-from fiber_node import AttemptListener, PlaneCache, Reporter, declare_parameters, run
-
-
-@dataclass(frozen=True)
-class _Config:
-    gain: float = 2.0
-    horizon_s: float | None = None
-    method: str = "plain"
-    table: tuple = ()
-
-    def __post_init__(self):
-        if self.gain <= 0:
-            raise FiberError(f"gain is {self.gain}, expected a positive number")
+from fiber_node import AttemptListener, PlaneCache, Reporter, run
 
 
 @pytest.fixture
@@ -68,20 +54,6 @@ def graph():
     for made in nodes:
         made.destroy_node()
     context.try_shutdown()
-
-
-def test_parameters_are_declared_with_the_defaults_of_the_dataclass(graph):
-    node = graph("plain")
-    assert declare_parameters(node, _Config, "core") == _Config()
-    assert node.get_parameter("core.gain").value == 2.0
-    assert node.get_parameter("core.horizon_s").value is None
-    assert not node.has_parameter("core.table")
-
-
-def test_parameters_take_what_was_set_and_refuse_what_the_core_refuses(graph):
-    assert declare_parameters(graph("set", gain=3.0, horizon_s=9.5), _Config) == _Config(3.0, 9.5)
-    with pytest.raises(FiberError, match="gain is -1.0"):
-        declare_parameters(graph("wrong", gain=-1.0), _Config)
 
 
 def test_a_refusal_reaches_the_diagnostics_at_once(graph):

@@ -1,11 +1,10 @@
 """The planner node: targets in, one trajectory for the whole plane out."""
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import ClassVar
 
 import numpy as np
-from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from fiber_core.array_types import Ids, Pairs, Points
@@ -19,7 +18,8 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
-from fiber_node import PlaneCache, Reporter, declare_parameters, run
+from fiber_node import PlaneCache, PlaneNode, Reporter, run
+from fiber_planner.errors import PlannerError
 from fiber_planner.interface import Planner
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment
 from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
@@ -27,7 +27,29 @@ from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of,
 __all__ = ["PlannerNode", "main"]
 
 
-class PlannerNode(Node):
+@dataclass(frozen=True)
+class PlannerChoice:
+    """Which planner plans.
+
+    Args:
+        planner: name of the planner; its parameters begin with its name.
+
+    Raises:
+        PlannerError: there is no planner of that name.
+    """
+
+    CHOICES: ClassVar = {"planner": planners()}
+
+    planner: str = DEFAULT_PLANNER
+
+    def __post_init__(self) -> None:
+        if self.planner not in planners():
+            raise PlannerError(
+                f"no planner is called {self.planner!r}; there are {', '.join(planners())}"
+            )
+
+
+class PlannerNode(PlaneNode):
     """Plans each table of targets from the joint angles that the encoders report.
 
     Args:
@@ -36,13 +58,22 @@ class PlannerNode(Node):
 
     def __init__(self, **options):
         super().__init__("planner", **options)
-        self._planner = _declared_planner(self)
+        self._choice = self.parameters.declare(PlannerChoice)
+        self._settings = {
+            name: self.parameters.declare(parameters_of(name), name) for name in planners()
+        }
+        self.parameters.finish()
         self._newest: Attempt | None = None  # that was planned
         self._report = Reporter(self, "planner")
         self._plane_cache = PlaneCache(self, self._report)
         self._held = topics.HELD_BY_PLANNER.publisher(self)
         self._trajectory = topics.TRAJECTORY.publisher(self)
         topics.TARGETS.subscription(self, self._on_targets)
+
+    def planner(self) -> Planner:
+        """Return the planner that plans next, with the parameters that are in effect."""
+        name = self._choice.value.planner
+        return make_planner(name, **asdict(self._settings[name].value))
 
     def _on_targets(self, message: PointCloud2) -> None:
         try:
@@ -71,7 +102,7 @@ class PlannerNode(Node):
             result = plan_assignment(
                 start,
                 assignment,
-                self._planner,
+                self.planner(),
                 lambda fraction, text: self._report.progress(attempt, fraction, text),
             )
             self._publish(result, attempt)
@@ -108,15 +139,6 @@ class PlannerNode(Node):
                 for row in pair
             )
             self.get_logger().warning(f"plan {attempt}: {names} start too close to each other")
-
-
-def _declared_planner(node: Node) -> Planner:
-    # Parameter `planner` names the planner; the parameters of every planner are declared.
-    about = ParameterDescriptor(description=f"one of {', '.join(planners())}")
-    name = str(node.declare_parameter("planner", DEFAULT_PLANNER, about).value)
-    parameters = {each: declare_parameters(node, parameters_of(each), each) for each in planners()}
-    chosen = dataclasses.asdict(parameters[name]) if name in parameters else {}
-    return make_planner(name, **chosen)
 
 
 def main(args: Sequence[str] | None = None) -> int:

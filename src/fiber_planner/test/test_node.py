@@ -128,7 +128,7 @@ def test_it_declares_the_parameters_of_every_planner_and_uses_those_of_the_one_c
     with RosClient("rest") as peer:
         node = peer.add_node(PlannerNode, planner="direct", direct__seed=4)
         assert node.get_parameter("direct.seed").value == 4
-        assert node._planner.parameters == parameters_of("direct")(seed=4)
+        assert node.planner().parameters == parameters_of("direct")(seed=4)
         assert node.get_parameter("dnf.lambda1").value == parameters_of("dnf")().lambda1
         with pytest.raises(PlannerError, match="'fastest'"):
             peer.add_node(PlannerNode, planner="fastest")

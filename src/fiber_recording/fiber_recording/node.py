@@ -8,15 +8,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.node import Node
 from sensor_msgs.msg import JointState, PointCloud2
 from trajectory_msgs.msg import JointTrajectory
 
 from fiber_core.array_types import Counts
+from fiber_core.bounds import Range, check_ranges
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
@@ -36,7 +36,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
-from fiber_node import Reporter, declare_parameters, run
+from fiber_node import PlaneNode, Reporter, run
 from fiber_recording.build_recording import build_recording
 from fiber_recording.received_plans import PlanAttempts, ReceivedPlan, ReceivedPlans
 from fiber_recording.recording_file import save_recording
@@ -68,7 +68,32 @@ class _PlaneWithStates:
         return self.units.to_counts(joint_states.decode(self.states)[1])
 
 
-class RecorderNode(Node):
+@dataclass(frozen=True)
+class RecorderConfig:
+    """Where recordings are written, and what is noted in them about the graph.
+
+    Args:
+        folder: folder of the recordings; it is made when the first one is written.
+        seed: seed of the random starts, noted in the recordings; -1 for none.
+        planner: name of the planner, noted in the recordings.
+        preset: name of the instrument, noted in the recordings; the layout has none.
+
+    Raises:
+        FiberError: the seed is no whole number or out of bounds.
+    """
+
+    RANGES: ClassVar = {"seed": Range(-1, 2**63 - 1, whole=True)}
+
+    folder: str = "recordings"
+    seed: int = -1
+    planner: str = ""
+    preset: str = ""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, self.RANGES, FiberError)
+
+
+class RecorderNode(PlaneNode):
     """Writes `plan-STAMP.npz` into a folder for every plan with an outcome.
 
     Args:
@@ -77,11 +102,9 @@ class RecorderNode(Node):
 
     def __init__(self, **options: Any):
         super().__init__("recorder", **options)
-        self._folder = Path(self._text_parameter("folder", "recordings"))
-        seed = self.declare_parameter("seed", -1).get_parameter_value().integer_value
-        self._about = {"seed": seed, "planner": self._text_parameter("planner", "")}
-        self._plane_name = self._text_parameter("preset", "")  # the layout has no name
-        self._safety = declare_parameters(self, Safety, "safety")
+        self._config = self.parameters.declare(RecorderConfig)
+        self._safety = self.parameters.declare(Safety, "safety")
+        self.parameters.finish()
         self._plane: FocalPlane | None = None
         self._units: WireUnits | None = None
         self._states: JointState | None = None
@@ -102,9 +125,6 @@ class RecorderNode(Node):
             topic.subscription(self, self._refusing(topic.name, observe))
         self.create_timer(_CHECK_PERIOD_S, guarded(self, "recordings", self._write_ended_plans))
 
-    def _text_parameter(self, name: str, default: str) -> str:
-        return self.declare_parameter(name, default).get_parameter_value().string_value
-
     def _refusing(self, topic: str, observe: Callable[[Any], None]) -> Callable[[Any], None]:
         """Return a callback that reports why a message was refused."""
         name = topic.rpartition("/")[2]
@@ -119,7 +139,7 @@ class RecorderNode(Node):
 
     def _on_layout(self, message: PointCloud2) -> None:
         plane, self._units = layout.decode(message)
-        self._plane = replace(plane, name=self._plane_name)
+        self._plane = replace(plane, name=self._config.value.preset)
 
     def _on_joint_states(self, message: JointState) -> None:
         joint_states.decode(message)  # refuses a malformed message, which would be read too late
@@ -216,7 +236,7 @@ class RecorderNode(Node):
         late: bool,
     ) -> None:
         self._report.progress(Attempt.first(stamp), 0.0, "writing the recording")
-        attempts = self._received.attempts(stamp)
+        attempts, config = self._received.attempts(stamp), self._config.value
         first, logs, count = attempts.first, attempts.logs, max(len(attempts.executed), 1)
         notes = []
         if count > 1:
@@ -235,12 +255,13 @@ class RecorderNode(Node):
             targets=None if plan.targets is None else targets.decode(plan.targets),
             planned=None if first.trajectory is None else trajectory.decode(first.trajectory)[:2],
             corridors=None if first.corridors is None else corridors.decode(first.corridors),
-            safety=self._safety,
-            about=self._about | {"attempts": count},
+            safety=self._safety.value,
+            about={"seed": config.seed, "planner": config.planner, "attempts": count},
             notes=notes,
         )
-        self._folder.mkdir(parents=True, exist_ok=True)
-        path = self._folder / recording_name(stamp)
+        folder = Path(config.folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / recording_name(stamp)
         save_recording(path, recording)
         self._report.done(Attempt.first(stamp), f"recorded in {path}")
 

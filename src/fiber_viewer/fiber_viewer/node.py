@@ -5,17 +5,18 @@ joint states only while its own topics have subscribers, so an unused viewer cos
 """
 
 import time
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from geometry_msgs.msg import Point
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fiber_core.array_types import Angles, Codes, Mask
+from fiber_core.bounds import Range, check_ranges
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_msgs_py import (
@@ -37,7 +38,7 @@ from fiber_msgs_py.point_clouds import (
     view_states,
 )
 from fiber_msgs_py.table import encode_table
-from fiber_node import Reporter, run
+from fiber_node import PlaneNode, Reporter, run
 from fiber_viewer.outlines import outlines
 
 __all__ = ["WATCHED", "ViewerNode", "main"]
@@ -49,7 +50,38 @@ _LINE_M = 1.5e-4
 _COLOR = ColorRGBA(r=0.9, g=0.62, b=0.0, a=1.0)
 
 
-class ViewerNode(Node):
+@dataclass(frozen=True)
+class ViewRate:
+    """How often the view is drawn.
+
+    Args:
+        rate_hz: pictures a second while robots move [Hz].
+
+    Raises:
+        FiberError: the rate is no number or out of bounds.
+    """
+
+    RANGES: ClassVar = {"rate_hz": Range(0.01, 1000.0)}
+
+    rate_hz: float = 20.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self, self.RANGES, FiberError)
+
+
+@dataclass(frozen=True)
+class WatchedRobots:
+    """The robots that are shown with their outlines.
+
+    Args:
+        watch: ids of the robots that are shown with their outlines; an id that no robot has
+            shows none.
+    """
+
+    watch: tuple[int, ...] = (0,)
+
+
+class ViewerNode(PlaneNode):
     """Publishes points along all arms, and outlines of a few watched robots.
 
     Between two readings of the encoders, arms are extrapolated with their velocities.
@@ -60,8 +92,9 @@ class ViewerNode(Node):
 
     def __init__(self, **options: Any):
         super().__init__("viewer", **options)
-        rate_hz = self.declare_parameter("rate_hz", 20.0).get_parameter_value().double_value
-        self.declare_parameter("watch", [0])  # ids; read for each picture, so that it can be set
+        rate = self.parameters.declare(ViewRate, read_only=True).value
+        self._watch = self.parameters.declare(WatchedRobots)
+        self.parameters.finish()
         self._plane: FocalPlane | None = None
         self._outcome: Codes | None = None
         self._states: tuple[Any, ...] | None = None
@@ -78,7 +111,7 @@ class ViewerNode(Node):
         topics.LAYOUT.subscription(self, self._on_layout)
         topics.TARGETS.subscription(self, self._on_targets)
         topics.OUTCOME.subscription(self, self._on_outcome)
-        self.create_timer(1.0 / rate_hz, guarded(self, "view", self._on_timer))
+        self.create_timer(1.0 / rate.rate_hz, guarded(self, "view", self._on_timer))
 
     def _on_layout(self, message: PointCloud2) -> None:
         try:
@@ -144,7 +177,7 @@ class ViewerNode(Node):
             self._joint_states_subscription = self._states = None
 
     def _watched_ids(self) -> list[int]:
-        return list(self.get_parameter("watch").value or ())
+        return list(self._watch.value.watch)
 
     def _publish_picture(self, plane: FocalPlane, angles: Angles, moving: Mask) -> None:
         self._pictures += 1

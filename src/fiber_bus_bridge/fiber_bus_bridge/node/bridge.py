@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from fiber_bus_bridge.capture import Tap
@@ -20,6 +19,7 @@ from fiber_bus_bridge.node.disabled_parameter import (
 from fiber_bus_bridge.node.hardware import declare_hardware
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
 from fiber_bus_bridge.node.publishers import Publishers
+from fiber_bus_bridge.node.settings import AttemptConfig, ExecutionConfig
 from fiber_bus_bridge.plan_result import PlanResult
 from fiber_bus_bridge.replanning import Replanning
 from fiber_bus_bridge.session import Session
@@ -32,13 +32,12 @@ from fiber_core.outcomes import Outcome
 from fiber_msgs_py import (
     Attempt,
     AttemptTable,
-    MessageError,
     PlanStamp,
     guarded,
     targets,
     topics,
 )
-from fiber_node import Reporter, declare_parameters, run
+from fiber_node import PlaneNode, Reporter, run
 
 __all__ = ["BridgeNode", "main"]
 
@@ -46,10 +45,9 @@ _TICK_S = 0.1  # time of the buses between two publications while robots move
 _SOON_S = 1e-3
 _TIMEOUT_CHECK_S = 0.5
 _Response: TypeAlias = Trigger.Response
-_MOST = 1e6  # of attempts, of their seconds, and of simulated seconds per second
 
 
-class BridgeNode(Node):
+class BridgeNode(PlaneNode):
     """Executes plans on positioners and publishes the outcome of every robot.
 
     The time of simulated buses advances only while robots move, `time_scale` seconds a second.
@@ -60,15 +58,15 @@ class BridgeNode(Node):
 
     def __init__(self, **options: Any):
         super().__init__("bridge", **options)
-        hardware = declare_hardware(self)
-        safety = declare_parameters(self, Safety, "safety")
-        scale = self._number("time_scale", 1.0)
-        self._max_attempts = int(self._number("attempts", 2, "is less than one", least=1))
-        self._attempt_timeout_s = self._number("attempt_timeout_s", 60.0)
+        hardware = declare_hardware(self.parameters)
+        safety = self.parameters.declare(Safety, "safety", read_only=True).value
+        execution = self.parameters.declare(ExecutionConfig, read_only=True).value
+        scale = execution.time_scale
+        self._attempts = self.parameters.declare(AttemptConfig)
         plane, self._hardware, self._units = hardware.plane, hardware, hardware.units
-        self._capture = str(self.declare_parameter("capture", "").value)
+        self._capture = execution.capture
         self._tap = Tap(hardware.buses, hardware.timing) if self._capture else None
-        config = declare_parameters(self, SessionConfig, "session")
+        config = self.parameters.declare(SessionConfig, "session", read_only=True).value
         self._session = Session(
             plane, self._units, safety, self._tap or hardware.buses, hardware.start, config
         )
@@ -81,7 +79,8 @@ class BridgeNode(Node):
         self._ordered: Mask = np.zeros(plane.n, dtype=bool)  # robots with orders in this attempt
         self._awaited: Attempt | None = None  # next attempt, whose orders have not come yet
         self._awaited_until_s = 0.0
-        self._availability = declare_availability(self, plane)
+        self._availability = declare_availability(self, self.parameters, plane)
+        self.parameters.finish()
         self._session.enable(self._availability.enabled)
 
         self._outgoing = Publishers(self, self._session, self._availability)
@@ -113,16 +112,6 @@ class BridgeNode(Node):
         own_group = MutuallyExclusiveCallbackGroup()
         topics.STOP.server(self, self._on_stop, callback_group=own_group)
         follow_disabled_parameter(self, self._disable, self._reporter.refuse)
-
-    def _number(
-        self, name: str, default: float, problem: str = "is negative", least: float = 0
-    ) -> float:
-        value = self.declare_parameter(name, default).value
-        if not isinstance(value, (int, float)) or not value >= least:
-            raise MessageError("parameters", problem, field=name, value=value)
-        if value > _MOST:
-            raise MessageError("parameters", f"is above {_MOST:g}", field=name, value=value)
-        return value
 
     def _no_targets(self) -> np.ndarray:
         return np.full((self._hardware.plane.n, 2), np.nan)
@@ -178,7 +167,8 @@ class BridgeNode(Node):
         if not is_awaited:
             unknown = asked is None
             self._replanning = Replanning(
-                self._no_targets() if unknown else asked, 1 if unknown else self._max_attempts
+                self._no_targets() if unknown else asked,
+                1 if unknown else self._attempts.value.attempts,
             )
         self._current, self._awaited = attempt, None
         self._ordered = motion.moves
@@ -211,7 +201,7 @@ class BridgeNode(Node):
         now_ns = self._outgoing.now_ns()
         attempt = self._awaited = last_attempt.next(stamp, since_ns=now_ns)
         self._announced.add(attempt)
-        self._awaited_until_s = time.monotonic() + self._attempt_timeout_s
+        self._awaited_until_s = time.monotonic() + self._attempts.value.attempt_timeout_s
         self._outgoing.publish_layout(always=True, now_ns=now_ns)
         ids, goals = self._session.plane.ids[robots], self._replanning.goals[robots]
         message = targets.encode_attempt(ids, goals, attempt)
@@ -233,8 +223,9 @@ class BridgeNode(Node):
     def _check_timeout(self) -> None:
         with self._lock:
             if self._awaited is not None and time.monotonic() > self._awaited_until_s:
+                timeout_s = self._attempts.value.attempt_timeout_s
                 self._reporter.drop(
-                    f"plan {self._awaited}: no orders within {self._attempt_timeout_s:g} s, "
+                    f"plan {self._awaited}: no orders within {timeout_s:g} s, "
                     "the plan ends without this attempt"
                 )
                 self._give_up_attempt("no orders came")

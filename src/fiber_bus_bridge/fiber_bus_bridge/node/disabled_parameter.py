@@ -1,6 +1,7 @@
 """The parameters by which operators disable and enable robots."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -11,11 +12,42 @@ from fiber_bus_bridge.availability import Availability
 from fiber_bus_bridge.errors import BridgeError
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
+from fiber_node import NodeParameters
 
 __all__ = ["declare_availability", "follow_disabled_parameter"]
 
 
-def declare_availability(node: Node, plane: FocalPlane) -> Availability:
+@dataclass(frozen=True)
+class _ListFile:
+    """Where the list of disabled robots is kept.
+
+    Args:
+        disabled_file: YAML file that keeps the list of disabled robots over restarts and overrides
+            the parameter disabled; an empty text for a list in memory only.
+    """
+
+    disabled_file: str = ""
+
+
+@dataclass(frozen=True)
+class _Why:
+    """Why operators disable robots.
+
+    Args:
+        disabled_why: reason recorded for robots that are new on the list; set it together with
+            disabled.
+    """
+
+    disabled_why: str = ""
+
+
+_ABOUT = (
+    "Ids of the robots that operators have disabled; a change is in effect at once, and is refused "
+    "while a plan is under way."
+)
+
+
+def declare_availability(node: Node, parameters: NodeParameters, plane: FocalPlane) -> Availability:
     """Declare `disabled`, `disabled_why` and `disabled_file`; return the availability of robots.
 
     With a file the list comes from the file; the parameter `disabled` then shows the list.
@@ -23,11 +55,12 @@ def declare_availability(node: Node, plane: FocalPlane) -> Availability:
     Raises:
         BridgeError: the list cannot be read, or names a robot that the plane does not have.
     """
-    file = str(node.declare_parameter("disabled_file", "").value)
-    reason = str(node.declare_parameter("disabled_why", "").value)
+    file = parameters.declare(_ListFile, read_only=True).value.disabled_file
+    reason = parameters.declare(_Why).value.disabled_why
+    given = parameters.take("disabled")
     # dynamic typing: an empty list has no element type
-    about = ParameterDescriptor(description="ids of disabled robots", dynamic_typing=True)
-    given = node.declare_parameter("disabled", None, about).value
+    about = ParameterDescriptor(description=_ABOUT, dynamic_typing=True)
+    node.declare_parameter("disabled", None, about, ignore_override=True)
     availability = Availability(plane, Path(file) if file else None)
     if not file:
         availability.disable(_ids(given), reason)

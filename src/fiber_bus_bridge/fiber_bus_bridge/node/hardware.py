@@ -5,8 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from fiber_bus_bridge.bus import BusBackend, BusTiming, LinuxBuses, bus_timing
 from fiber_bus_bridge.errors import BridgeError
@@ -14,7 +12,7 @@ from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simul
 from fiber_core.array_types import Angles
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
-from fiber_node import declare_parameters
+from fiber_node import NodeParameters
 
 __all__ = ["Hardware", "declare_hardware", "device_hardware", "simulated_hardware"]
 
@@ -52,19 +50,29 @@ class Hardware:
         return bool(np.isfinite(self.slice_s))
 
 
-def declare_hardware(node: Node) -> Hardware:
-    """Declare the parameters of the hardware on a node; return the hardware they describe.
+@dataclass(frozen=True)
+class DeviceConfig:
+    """The I2C adapters of this machine.
 
-    The parameters are those of SimulationConfig, and `devices`: paths of the I2C adapters, which
-    replace the simulated buses.
+    Args:
+        devices: paths of the I2C adapters in the order of the bus numbers, as /dev/i2c-1; an
+            empty text for the simulated buses.
+    """
+
+    devices: tuple[str, ...] = ("",)
+
+
+def declare_hardware(parameters: NodeParameters) -> Hardware:
+    """Declare the parameters of the hardware; return the hardware they describe.
+
+    The parameters are those of SimulationConfig and of DeviceConfig, which replaces the simulated
+    buses. None of them can change while the bridge runs.
 
     Raises:
         FiberError: the parameters describe no hardware.
     """
-    config = declare_parameters(node, SimulationConfig)
-    node.declare_parameter("devices", Parameter.Type.STRING_ARRAY)
-    none = Parameter("devices", Parameter.Type.STRING_ARRAY, [])
-    devices = node.get_parameter_or("devices", none).value
+    config = parameters.declare(SimulationConfig, read_only=True).value
+    devices = parameters.declare(DeviceConfig, read_only=True).value.devices
     return device_hardware(config, devices) if devices else simulated_hardware(config)
 
 

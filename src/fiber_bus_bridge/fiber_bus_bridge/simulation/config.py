@@ -1,6 +1,7 @@
 """Settings of a simulated focal plane: robots, clocks, buses and faults."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,6 +46,15 @@ class SimulationConfig:
             0.6 s on.
     """
 
+    RANGES: ClassVar = {
+        "robots": bounds.Range(0, bounds.MAX_ROBOTS, whole=True),
+        "seed": bounds.Range(0, 2**64, whole=True),
+        "clock_ppm": bounds.Range(0.0, bounds.MAX_CLOCK_PPM),
+        "start_skew_s": bounds.Range(0.0, bounds.MAX_SKEW_S),
+        "faults_from_s": bounds.Range(0.0, _LATEST_FAULT_S),
+        "faults_until_s": bounds.Range(0.0, _LATEST_FAULT_S),
+    }
+
     problem: str = ""
     layout: str = ""
     preset: str = ""
@@ -61,15 +71,7 @@ class SimulationConfig:
     def __post_init__(self) -> None:
         self.fault_kinds()
         bus_timing(self.clock)
-        for name, high in (("robots", bounds.MAX_ROBOTS), ("seed", 2**64)):
-            bounds.check_number(getattr(self, name), name, 0, high, BridgeError, whole=True)
-        for name, high in (
-            ("clock_ppm", bounds.MAX_CLOCK_PPM),
-            ("start_skew_s", bounds.MAX_SKEW_S),
-            ("faults_from_s", _LATEST_FAULT_S),
-            ("faults_until_s", _LATEST_FAULT_S),
-        ):
-            bounds.check_number(getattr(self, name), name, 0.0, high, BridgeError)
+        bounds.check_ranges(self, self.RANGES, BridgeError)
 
     def fault_kinds(self) -> list[FaultKind]:
         """Return the requested kinds of faults, each as often as requested.

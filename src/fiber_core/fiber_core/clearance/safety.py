@@ -1,6 +1,7 @@
 """Safety: the clearance that is asked for, timing errors included."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,19 +36,20 @@ class Safety:
         MotionError: a value is not a number, negative or out of bounds; names it.
     """
 
+    RANGES: ClassVar = {
+        "margin_mm": bounds.Range(0.0, _MOST_MARGIN_MM),
+        "clock_ppm": bounds.Range(0.0, bounds.MAX_CLOCK_PPM),
+        "start_skew_s": bounds.Range(0.0, bounds.MAX_SKEW_S),
+        "stop_skew_s": bounds.Range(0.0, bounds.MAX_SKEW_S),
+    }
+
     margin_mm: float = 0.05
     clock_ppm: float = 50.0
     start_skew_s: float = 200e-6
     stop_skew_s: float = 4e-3
 
     def __post_init__(self) -> None:
-        for name, most in (
-            ("margin_mm", _MOST_MARGIN_MM),
-            ("clock_ppm", bounds.MAX_CLOCK_PPM),
-            ("start_skew_s", bounds.MAX_SKEW_S),
-            ("stop_skew_s", bounds.MAX_SKEW_S),
-        ):
-            bounds.check_number(getattr(self, name), name, 0.0, most, MotionError)
+        bounds.check_ranges(self, self.RANGES, MotionError)
 
     def required_mm(self, plane: FocalPlane, motion: SegmentMotion, pairs: ArrayLike) -> Gaps:
         """Return the gap that each pair must keep on the nominal motion [mm], shape (p,).

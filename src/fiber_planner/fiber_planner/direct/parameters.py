@@ -1,10 +1,10 @@
 """Parameters of the direct planner, their defaults and ranges."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from fiber_core.bounds import check_number
+from fiber_core.bounds import Range, check_ranges
 from fiber_core.clearance import Safety
-from fiber_core.errors import MotionError
 from fiber_planner.errors import PlannerError
 
 __all__ = ["DirectParameters"]
@@ -36,6 +36,16 @@ class DirectParameters:
         PlannerError: a value is out of range.
     """
 
+    RANGES: ClassVar = {
+        **Safety.RANGES,
+        "allowance_mm": Range(0.0, 1e3),
+        "intervals": Range(4, 1024, whole=True),
+        "stretch": Range(1.0, 10.0),  # times that of the slowest robot; memory grows with it
+        "effort": Range(0.0, 1e6),  # 200 times the default: hours for 5000 robots
+        "budget_s": Range(0.0, float("inf")),
+        "seed": Range(0, 2**32 - 1, whole=True),
+    }
+
     margin_mm: float = 0.05
     clock_ppm: float = 50.0
     start_skew_s: float = 200e-6
@@ -48,19 +58,7 @@ class DirectParameters:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        try:
-            _ = self.safety  # checks the first four
-        except MotionError as error:
-            raise PlannerError(str(error)) from None
-        for name, low, high in (
-            ("allowance_mm", 0.0, 1e3),
-            ("stretch", 1.0, 10.0),  # ten times the time of the slowest robot; memory grows with it
-            ("effort", 0.0, 1e6),  # 200 times the default: hours for 5000 robots
-            ("budget_s", 0.0, float("inf")),
-        ):
-            check_number(getattr(self, name), name, low, high, PlannerError)
-        for name, low, high in (("intervals", 4, 1024), ("seed", 0, 2**32 - 1)):
-            check_number(getattr(self, name), name, low, high, PlannerError, whole=True)
+        check_ranges(self, self.RANGES, PlannerError)
 
     @property
     def safety(self) -> Safety:

@@ -1,12 +1,13 @@
 """Parameters of the decentralized navigation function, their defaults and ranges."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from fiber_core import bounds
 from fiber_core.array_types import Floats
-from fiber_core.bounds import check_number
+from fiber_core.bounds import Range, check_ranges
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.errors import PlannerError
 
@@ -18,18 +19,6 @@ _PATIENCE_S, _YIELD_S = 0.05, 0.3
 _LEAST_HORIZON_S = 2.5  # the motion time the paper announces
 _HORIZON_RATIO = 3.0
 
-_FROM_PLANE = ("outer_mm", "inner_mm", "dt_s", "horizon_s")
-# The ranges: weights of any sensible size; a step from a microsecond; a horizon of 28 hours.
-_RANGES = {
-    "lambda1": (1e-12, 1e12),
-    "lambda2": (0.0, 1e12),
-    "outer_mm": (bounds.MIN_LENGTH_MM, bounds.MAX_LENGTH_MM),
-    "inner_mm": (bounds.MIN_LENGTH_MM, bounds.MAX_LENGTH_MM),
-    "dt_s": (1e-6, 1e3),
-    "tolerance_mm": (1e-9, bounds.MAX_LENGTH_MM),
-    "horizon_s": (1e-6, 1e5),
-    "margin_mm": (0.0, 1e3),
-}
 _MOST_WAIT_S = 1e5
 
 
@@ -62,6 +51,19 @@ class DnfParameters:
         PlannerError: a value is out of range.
     """
 
+    # weights of any sensible size; a step from a microsecond; a horizon of 28 hours
+    RANGES: ClassVar = {
+        "lambda1": Range(1e-12, 1e12),
+        "lambda2": Range(0.0, 1e12),
+        "outer_mm": Range(bounds.MIN_LENGTH_MM, bounds.MAX_LENGTH_MM),
+        "inner_mm": Range(bounds.MIN_LENGTH_MM, bounds.MAX_LENGTH_MM),
+        "dt_s": Range(1e-6, 1e3),
+        "tolerance_mm": Range(1e-9, bounds.MAX_LENGTH_MM),
+        "horizon_s": Range(1e-6, 1e5),
+        "margin_mm": Range(0.0, 1e3),
+    }
+    CHOICES: ClassVar = {"sign": ("corrected", "printed"), "attraction": ("joint", "tip")}
+
     lambda1: float = 1.0
     lambda2: float = 0.05
     outer_mm: float | None = None
@@ -75,11 +77,8 @@ class DnfParameters:
     adaptive: bool = True
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _RANGES.items():
-            value = getattr(self, name)
-            if value is not None or name not in _FROM_PLANE:
-                check_number(value, name, low, high, PlannerError)
-        for name, choices in (("sign", ("corrected", "printed")), ("attraction", ("joint", "tip"))):
+        check_ranges(self, self.RANGES, PlannerError)
+        for name, choices in self.CHOICES.items():
             if getattr(self, name) not in choices:
                 raise PlannerError(f"{name} is {getattr(self, name)!r}, expected one of {choices}")
         if not isinstance(self.adaptive, (bool, np.bool_)):
@@ -131,17 +130,19 @@ class DnfPriorityParameters(DnfParameters):
             a configuration), or steps are not adaptive (they show which robot blocks which).
     """
 
+    RANGES: ClassVar = {
+        **DnfParameters.RANGES,
+        "patience_s": Range(1e-6, _MOST_WAIT_S),
+        "yield_s": Range(1e-6, _MOST_WAIT_S),
+        "claims": Range(0, 10_000, whole=True),
+    }
+
     patience_s: float | None = None
     yield_s: float | None = None
     claims: int = 5
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("patience_s", "yield_s"):
-            value = getattr(self, name)
-            if value is not None:
-                check_number(value, name, 1e-6, _MOST_WAIT_S, PlannerError)
-        check_number(self.claims, "claims", 0, 10_000, PlannerError, whole=True)
         if self.attraction != "joint" or not self.adaptive:
             raise PlannerError(
                 f"attraction is {self.attraction!r} and adaptive is {self.adaptive}, "
