@@ -132,8 +132,9 @@ coverage: build ## which lines the tests reach, into out/coverage (SUITES="src/f
 	@$(INSTALLED) && tools/coverage.sh out/coverage $(PYTHON) $(SUITES)
 
 .PHONY: pictures
-pictures: ## draw the picture of the packages in docs/architecture.md from the imports
-	@python3 tools/import_graph.py
+pictures: $(ENV_STAMP) ## draw the packages (docs/architecture.md) and the protocol (docs/protocol.md) from the code
+	@$(PYTHON) tools/import_graph.py
+	@$(PYTHON) tools/state_diagram.py
 
 .PHONY: lock
 lock: ## resolve requirements.in into requirements.lock

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import import_graph
 import pytest
+import state_diagram
 from import_graph import imports
 
 ROOT = Path(__file__).parents[1]
@@ -345,3 +346,11 @@ def test_the_picture_of_the_packages_is_made_from_the_imports():
     page = import_graph.PAGE.read_text()
     assert import_graph.mermaid() in page, "stale: run python3 tools/import_graph.py"
     assert ("fiber_planner", "fiber_core") in import_graph.package_arrows()
+
+
+def test_the_diagram_of_the_protocol_is_made_from_its_table(monkeypatch):
+    page = state_diagram.PAGE.read_text()
+    assert state_diagram.fresh(page) == page, "stale: run make pictures"
+    state, event = state_diagram.State.READY, state_diagram.Event.START
+    monkeypatch.delitem(state_diagram.TRANSITIONS, (state, event))
+    assert state_diagram.fresh(page) != page

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiber_bus_bridge.motion_monitor import MotionMonitor
+from fiber_bus_bridge.protocol import STEPS, Event, State
+from fiber_bus_bridge.protocol.decisions import failing
 from fiber_bus_bridge.simulation import Movements
 
 pytestmark = pytest.mark.timeout(600)
@@ -35,14 +36,17 @@ def test_a_campaign_is_its_kind_and_its_seed(soak):
 
 def test_the_judge_detects_robots_that_were_not_stopped(soak, monkeypatch):
     # in this campaign arms touch if the others are not stopped after a robot has lost power
-    decide_stop = MotionMonitor._decide_stop
+    move = STEPS[State.MOVING]
 
-    def without_stop(monitor, running):
-        decide_stop(monitor, running)
-        monitor.stop_all_at_s = None
-        monitor.arrived |= monitor.not_executing | (monitor._missed_replies >= 6)
+    def without_stop(c):
+        event = move(c)
+        if event is not Event.FAILURE:
+            return event
+        c.watch.stop_all_at_s = None
+        c.robots["arrived"] |= failing(c.robots)
+        return Event.STEPPED
 
-    monkeypatch.setattr(MotionMonitor, "_decide_stop", without_stop)
+    monkeypatch.setitem(STEPS, State.MOVING, without_stop)
     wrong = soak.run_campaign("brown_out", 26).wrong
     assert any("arms touch" in words for words in wrong)
     monkeypatch.undo()

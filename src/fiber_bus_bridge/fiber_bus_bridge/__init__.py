@@ -11,8 +11,7 @@ from fiber_bus_bridge.bus import (
     bus_timing,
 )
 from fiber_bus_bridge.errors import BridgeError, SessionError, TopologyError, WireError
-from fiber_bus_bridge.loader import LoadedPlan
-from fiber_bus_bridge.plan_result import PlanResult
+from fiber_bus_bridge.plan_result import LoadedPlan, PlanResult
 from fiber_bus_bridge.replanning import Replanning
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.session_config import SessionConfig

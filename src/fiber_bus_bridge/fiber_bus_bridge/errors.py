@@ -4,7 +4,7 @@ from enum import IntEnum
 
 from fiber_core.errors import FiberError
 
-__all__ = ["BridgeError", "SessionError", "TopologyError", "WireError"]
+__all__ = ["BridgeError", "ProtocolError", "SessionError", "TopologyError", "WireError"]
 
 
 class BridgeError(FiberError):
@@ -30,3 +30,7 @@ class TopologyError(BridgeError):
 
 class SessionError(BridgeError):
     """A call does not fit the state of the session, or orders do not fit the plane."""
+
+
+class ProtocolError(BridgeError):
+    """An event that a state of the protocol does not know: a defect of a step."""

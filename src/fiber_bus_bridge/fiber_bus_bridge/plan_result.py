@@ -1,20 +1,21 @@
 """A plan as a session executes it, and the result of each robot."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import SessionError
-from fiber_bus_bridge.loader import LoadedPlan
-from fiber_bus_bridge.wire import MAX_SEGMENTS
+from fiber_bus_bridge.wire import MAX_SEGMENTS, Frames
 from fiber_core import kinematics
-from fiber_core.array_types import Codes, Counts, Floats, Mask, Points
+from fiber_core.array_types import Codes, Counts, Floats, Ints, Mask, Points
+from fiber_core.clearance import Certificate
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome, Reason, first_reason
 from fiber_core.wire_units import WireMotion
 
-__all__ = ["Plan", "PlanResult", "evaluate"]
+__all__ = ["LoadedPlan", "Plan", "PlanResult", "evaluate"]
 
 # reasons of the bus for which an earlier stage may know the cause
 _VAGUE = (Reason.NOT_PLANNED, Reason.OFF_TARGET)
@@ -74,6 +75,36 @@ class Plan:
     def oversized(self) -> Mask:
         """Robots with more segments than one order can carry, shape (n,)."""
         return np.any(self.motion.counts > MAX_SEGMENTS, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedPlan:
+    """Result of loading and starting a phase of a plan.
+
+    Args:
+        started: robots that were started, shape (n,).
+        reason: Reason of robots with orders that were not started, else OK, shape (n,).
+        sequence: sequence number of the order of each robot, shape (n,).
+        frames: the LOAD frames of the started robots, in the order of their rows.
+        motion: the motion decoded from these frames.
+        certificate: the certificate of this motion.
+        go_s: time at which the GO was complete [s].
+        start_s: time at which the robots begin to move, at the end of the countdown [s].
+    """
+
+    started: Mask
+    reason: Codes
+    sequence: Ints
+    frames: Frames
+    motion: WireMotion
+    certificate: Certificate
+    go_s: float
+    start_s: float
+
+    @cached_property
+    def makespan_s(self) -> float:
+        """Time from the start until the last robot arrives [s]."""
+        return self.motion.decoded().makespan_s
 
 
 @dataclass(frozen=True, eq=False)

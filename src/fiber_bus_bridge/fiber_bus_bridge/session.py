@@ -1,7 +1,6 @@
 """A controller's session with a focal plane: configure, submit orders, start, advance, stop."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,31 +8,30 @@ from numpy.typing import ArrayLike
 from fiber_bus_bridge.bus import BusBackend, addresses_of
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.home import home_motion
-from fiber_bus_bridge.loader import LoadedPlan, Loader
-from fiber_bus_bridge.plan_result import Plan, PlanResult, evaluate
-from fiber_bus_bridge.remaining_motion import remaining_motion
-from fiber_bus_bridge.session_config import SessionConfig
-from fiber_bus_bridge.session_state import SessionState
-from fiber_bus_bridge.start_stop import StartStop
-from fiber_bus_bridge.transactions import Transactions
-from fiber_bus_bridge.wire import (
-    Alert,
-    Configuration,
-    Opcode,
-    RobotState,
-    Statuses,
-    encode_config,
-    roll_call_slots,
+from fiber_bus_bridge.plan_result import LoadedPlan, Plan, PlanResult
+from fiber_bus_bridge.protocol import (
+    Buses,
+    Certifier,
+    Context,
+    Event,
+    Robots,
+    State,
+    Transition,
+    allows,
+    handle,
+    run,
 )
-from fiber_core.array_types import Angles, Counts, Mask, Rows, Velocities
-from fiber_core.clearance import Safety, neighbour_pairs
+from fiber_bus_bridge.protocol.ending import end_plan
+from fiber_bus_bridge.protocol.loading import prepare
+from fiber_bus_bridge.session_config import SessionConfig
+from fiber_bus_bridge.session_state import SessionState, session_state
+from fiber_bus_bridge.transactions import Transactions
+from fiber_core.array_types import Angles, Counts, Mask, Velocities
+from fiber_core.clearance import Safety, hold_until_safe
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["Session"]
-
-_CONFIGS = 2  # attempts to configure a robot that reports a fault afterwards
 
 
 class Session:
@@ -41,7 +39,9 @@ class Session:
 
     Calls that use the buses return the time at which the buses are free [s]; a later call at an
     earlier time waits until then. Each robot of each plan gets exactly one outcome, in `result`
-    from the end of the plan until the next plan begins.
+    from the end of the plan until the next plan begins. `fiber_bus_bridge.protocol` has the states
+    and the steps; an exception in a step interrupts the plan, and the next call of `advance` or
+    `stop` stops all robots.
 
     Args:
         plane: the focal plane.
@@ -50,6 +50,8 @@ class Session:
         backend: the buses.
         assumed: angles of robots that have never answered [rad], shape (n, 2).
         config: settings.
+        certify: as hold_until_safe: the motion with unsafe robots held, these robots, and the
+            certificate.
 
     Raises:
         TopologyError: the plane's addresses are impossible.
@@ -64,40 +66,49 @@ class Session:
         backend: BusBackend,
         assumed: ArrayLike,
         config: SessionConfig | None = None,
+        certify: Certifier = hold_until_safe,
     ):
         assumed = np.asarray(assumed, dtype=float)
         if assumed.shape != (plane.n, 2) or not np.isfinite(assumed).all():
             raise SessionError(
                 f"assumed angles have shape {assumed.shape}, expected {(plane.n, 2)} finite values"
             )
-        self.plane, self.units, self.config = plane, units, config or SessionConfig()
+        self.units, self.config = units, config or SessionConfig()
         self.transactions = Transactions(backend, addresses_of(plane))
-        self.state = SessionState.UNCONFIGURED
-        self.counts: Counts = units.encoder_counts(plane, assumed)
-        self.known: Mask = np.zeros(plane.n, dtype=bool)
-        self.robot_state = np.zeros(plane.n, dtype=np.int64)
-        self.robot_fault = np.zeros(plane.n, dtype=np.int64)
-        self.alerts = np.zeros(plane.n, dtype=np.int64)
-        self.result: PlanResult | None = None
-        self.loaded_plan: LoadedPlan | None = None
-        self.loaded_plans: list[LoadedPlan] = []  # one for each phase of the last plan
-        self._may_go: Callable[[], bool] = lambda: True
-        self._boot = np.full(plane.n, -1)
-        self._lost = np.zeros(plane.n, dtype=bool)  # moving at the last status, or since
-        self._arrived, self._failed = np.zeros((2, plane.n), dtype=bool)
-        self._velocities = np.zeros((plane.n, 2))
-        self._read_s = np.full(plane.n, -np.inf)
-        self._plan: Plan | None = None
-        self._start_stop = StartStop(
-            self.transactions, 1e-3 * self.config.silence_ms, self.config.heartbeat_period_s,
-            self.config.stretch_s, 0.25 * safety.start_skew_s, self._handle_statuses,
+        self.protocol = Context.new(
+            plane, units, safety, self.config, self.transactions, certify,
+            units.encoder_counts(plane, assumed),
         )  # fmt: skip
-        pairs = neighbour_pairs(plane)
-        self._loader = Loader(plane, units, safety, self.transactions, pairs, self._start_stop)
-        # rounded inwards, so that every order that a robot accepts keeps the limits and speeds
-        self._limits = units.range_counts(plane)
-        speed = np.floor(plane.speeds / units.velocity_rad_s).astype(np.int64)
-        self._speed = np.minimum(speed, units.max_velocity)
+
+    @property
+    def plane(self) -> FocalPlane:
+        """The focal plane, with the robots that may move enabled."""
+        return self.protocol.plane
+
+    @property
+    def state(self) -> SessionState:
+        """State of the session."""
+        return session_state(self.protocol.state)
+
+    @property
+    def robots(self) -> Robots:
+        """The table of the robots, records of `protocol.ROBOT`, n rows."""
+        return self.protocol.robots
+
+    @property
+    def buses(self) -> Buses:
+        """The table of the buses, records of `protocol.BUS`, b rows."""
+        return self.protocol.buses
+
+    @property
+    def known(self) -> Mask:
+        """Robots that were found and configured, shape (n,)."""
+        return self.robots["known"]
+
+    @property
+    def counts(self) -> Counts:
+        """Encoders, last read or assumed [quanta], shape (n, 2)."""
+        return self.robots["counts"]
 
     @property
     def angles(self) -> Angles:
@@ -109,11 +120,34 @@ class Session:
         """Mean joint speeds between the last two readings, 0 at rest [rad/s], shape (n, 2)."""
         if self.state is not SessionState.MOVING:
             return np.zeros(self.counts.shape)
-        return self._velocities
+        return self.robots["velocity"]
+
+    @property
+    def result(self) -> PlanResult | None:
+        """The result of the plan that has ended, until it is taken or the next plan begins."""
+        return self.protocol.result
+
+    @property
+    def loaded_plan(self) -> LoadedPlan | None:
+        """The phase of the plan that was loaded last."""
+        return self.protocol.loaded_plan
+
+    @property
+    def loaded_plans(self) -> list[LoadedPlan]:
+        """The phases of the last plan."""
+        return self.protocol.loaded_plans
 
     def take_result(self) -> PlanResult | None:
         """Return the result of the plan that has ended since the last call, None without one."""
-        taken, self.result = self.result, None
+        taken, self.protocol.result = self.protocol.result, None
+        return taken
+
+    def take_transitions(self) -> list[Transition]:
+        """Return the transitions of the protocol since the last call, oldest first.
+
+        Repeated polls and steps are left out, and of many transitions the oldest.
+        """
+        taken, self.protocol.log = self.protocol.log, []
         return taken
 
     def enable(self, enabled: Mask) -> None:
@@ -125,8 +159,8 @@ class Session:
         Raises:
             SessionError: robots are moving.
         """
-        self._require("enable or disable robots", *set(SessionState) - {SessionState.MOVING})
-        self.plane = self._loader.plane = self.plane.with_enabled(enabled)
+        self._require(Event.ENABLE, "enable or disable robots")
+        self.protocol.plane = self.plane.with_enabled(enabled)
 
     def configure(self, t: float) -> float:
         """Identify the robots, and send units, limits and speeds to them.
@@ -137,28 +171,7 @@ class Session:
         Raises:
             SessionError: robots are moving, or stopped and not cleared, or orders wait.
         """
-        self._require("configure", SessionState.UNCONFIGURED, SessionState.IDLE)
-        all_rows = np.arange(self.plane.n)
-        self.transactions.revive(power=True, t=t)
-        identity = self.transactions.identities(all_rows, t)
-        rows = np.flatnonzero(identity.ok & (identity.serial == self.plane.ids))
-        self.known = np.zeros(self.plane.n, dtype=bool)
-        for _ in range(_CONFIGS):
-            todo = rows[~self.known[rows]]
-            config = Configuration(
-                self.units, self._limits[todo], self._speed[todo], self.config.watchdog_ms,
-                self.config.silence_ms, roll_call_slots(self.transactions.addresses)[todo],
-            )  # fmt: skip
-            frames = encode_config(config, self.transactions.addresses[todo])
-            self.transactions.send(todo, frames, t)
-            status = self._read_statuses(todo, t)
-            # the fault may be of a frame for another robot, so the robot is configured once more
-            configured = (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)
-            self.known[todo] = status.ok & configured
-            self._boot[todo] = status.boot
-        halted = np.isin(self.robot_state, (RobotState.STOPPED, RobotState.FAULT)) & self.known
-        self.state = SessionState.STOPPED if halted.any() else SessionState.IDLE
-        return self.transactions.now_s
+        return self._call(Event.CONFIGURE, t)
 
     def submit(self, motion: WireMotion, targets: ArrayLike | None = None) -> PlanResult | None:
         """Accept the orders of the next plan; no frame is sent yet.
@@ -175,7 +188,7 @@ class Session:
             SessionError: orders are not accepted in this state, or they do not fit the plane,
                 the units, or the encoders of a robot; names the robot.
         """
-        self._require("submit", SessionState.IDLE, SessionState.READY)
+        self._require(Event.SUBMIT)
         if motion.units != self.units:
             raise SessionError(f"orders in {motion.units}, robots configured for {self.units}")
         if motion.start.shape != self.counts.shape:
@@ -189,10 +202,11 @@ class Session:
                 f"robot {self.plane.ids[at]}: orders begin at {motion.start[at].tolist()} quanta, "
                 f"its encoders are at {self.counts[at].tolist()}"
             )
-        replaced = self._end_plan(self._plan) if self._plan else None
-        self._plan, self.loaded_plan, self.result = plan, None, None
-        self._arrived[:] = self._failed[:] = False
-        self.state = SessionState.READY
+        c = self.protocol
+        replaced = end_plan(c)
+        c.plan, c.loaded_plan, c.result = plan, None, None
+        c.robots["arrived"] = c.robots["failed"] = False
+        handle(c, Event.SUBMIT)
         return replaced
 
     def start(self, t: float, may_go: Callable[[], bool] = lambda: True) -> float:
@@ -208,39 +222,28 @@ class Session:
         Raises:
             SessionError: there are no orders to start, or the robots are moving or stopped.
         """
-        plan = self._plan
-        if plan is None or self.state is not SessionState.READY:
-            raise self._refusal("start")
-        self.transactions.revive()
-        self._may_go, self.loaded_plans = may_go, []
-        wanted = plan.moves & self.plane.enabled & ~plan.oversized & self.known
-        return self._evaluate_motion(plan, self._start_phase(plan, wanted, t))
+        self._require(Event.START)
+        c = self.protocol
+        assert c.plan is not None  # orders wait
+        c.transactions.revive()
+        c.may_go, c.loaded_plans = may_go, []
+        wanted = c.plan.moves & c.plane.enabled & ~c.plan.oversized & c.robots["known"]
+        prepare(c, c.plan.motion, wanted, t)
+        return self._call(Event.START, t)
 
     def advance(self, t: float) -> float:
         """Supervise the robots until time t [s]; end the plan when all have arrived or on timeout.
 
-        A robot that stops by itself, or is lost, makes all robots stop. In other states nothing
-        is done.
+        A robot that stops by itself, or is lost, makes all robots stop. When the others resume,
+        the call returns as they begin to move. In other states nothing is done.
         """
-        plan, loaded_plan = self._plan, self.loaded_plan
-        if self.state is not SessionState.MOVING or plan is None or loaded_plan is None:
+        if not allows(self.protocol.state, Event.ADVANCE):
             return self.transactions.now_s
-        monitor = loaded_plan.monitor
-        if monitor is not None:
-            while monitor.now_s < t and monitor.stop_all_at_s is None and monitor.running.any():
-                monitor.step()
-        return self._evaluate_motion(plan, loaded_plan)
+        return self._call(Event.ADVANCE, t)
 
     def stop(self, t: float) -> float:
         """Stop every robot, in any state: by general call, then singly where needed."""
-        self.transactions.revive()
-        rows = self._known_or_all()
-        status = self._start_stop.stop(rows, t)
-        self.robot_state[rows] = status.state
-        if self._plan:
-            self._end_plan(self._plan)
-        self.state = SessionState.STOPPED
-        return self.transactions.now_s
+        return self._call(Event.STOP, t)
 
     def clear(self, t: float) -> float:
         """Delete orders and faults, and leave the state STOPPED; robots stay where they are.
@@ -248,15 +251,7 @@ class Session:
         Raises:
             SessionError: robots are moving, or no robot is configured.
         """
-        self._require("clear", SessionState.IDLE, SessionState.READY, SessionState.STOPPED)
-        if self._plan:
-            self._end_plan(self._plan)
-        self.transactions.revive()
-        rows = self._known_or_all()
-        self.transactions.command(Opcode.CLEAR, rows, t)
-        self._read_statuses(rows, t)
-        self.state = SessionState.IDLE if self.known.any() else SessionState.UNCONFIGURED
-        return self.transactions.now_s
+        return self._call(Event.CLEAR, t)
 
     def home(self, t: float, may_go: Callable[[], bool] = lambda: True) -> float:
         """Fold every robot that safely can: phi to its upper limit, theta still.
@@ -271,130 +266,26 @@ class Session:
         Raises:
             SessionError: the robots cannot be moved in this state.
         """
-        self._require("home", SessionState.IDLE)
+        c = self.protocol
+        if c.state is not State.IDLE:
+            raise self._refusal("home")
         chosen = self.plane.enabled & self.known
-        motion = home_motion(
-            self.units, self.counts, self._limits[:, 1, 1], self._speed[:, 1], chosen
-        )
-        self.submit(motion)
+        self.submit(home_motion(self.units, self.counts, c.limits[:, 1, 1], c.speed[:, 1], chosen))
         return self.start(t, may_go)
 
-    def _require(self, call: str, *states: SessionState) -> None:
-        if self.state not in states:
-            raise self._refusal(call)
+    def _call(self, event: Event, t: float) -> float:
+        """Let an event happen at time t [s], and run the protocol until it awaits a call."""
+        c = self.protocol
+        self._require(event)
+        c.t, before = t, c.watch if event is Event.ADVANCE else None
+        handle(c, event)
+        run(c, t)
+        watch = c.watch or before
+        return max(self.transactions.now_s, -np.inf if watch is None else watch.now_s)
+
+    def _require(self, event: Event, call: str = "") -> None:
+        if not allows(self.protocol.state, event):
+            raise self._refusal(call or event.name.lower())
 
     def _refusal(self, call: str) -> SessionError:
         return SessionError(f"cannot {call} while {self.state.name}: {self.state.value}")
-
-    def _known_or_all(self) -> Rows:
-        return np.flatnonzero(self.known) if self.known.any() else np.arange(self.plane.n)
-
-    def _read_statuses(self, rows: Rows, t: float) -> Statuses:
-        """Read robots; a robot without a reply has state 0 and keeps its last position."""
-        status = self.transactions.statuses(rows, t)
-        self.robot_state[rows] = status.state
-        valid = status.select(status.ok)
-        self._handle_statuses(rows[status.ok], valid, self.transactions.now_s)
-        return status
-
-    def _handle_statuses(self, rows: Rows, status: Statuses, t: float) -> None:
-        """Take over valid statuses read at time t [s]."""
-        distance = (status.position - self.counts[rows]) * self.units.quantum_rad
-        elapsed_s = np.maximum(t - self._read_s[rows], 1e-9)[:, None]
-        moves = (status.state == RobotState.MOVING)[:, None]
-        self._velocities[rows] = np.where(moves, distance / elapsed_s, 0.0)
-        self._read_s[rows] = t
-        self.counts[rows] = status.position
-        self.robot_state[rows] = status.state
-        self.robot_fault[rows] = status.fault
-        self.alerts[rows] = status.alerts
-        self._lost[rows] = status.state == RobotState.MOVING
-
-    def _start_phase(self, plan: Plan, wanted: Mask, t: float) -> LoadedPlan:
-        """Load a plan for the wanted robots and start them."""
-        loaded_plan = self._loader.run(
-            plan.motion, wanted, self.known, self._boot, self._lost, t, self._may_go
-        )
-        self.loaded_plan = loaded_plan
-        self.loaded_plans.append(loaded_plan)
-        self._lost |= loaded_plan.started
-        self.state = SessionState.MOVING
-        return loaded_plan
-
-    def _evaluate_motion(self, plan: Plan, loaded_plan: LoadedPlan) -> float:
-        """End the plan when all have arrived; stop all on timeout or when the monitor says so."""
-        monitor = loaded_plan.monitor
-        if monitor is None:
-            self._end_plan(plan)
-            return self.transactions.now_s
-        self._arrived = loaded_plan.started & monitor.arrived
-        running = loaded_plan.started & ~self._arrived
-        safety, makespan_s = self._loader.safety, loaded_plan.motion.decoded().makespan_s
-        late_s = safety.clock_ppm * 1e-6 * makespan_s + safety.start_skew_s
-        end_s = loaded_plan.start_s + makespan_s + late_s + self.config.grace_s
-        if monitor.stop_all_at_s is not None:
-            return self._stop_and_resume(plan, loaded_plan, monitor.stop_all_at_s)
-        if not running.any():
-            self._end_plan(plan)
-        elif monitor.now_s > end_s:
-            self._failed |= running
-            return self.stop(monitor.now_s)
-        return max(monitor.now_s, self.transactions.now_s)
-
-    def _stop_and_resume(self, plan: Plan, before: LoadedPlan, t: float) -> float:
-        """Stop all robots together, and start the remaining motion of those that can resume."""
-        self.transactions.revive()
-        running = before.started & ~self._arrived
-        rows = np.flatnonzero(self.known)
-        status = self._start_stop.stop(rows, t)
-        self.robot_state[rows] = status.state
-        able = self._able_to_resume(running)
-        able[rows] &= status.ok & (status.boot == self._boot[rows])
-        self._failed |= running & ~able
-        if len(self.loaded_plans) > self.config.resumes or not self._may_go():
-            return self.stop(self.transactions.now_s)
-        self.transactions.command(Opcode.CLEAR, rows[able[rows]], self.transactions.now_s)
-        resuming, oversized = running & able, plan.oversized
-        left = remaining_motion(
-            before.motion, self.counts, t - before.start_s, self._speed, resuming
-        )
-        plan = self._plan = Plan(left, plan.goals)
-        wanted = resuming & plan.moves & ~plan.oversized
-        loaded_plan = self._start_phase(plan, wanted, self.transactions.now_s)
-        stays = running & ~loaded_plan.started & (loaded_plan.reason == Reason.OK)
-        # a robot that was not started in an earlier phase keeps its reason
-        reason = np.where(loaded_plan.reason == Reason.OK, before.reason, loaded_plan.reason)
-        reason[oversized] = Reason.TOO_MANY_SEGMENTS
-        reason[stays] = Reason.STOPPED
-        self.loaded_plan = self.loaded_plans[-1] = replace(loaded_plan, reason=reason)
-        return self._evaluate_motion(plan, self.loaded_plan)
-
-    def _able_to_resume(self, running: Mask) -> Mask:
-        """Robots that have stopped in order, by state and alerts, shape (n,)."""
-        # faults may be of frames garbled in the meantime; alerts stay
-        silent = (self.robot_state == RobotState.FAULT) & (self.alerts & Alert.SILENT != 0)
-        able = (self.robot_state == RobotState.STOPPED) | silent
-        able &= (self.alerts & (Alert.STALLED | Alert.REBOOTED) == 0) & ~self._lost
-        # a robot without heartbeats on a bus with heartbeats would miss the next ones too
-        bus = self.transactions.places(self.transactions.addresses.bus)
-        with_heartbeats = np.unique(bus[running & (self.robot_state == RobotState.STOPPED)])
-        return able & ~(silent & np.isin(bus, with_heartbeats))
-
-    def _end_plan(self, plan: Plan) -> PlanResult:
-        """Evaluate a plan and forget it; lost robots of a plan cut short have failed."""
-        loaded_plan = self.loaded_plan
-        if loaded_plan is not None:
-            self._failed |= loaded_plan.started & ~self._arrived & (self.robot_state == 0)
-        self.result = evaluate(
-            self.plane,
-            plan,
-            loaded_plan,
-            self.counts,
-            self.known,
-            self._arrived,
-            self._failed,
-            self.config.tolerance_mm,
-        )
-        self._plan = None
-        self.state = SessionState.IDLE
-        return self.result

@@ -2,7 +2,9 @@
 
 from enum import Enum
 
-__all__ = ["SessionState"]
+from fiber_bus_bridge.protocol import State
+
+__all__ = ["SessionState", "session_state"]
 
 
 class SessionState(Enum):
@@ -13,3 +15,16 @@ class SessionState(Enum):
     READY = "start, or clear to drop the orders"
     MOVING = "wait for the end, or stop"
     STOPPED = "clear first"
+
+
+_OF_STATE = {
+    State.UNCONFIGURED: SessionState.UNCONFIGURED,
+    State.IDLE: SessionState.IDLE,
+    State.READY: SessionState.READY,
+    State.STOPPED: SessionState.STOPPED,
+}
+
+
+def session_state(state: State) -> SessionState:
+    """Return the state of a session by that of its protocol: MOVING while a call is at work."""
+    return _OF_STATE.get(state, SessionState.MOVING)

@@ -6,7 +6,7 @@ import numpy as np
 
 from fiber_bus_bridge import Session, SessionState, addresses_of, bus_timing
 from fiber_bus_bridge.simulation import Positioners, SimulatedBuses
-from fiber_core.clearance import Safety
+from fiber_core.clearance import Safety, hold_until_safe
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_core.ragged import Parts
@@ -17,7 +17,15 @@ class Rig:
     """A plane of nearly folded robots on simulated buses, ten to each, and a session with it."""
 
     def __init__(
-        self, n=19, start=None, enabled=None, config=None, faults=None, on_bus=10, **positioners
+        self,
+        n=19,
+        start=None,
+        enabled=None,
+        config=None,
+        faults=None,
+        on_bus=10,
+        certify=hold_until_safe,
+        **positioners,
     ):
         rows = np.arange(n)
         plane = replace(preset("desi", n), bus=rows // on_bus, address=8 + rows % on_bus)
@@ -35,6 +43,7 @@ class Rig:
             SimulatedBuses(self.robots, bus_timing("1M"), faults),
             self.units.to_angles(start),
             config,
+            certify,
         )
         self.t = 0.0
 

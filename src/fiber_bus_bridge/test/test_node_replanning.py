@@ -157,19 +157,19 @@ def test_a_stop_during_the_second_start_ends_the_plan(scene):
     rest.first_attempt()
     rest.second_targets()
     session, stop = rest.bridge._session, None
-    certify = session._loader._certify
+    certify = session.protocol.certify
     handler = next(s for s in rest.bridge.services if s.service_name.endswith("stop"))
 
-    def while_certified(loaded):
+    def while_certified(*arguments):
         nonlocal stop
         if stop is None:
             empty = handler.srv_type.Request(), handler.srv_type.Response()
             stop = threading.Thread(target=handler.callback, args=empty)
             stop.start()
             assert rest.bridge._stop_requested.wait(WAIT_S)
-        return certify(loaded)
+        return certify(*arguments)
 
-    session._loader._certify = while_certified
+    session.protocol.certify = while_certified
     before = rest.counts()
     rest.order(9, rest.second(), attempt=2)
     result, reason, _ = rest.end(9)

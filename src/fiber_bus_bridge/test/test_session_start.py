@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from session_rig import Rig, ended_once
 
-import fiber_bus_bridge.loader
 from fiber_bus_bridge.bus import Recovery
+from fiber_bus_bridge.protocol import loading
 from fiber_bus_bridge.simulation import Faults, LineFault
 from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_command, decode_load
-from fiber_core.clearance import neighbour_pairs
+from fiber_core.clearance import hold_until_safe, neighbour_pairs
 from fiber_core.outcomes import Outcome, Reason
 
 
@@ -41,9 +41,14 @@ def test_an_absent_robot_is_held_and_its_neighbours_are_certified_around_it(pres
 
 
 def test_the_certificate_is_of_the_loaded_bytes(monkeypatch):
-    rig = Rig()
-    motion = rig.ready(theta=400, phi=-30)
     seen = []
+
+    def certified(plane, motion, safety):
+        seen.append(motion)
+        return hold_until_safe(plane, motion, safety)
+
+    rig = Rig(certify=certified)
+    motion = rig.ready(theta=400, phi=-30)
 
     def tampered(*arguments):
         frames = encode(*arguments)
@@ -58,14 +63,8 @@ def test_the_certificate_is_of_the_loaded_bytes(monkeypatch):
         data[frames.offsets[4] : frames.offsets[5]] = other.data
         return Frames(frames.to, frames.offsets, data)
 
-    def certified(plane, motion, *arguments):
-        seen.append(motion)
-        return hold(plane, motion, *arguments)
-
-    loader = fiber_bus_bridge.loader
-    encode, hold = loader.encode_load, loader.hold_until_safe
-    monkeypatch.setattr(loader, "encode_load", tampered)
-    monkeypatch.setattr(loader, "hold_until_safe", certified)
+    encode = loading.encode_load
+    monkeypatch.setattr(loading, "encode_load", tampered)
     rig.call("start")
     moved = rig.units.to_counts(seen[-1].end - seen[-1].start)
     assert moved[4].tolist() == [-400 * 250, 30 * 250]
@@ -267,21 +266,22 @@ def test_sequence_numbers_are_reused_after_fifteen():
 
 
 def test_an_unsafe_robot_that_cannot_be_disarmed_ignores_the_go(monkeypatch):
-    rig = Rig()
-    motion = rig.ready()
-    loader, transactions = rig.session._loader, rig.session.transactions
-    certify_loaded, call = loader._certify, transactions.call
     held = np.arange(19) == 2
 
-    def unsafe_and_cut_off(loaded):
+    def unsafe_and_cut_off(*arguments):
         rig.robots.powered[2] = False  # on the bus only: the robot keeps its order
-        return certify_loaded(loaded)[0], held
+        motion, _, certificate = hold_until_safe(*arguments)
+        return motion, held, certificate
+
+    rig = Rig(certify=unsafe_and_cut_off)
+    motion = rig.ready()
+    transactions = rig.session.transactions
+    call = transactions.call
 
     def call_with_power(frames, t):
         rig.robots.powered[2] = True
         return call(frames, t)
 
-    monkeypatch.setattr(loader, "_certify", unsafe_and_cut_off)
     monkeypatch.setattr(transactions, "call", call_with_power)
     rig.call("start")
     assert rig.robots.states(rig.t)[2] == RobotState.LOADED
@@ -292,15 +292,19 @@ def test_an_unsafe_robot_that_cannot_be_disarmed_ignores_the_go(monkeypatch):
     assert np.array_equal(rig.where(), expected)
 
 
-def test_no_robot_moves_when_no_sequence_number_is_safe(monkeypatch):
-    rig = Rig(7)
+def test_no_robot_moves_when_no_sequence_number_is_safe():
+    # in each round another robot is unsafe, and cut off before it can be disarmed
+    unsafe = iter(np.eye(7, dtype=bool))
+
+    def one_more_unsafe(*arguments):
+        motion, held, certificate = hold_until_safe(*arguments)
+        if arguments[1].counts.any():
+            held = next(unsafe)
+            rig.robots.powered[held] = False
+        return motion, held, certificate
+
+    rig = Rig(7, certify=one_more_unsafe)
     motion = rig.ready()
-    loader = rig.session._loader
-    certify_loaded, rounds = loader._certify, iter(np.eye(7, dtype=bool))
-    monkeypatch.setattr(
-        loader, "_certify", lambda loaded: (certify_loaded(loaded)[0], next(rounds))
-    )
-    monkeypatch.setattr(loader, "_disarm", lambda rows, boot, t: np.array([2]))
     rig.call("start")
     ended_once(rig.session.result, 7)
     reasons = rig.session.result.reason.tolist()

@@ -17,8 +17,8 @@ START = np.tile([0.0, 3.0], (37, 1))
 
 
 RUN_TIME = """
-availability bus bus.linux capture disabled_list frame_log home loader motion_monitor plan_result
-poll_scheduler remaining_motion replanning session session_config start_stop transactions wire
+availability bus bus.linux capture disabled_list frame_log home plan_result poll_scheduler
+protocol remaining_motion replanning session session_config transactions wire
 """
 
 

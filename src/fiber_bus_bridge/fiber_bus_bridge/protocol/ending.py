@@ -1,0 +1,66 @@
+"""Steps at rest: configure, clear, and the end of a plan."""
+
+import numpy as np
+
+from fiber_bus_bridge.plan_result import PlanResult, evaluate
+from fiber_bus_bridge.protocol.context import Context
+from fiber_bus_bridge.protocol.states import Event
+from fiber_bus_bridge.wire import Configuration, Opcode, RobotState, encode_config
+
+__all__ = ["clear", "configure", "end", "end_plan"]
+
+_CONFIGS = 2  # attempts to configure a robot that reports a fault afterwards
+
+
+def configure(c: Context) -> Event:
+    """Identify the robots, and send units, limits and speeds to them."""
+    transactions, robots, t = c.transactions, c.robots, c.t
+    transactions.revive(power=True, t=t)
+    identity = transactions.identities(np.arange(c.plane.n), t)
+    rows = np.flatnonzero(identity.ok & (identity.serial == c.plane.ids))
+    robots["known"] = False
+    for _ in range(_CONFIGS):
+        todo = rows[~robots["known"][rows]]
+        config = Configuration(
+            c.units, c.limits[todo], c.speed[todo], c.config.watchdog_ms,
+            c.config.silence_ms, c.slot[todo],
+        )  # fmt: skip
+        transactions.send(todo, encode_config(config, transactions.addresses[todo]), t)
+        status = c.read(todo, t)
+        # the fault may be of a frame for another robot, so the robot is configured once more
+        configured = (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)
+        robots["known"][todo] = status.ok & configured
+        robots["boot"][todo] = status.boot
+    halted = np.isin(robots["state"], (RobotState.STOPPED, RobotState.FAULT)) & robots["known"]
+    return Event.FOUND_STOPPED if halted.any() else Event.CONFIGURED
+
+
+def clear(c: Context) -> Event:
+    """Delete orders and faults; robots stay where they are."""
+    end_plan(c)
+    c.transactions.revive()
+    rows = c.known_or_all
+    c.transactions.command(Opcode.CLEAR, rows, c.t)
+    c.read(rows, c.t)
+    return Event.CLEARED if c.robots["known"].any() else Event.NONE_KNOWN
+
+
+def end(c: Context) -> Event:
+    """Give every robot of the plan its outcome."""
+    end_plan(c)
+    return Event.ENDED
+
+
+def end_plan(c: Context) -> PlanResult | None:
+    """Evaluate the plan, if there is one; lost robots of a plan cut short have failed."""
+    plan, robots, loaded_plan = c.plan, c.robots, c.loaded_plan
+    c.plan = c.phase = c.watch = None
+    if plan is None:
+        return None
+    if loaded_plan is not None:
+        robots["failed"] |= loaded_plan.started & ~robots["arrived"] & (robots["state"] == 0)
+    c.result = evaluate(
+        c.plane, plan, loaded_plan, robots["counts"], robots["known"],
+        robots["arrived"], robots["failed"], c.config.tolerance_mm,
+    )  # fmt: skip
+    return c.result

@@ -1,0 +1,192 @@
+"""Steps before the GO: only an order that was loaded, verified and certified can be started.
+
+A GO reaches a whole bus and starts every order loaded there under its sequence number. So a robot
+that must not move, but may hold such an order, forces its bus to a fresh sequence number: the robot
+is not verified, or it is unsafe and could not be given an empty order. The other robots of the bus
+are loaded again, and the GO has no effect on that robot.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fiber_bus_bridge.bus import Ack
+from fiber_bus_bridge.plan_result import LoadedPlan
+from fiber_bus_bridge.protocol.context import Context, Phase
+from fiber_bus_bridge.protocol.decisions import neighbours_of, not_loaded
+from fiber_bus_bridge.protocol.states import Event
+from fiber_bus_bridge.protocol.tables import begin_phase
+from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_load, encode_load
+from fiber_core.array_types import Bools, Codes, Mask, Rows
+from fiber_core.outcomes import Reason
+from fiber_core.wire_units import WireMotion
+
+__all__ = ["certify", "commit", "disarm", "drop", "load", "prepare"]
+
+_ROUNDS = 6  # fresh sequence numbers tried before nothing is started
+_TRIES = 2  # deliveries of an order under one sequence number
+_SEQUENCES = 15
+
+
+class _Delivery(NamedTuple):
+    """Result of LOAD and VERIFY for some robots, shape (r,) each.
+
+    Args:
+        verified: whether the order on the robot is the one sent.
+        suspect: whether the robot may hold another order under the same sequence number.
+        reason: Reason of robots that are not verified, else OK.
+    """
+
+    verified: Bools
+    suspect: Bools
+    reason: Codes
+
+
+def prepare(c: Context, motion: WireMotion, wanted: Mask, t: float) -> Phase:
+    """Begin a phase: the wanted robots shall move, unless a lost robot is beside them.
+
+    Args:
+        c: the controller.
+        motion: orders of every robot, from the positions of the encoders.
+        wanted: robots that shall move, shape (n,).
+        t: earliest time of the first message [s].
+    """
+    lost = c.robots["lost"]
+    blocked = wanted & (neighbours_of(lost, c.pairs) | lost)
+    begin_phase(c.robots, c.buses, wanted, blocked)
+    c.phase = Phase(motion.only(wanted & ~blocked), t)
+    return c.phase
+
+
+def load(c: Context, phase: Phase) -> Event:
+    """LOAD and VERIFY on buses that need a fresh sequence number."""
+    if phase.rounds == _ROUNDS:
+        return Event.EXHAUSTED
+    phase.rounds += 1
+    robots, buses = c.robots, c.buses
+    stale = buses["stale"].copy()
+    robots["verified"] &= ~stale[c.bus]
+    buses["sequence"] = np.where(stale, buses["sequence"] % _SEQUENCES + 1, buses["sequence"])
+    todo = np.flatnonzero(robots["wanted"] & stale[c.bus])
+    # for the other buses these are, byte for byte, the frames already verified there
+    phase.frames = _encode(c, phase.motion)
+    delivered = _load_and_verify(c, phase, todo, phase.frames[todo])
+    robots["verified"][todo] = delivered.verified
+    robots["reason"][todo] = delivered.reason
+    robots["wanted"] &= robots["reason"] == Reason.OK
+    # on a bus without GO it does not matter which orders are loaded
+    buses["stale"] = c.buses_of(todo[delivered.suspect]) & c.buses_of(robots["wanted"])
+    return Event.SUSPECT if buses["stale"].any() else Event.VERIFIED
+
+
+def certify(c: Context, phase: Phase) -> Event:
+    """Certify the verified orders with unsafe robots held."""
+    robots = c.robots
+    phase.loaded = _decode(c, phase, robots["verified"])
+    motion, held, phase.certificate = c.certify(c.plane, phase.loaded.decoded(), c.safety)
+    # two resting robots may be too close to each other; a moving robot may not be one of them
+    certificate = phase.certificate
+    wrong = certificate.unsafe_robots | certificate.limits_broken | certificate.moved_disabled
+    if (wrong & (motion.counts > 0).any(axis=1)).any():
+        held = np.ones(c.plane.n, dtype=bool)
+    held = held & robots["verified"]
+    if not held.any():
+        return Event.CERTIFIED
+    robots["reason"][held] = Reason.UNSAFE_AS_LOADED
+    robots["wanted"] &= ~held
+    return Event.UNSAFE
+
+
+def disarm(c: Context, phase: Phase) -> Event:
+    """Replace the orders of verified robots that are not wanted any more by empty ones."""
+    robots, buses = c.robots, c.buses
+    rows = np.flatnonzero(robots["verified"] & ~robots["wanted"])
+    robots["verified"][rows] = False
+    empty = encode_load(
+        c.units, c.transactions.addresses[rows], buses["sequence"][c.bus[rows]],
+        np.zeros(2 * len(rows) + 1), [], [],
+    )  # fmt: skip
+    armed = rows[_load_and_verify(c, phase, rows, empty).suspect]
+    buses["stale"] = c.buses_of(armed) & c.buses_of(robots["wanted"])
+    if buses["stale"].any():
+        return Event.ARMED
+    phase.loaded = _decode(c, phase, robots["verified"])
+    return Event.CERTIFIED
+
+
+def drop(c: Context, phase: Phase) -> Event:
+    """CLEAR all loaded orders; no robot is started."""
+    robots = c.robots
+    robots["reason"][robots["wanted"]] = Reason.STOPPED
+    rows = np.flatnonzero(robots["verified"])
+    c.transactions.command(Opcode.CLEAR, rows, c.transactions.now_s)
+    robots["verified"] = robots["started"] = False
+    phase.loaded = _decode(c, phase, robots["verified"])
+    _, _, phase.certificate = c.certify(c.plane, phase.loaded.decoded(), c.safety)
+    phase.go_s = phase.start_s = c.transactions.now_s
+    commit(c, phase)
+    return Event.DROPPED
+
+
+def commit(c: Context, phase: Phase) -> LoadedPlan:
+    """Record and return the loaded plan of a phase: its verified robots were started."""
+    robots = c.robots
+    started, reason = robots["verified"].copy(), robots["reason"].copy()
+    rows = np.flatnonzero(started)
+    frames, loaded, certificate = phase.frames, phase.loaded, phase.certificate
+    assert frames is not None and loaded is not None and certificate is not None
+    loaded_plan = LoadedPlan(
+        started, reason, c.buses["sequence"][c.bus], frames[rows], loaded, certificate,
+        phase.go_s, phase.start_s,
+    )  # fmt: skip
+    if phase.before is not None and phase.resumed is not None:
+        # a robot that was not started in an earlier phase keeps its reason
+        stays = phase.resumed & ~started & (reason == Reason.OK)
+        reason = np.where(reason == Reason.OK, phase.before.reason, reason)
+        reason[phase.oversized] = Reason.TOO_MANY_SEGMENTS
+        reason[stays] = Reason.STOPPED
+        loaded_plan = replace(loaded_plan, reason=reason)
+    c.loaded_plan = loaded_plan
+    c.loaded_plans.append(loaded_plan)
+    robots["lost"] |= started
+    return loaded_plan
+
+
+def _encode(c: Context, motion: WireMotion) -> Frames:
+    return encode_load(
+        c.units, c.transactions.addresses, c.buses["sequence"][c.bus],
+        motion.offsets, motion.ticks, motion.velocity,
+    )  # fmt: skip
+
+
+def _decode(c: Context, phase: Phase, chosen: Mask) -> WireMotion:
+    """The motion in the frames of the chosen robots; all other robots rest."""
+    assert phase.frames is not None  # set by load()
+    orders = decode_load(c.units, phase.frames)
+    start = phase.motion.start
+    return WireMotion(c.units, start, orders.offsets, orders.ticks, orders.velocity).only(chosen)
+
+
+def _load_and_verify(c: Context, phase: Phase, rows: Rows, frames: Frames) -> _Delivery:
+    """LOAD and VERIFY; both are repeated once for robots on which they failed by chance."""
+    t, boot, transactions = phase.t, c.robots["boot"], c.transactions
+    verified, suspect = np.zeros(len(rows), dtype=bool), np.ones(len(rows), dtype=bool)
+    ack = np.full(len(rows), Ack.NO_ADDRESS, dtype=np.int64)
+    todo = np.arange(len(rows))
+    for _ in range(_TRIES):
+        new_ack = transactions.send(rows[todo], frames[todo], t)
+        ack[todo] = np.where(new_ack == Ack.NO_ADDRESS, ack[todo], new_ack)
+        begin_s = max(t, transactions.now_s)
+        status = transactions.statuses(rows[todo], t, complete=False)
+        phase.verify_s = max(phase.verify_s, transactions.now_s - begin_s)
+        sent = decode_load(c.units, frames[todo])
+        loaded = (status.state == RobotState.LOADED) & (status.sequence == sent.sequence)
+        same = (status.order_crc == sent.crc) & (status.boot == boot[rows[todo]])
+        verified[todo] = status.ok & loaded & same
+        suspect[todo] = ~verified[todo] & (~status.ok | loaded)
+        # another boot, a repeated refusal and an absence are final
+        final = status.ok & (status.boot != boot[rows[todo]]) | (new_ack == Ack.REFUSED)
+        final |= (new_ack == Ack.NO_ADDRESS) & ~status.ok
+        todo = todo[~verified[todo] & ~final]
+    return _Delivery(verified, suspect, not_loaded(verified, ack))
