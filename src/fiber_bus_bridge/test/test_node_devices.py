@@ -1,11 +1,13 @@
 """The bridge node on I2C adapters: devices /dev/i2c-N that umockdev mocks."""
 
 import errno
+import logging
 import os
 import re
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -64,11 +66,23 @@ class Unsupported:
         raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
 
 
-def test_an_unusable_adapter_counts_as_stuck_and_is_logged(tmp_path, caplog, monkeypatch):
+@contextmanager
+def messages_of(name):
+    """List of the messages that a logger writes; plugins of launch_testing empty `caplog`."""
+    messages, handler, logger = [], logging.Handler(), logging.getLogger(name)
+    handler.emit = lambda record: messages.append(record.getMessage())
+    logger.addHandler(handler)
+    try:
+        yield messages
+    finally:
+        logger.removeHandler(handler)
+
+
+def test_an_unusable_adapter_counts_as_stuck_and_is_logged(tmp_path, monkeypatch):
     pytest.importorskip("smbus2", reason="smbus2 is not installed: devices are not tested")
     monkeypatch.setattr("smbus2.SMBus", Unsupported)
-    with RosClient("rest") as peer:
+    with RosClient("rest") as peer, messages_of("fiber_bus_bridge") as messages:
         rest = Rest(peer, problem_file(tmp_path), devices=["/dev/i2c-0"])
         answer = rest.call(topics.CONFIGURE)
         assert answer.success and answer.message == "0 of 7 robots configured"
-    assert "bus 0 counts as stuck: [Errno 95] Operation not supported" in caplog.text
+    assert any("bus 0 counts as stuck: [Errno 95] Operation not" in text for text in messages)

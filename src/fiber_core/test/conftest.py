@@ -1,4 +1,4 @@
-"""Shared by the tests of this package: repeatable properties, and the real focal planes."""
+"""Shared by the tests of this package: the settings of properties, and the real focal planes."""
 
 import os
 import sys
@@ -9,8 +9,9 @@ from hypothesis import settings
 
 sys.path.append(str(Path(__file__).parent))  # for the modules that tests share
 
-settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
-settings.load_profile("repeatable")
+# New draws in every run: a law holds for all of them, and a failure prints how to repeat it.
+settings.register_profile("laws", derandomize=False, database=None, deadline=None, print_blob=True)
+settings.load_profile("laws")
 
 
 @pytest.fixture(scope="session")

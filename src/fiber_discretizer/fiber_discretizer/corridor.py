@@ -1,4 +1,8 @@
-"""The corridor of a joint: how far it can turn at each sample without touching a neighbour."""
+"""The corridor of a joint: how far it can turn at each sample without touching a neighbour.
+
+A turn by x changes the gap by lever * x at most, so a step of gap / lever touches no neighbour:
+the walls are approached in such steps (sphere tracing, Hart 1996) and never crossed.
+"""
 
 import math
 
@@ -8,10 +12,11 @@ from numba import njit
 from fiber_core.array_types import Bools, Floats, Rows
 from fiber_core.clearance import Neighbours, Profiles, most_neighbours, posed_gap
 
-__all__ = ["corridor_walls"]
+__all__ = ["FINEST_RAD", "corridor_walls", "free_intervals"]
 
-_STEPS = 24  # largest number of steps in which a wall is approached
-_FINEST_RAD = 2e-3  # a smaller step ends the approach
+FINEST_RAD = 2e-3  # a smaller step ends the approach
+_SEARCH_STEPS = 24  # largest number of steps to a wall in a search, which looks for any path
+_ALL_STEPS = 1 << 30  # each step is FINEST_RAD or more, so the approach ends by itself
 _OUT_RAD = 0.02  # least step out of a neighbour
 
 
@@ -30,12 +35,12 @@ def corridor_walls(
     side: int,
     reach: float,
 ) -> tuple[Floats, Floats, Bools]:
-    """Return the walls of the corridor of one joint, all other joints as they are.
+    """Return the walls of a corridor that one joint can pass, all other joints as they are.
 
-    A turn by x changes the gap by lever * x at most, so a step of gap / lever touches no
-    neighbour: the walls are approached in such steps (sphere tracing, Hart 1996) and never
-    crossed. Where the desired angle is not free, the corridor passes on one side of the
-    neighbour that is in the way. The corridor holds at the samples only.
+    Where the desired angle is not free, the corridor passes on one side of the neighbour that is
+    in the way, and intervals before it are traced again on that side if they do not connect. The
+    corridor holds at the samples only. Along a neighbour a wall can be too close: it is where 24
+    steps end.
 
     Args:
         table: outlines, from bodies_of.
@@ -65,7 +70,10 @@ def corridor_walls(
         first, stop = neighbours.offsets[i], neighbours.offsets[i + 1]
         bodies, pairs = neighbours.body[first:stop], neighbours.pair[first:stop]
         scene = (table, i, bodies, required[pairs], poses, work)
-        axis = (joint, levers[i, joint], limits[i, joint, 0], limits[i, joint, 1], reach)
+        axis = (
+            joint, levers[i, joint], limits[i, joint, 0], limits[i, joint, 1], reach,
+            _SEARCH_STEPS,
+        )  # fmt: skip
         diverted, begin = False, desired[r, joint, 0]
         for k in range(t):
             # Begin at the desired angle, after a diversion at the free angle before.
@@ -98,10 +106,62 @@ def corridor_walls(
 
 
 @njit(cache=True)
+def free_intervals(
+    table: Floats,
+    levers: Floats,
+    limits: Floats,
+    profiles: Profiles,
+    neighbours: Neighbours,
+    required: Floats,
+    joint: int,
+    times: Floats,
+    angles: Floats,
+    reach: float,
+) -> tuple[Floats, Floats]:
+    """Return how far one joint of every robot can turn at each sample, all others as they are.
+
+    Each sample stands alone. An interval has no width where the angle is not free.
+
+    Args:
+        table: outlines, from bodies_of.
+        levers: farthest point of a robot from the axis of each joint [mm], shape (n, 2).
+        limits: joint limits [rad], shape (n, 2, 2).
+        profiles: motion of all robots, from profiles_of.
+        neighbours: from neighbours_of.
+        required: gap that each pair must keep [mm], shape (p,).
+        joint: the joint that turns, 0 theta, 1 phi.
+        times: sample times of each robot [s], shape (n, t).
+        angles: angles of both joints at these times [rad], shape (n, 2, t).
+        reach: largest distance of an end of an interval from the angle [rad].
+
+    Returns:
+        Low and high ends [rad], shape (n, t). At each end a turn of lever * FINEST_RAD [mm] more
+        may use up the gap to a neighbour, or the end is a joint limit or at the full reach.
+    """
+    n, t = times.shape
+    low, high = angles[:, joint].copy(), angles[:, joint].copy()
+    most = np.diff(neighbours.offsets).max()
+    poses, work = np.empty((most, 4)), np.empty((2, most))
+    for i in range(n):
+        first, stop = neighbours.offsets[i], neighbours.offsets[i + 1]
+        bodies, pairs = neighbours.body[first:stop], neighbours.pair[first:stop]
+        scene = (table, i, bodies, required[pairs], poses, work)
+        axis = (
+            joint, levers[i, joint], limits[i, joint, 0], limits[i, joint, 1], reach, _ALL_STEPS,
+        )  # fmt: skip
+        for k in range(t):
+            _pose_bodies(profiles, bodies, times[i, k], poses)
+            _, low[i, k], high[i, k] = _free_interval(
+                scene, axis, angles[i, 1 - joint, k], angles[i, joint, k], 0
+            )
+    return low, high
+
+
+@njit(cache=True)
 def _free_interval(scene, axis, other_angle, begin, side):
     # The first free angle from `begin` on, in the direction `side`, and the walls around it at
     # one instant; infinity where no angle is free.
-    joint, _, bottom, top, _ = axis
+    joint, _, bottom, top, _, _ = axis
     angles = np.empty(2)
     angles[joint], angles[1 - joint] = begin, other_angle
     if not _move_out(scene, axis, angles, side):
@@ -119,7 +179,7 @@ def _move_out(scene, axis, angles, side):
     # Turn the joint until it is out of all neighbours, the deepest first; False where that is
     # impossible. The spare gaps at the new angle are left in the first row of `work`.
     table, i, bodies, required, poses, work = scene
-    joint, lever, bottom, top, _ = axis
+    joint, lever, bottom, top, _, _ = axis
     spare, count = work[0], len(bodies)
     least = np.inf
     for q in range(count):
@@ -146,7 +206,7 @@ def _approach(scene, axis, angles, free, way):
     # How far the joint can turn from a free angle, up (+1) or down (-1). Each neighbour has a
     # bound; only the neighbour with the least bound is evaluated again.
     table, i, bodies, required, poses, work = scene
-    joint, lever, bottom, top, reach = axis
+    joint, lever, bottom, top, reach, most_steps = axis
     spare, bound, count = work[0], work[1], len(bodies)
     farthest = min(free - bottom if way < 0 else top - free, reach)
     for q in range(count):
@@ -157,12 +217,12 @@ def _approach(scene, axis, angles, free, way):
         for o in range(count):
             if bound[o] < turned:
                 q, turned = o, bound[o]
-        if q < 0 or steps == _STEPS:
+        if q < 0 or steps == most_steps:
             return turned
         steps += 1
         angles[joint] = free + way * turned
         more = _spare_gap(table, i, bodies[q], angles, poses[q], required[q]) / lever
-        if more < _FINEST_RAD:
+        if more < FINEST_RAD:
             return turned
         bound[q] = turned + more
 

@@ -14,7 +14,7 @@ from fiber_core.clearance import (
 from fiber_core.corridor import JointCorridors
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
-from fiber_discretizer.corridor import corridor_walls
+from fiber_discretizer.corridor import free_intervals
 
 __all__ = ["joint_corridors"]
 
@@ -27,8 +27,8 @@ def joint_corridors(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
     """Return how far each joint could turn either way, all other joints as they are sent.
 
     The gap to every neighbour stays what is required while one joint turns inside its
-    corridor. Joints of a robot that stands closer to a neighbour than that have corridors of
-    no width.
+    corridor. At an instant at which a robot is closer to a neighbour than that, the corridors of
+    its joints have no width.
 
     Args:
         plane: the focal plane.
@@ -43,16 +43,14 @@ def joint_corridors(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
     sent = _angles_at(motion, times)
     pairs = certified_pairs(plane, motion, safety)
     required = safety.required_mm(plane, motion, pairs) - _TOLERANCE_MM
-    table, levers, rows = bodies_of(plane).table, levers_of(plane), np.arange(plane.n)
+    table, levers = bodies_of(plane).table, levers_of(plane)
     neighbours, profiles = neighbours_of(plane.n, pairs), profiles_of(motion)
     walls = np.empty((2, plane.n, 2, _INSTANTS))
     for joint in (0, 1):
-        low, high, is_open = corridor_walls(
+        walls[:, :, joint] = free_intervals(
             table, levers, plane.limits, profiles, neighbours, required,
-            rows, joint, times, sent, 0, _REACH_RAD,
+            joint, times, sent, _REACH_RAD,
         )  # fmt: skip
-        for wall, value in zip(walls, (low, high)):
-            wall[:, joint] = np.where(is_open[:, None], value, sent[:, joint])
     # a robot that stands beyond its limits is inside its own corridor
     return JointCorridors(lasts_s, np.minimum(walls[0], sent), np.maximum(walls[1], sent))
 

@@ -1,4 +1,4 @@
-"""Shared by the tests of this package: repeatable properties and small synthetic planes."""
+"""Shared by the tests of this package: the settings of properties and small synthetic planes."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,9 @@ from hypothesis import settings
 
 from fiber_core.focal_plane import FocalPlane
 
-settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
-settings.load_profile("repeatable")
+# New draws in every run: a law holds for all of them, and a failure prints how to repeat it.
+settings.register_profile("laws", derandomize=False, database=None, deadline=None, print_blob=True)
+settings.load_profile("laws")
 
 
 def _plane(centers, **columns):

@@ -1,4 +1,4 @@
-"""Corridors: free of neighbours between their walls, and as wide as that allows."""
+"""Corridors and free intervals: free of neighbours inside, and as wide as that allows."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from fiber_core.clearance import (
     bodies_of,
+    levers_of,
     neighbour_pairs,
     neighbours_of,
     profiles_of,
@@ -14,7 +15,7 @@ from fiber_core.clearance import (
 )
 from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
-from fiber_discretizer.corridor import corridor_walls
+from fiber_discretizer.corridor import FINEST_RAD, corridor_walls, free_intervals
 
 REQUIRED_MM = 0.1
 TRIANGLE = [[0.0, 0.0], [10.4, 0.0], [5.2, 9.0]]
@@ -30,28 +31,37 @@ def random_motion(rng, n):
     return SegmentMotion(start, offsets, rng.uniform(0.1, 0.6, offsets[-1]), speeds)
 
 
-def walls(plane, motion, joint, side, desired=None):
-    """Walls of a joint of robot 0 among the others, by default around its own motion."""
-    times = np.linspace(0.0, 1.5, SAMPLES)[None]
-    angles = np.stack([motion(t) for t in times[0]], axis=-1)
-    desired = angles[:1] if desired is None else desired
+def scene_of(plane, motion):
+    """What both functions take first, the sample times, and the angles of all robots then."""
+    times = np.linspace(0.0, 1.5, SAMPLES)
+    angles = np.stack([motion(t) for t in times], axis=-1)
     pairs = neighbour_pairs(plane)
-    levers = np.stack([plane.reach_mm, plane.arms[:, 1] + plane.phi_radius], axis=1)
-    low, high, is_open = corridor_walls(
+    scene = (
         bodies_of(plane).table,
-        levers,
+        levers_of(plane),
         plane.limits,
         profiles_of(motion),
         neighbours_of(plane.n, pairs),
         np.full(len(pairs), REQUIRED_MM),
-        np.array([0]),
-        joint,
-        times,
-        desired,
-        side,
-        REACH_RAD,
+    )
+    return scene, times, angles
+
+
+def walls(plane, motion, joint, side):
+    """Walls of a joint of robot 0 among the others, around its own motion."""
+    scene, times, angles = scene_of(plane, motion)
+    low, high, is_open = corridor_walls(
+        *scene, np.array([0]), joint, times[None], angles[:1], side, REACH_RAD
     )
     return angles, low[0], high[0], bool(is_open[0])
+
+
+def intervals(plane, motion, joint):
+    """Free intervals of a joint of robot 0 among the others."""
+    scene, times, angles = scene_of(plane, motion)
+    times = np.tile(times, (plane.n, 1))
+    low, high = free_intervals(*scene, joint, times, angles, REACH_RAD)
+    return angles, low[0], high[0]
 
 
 def least_spare_gap(plane, angles, joint, turned):
@@ -72,8 +82,9 @@ def test_a_joint_between_the_walls_touches_no_neighbour(plane_at, seed, joint, s
     rng = np.random.default_rng(seed)
     plane = plane_at(TRIANGLE, obstacles=[[-4.0, 5.0, 1.5]])
     angles, low, high, is_open = walls(plane, random_motion(rng, 3), joint, side)
-    if not is_open:
-        assert side != 0 or least_spare_gap(plane, angles, joint, angles[0, joint]).min() < 0.0
+    if not is_open:  # the intervals of a joint at rest overlap in its angle
+        unsafe = least_spare_gap(plane, angles, joint, angles[0, joint]).min() < 1e-9
+        assert side != 0 or np.ptp(angles[0, joint]) > 0.0 or unsafe
         return
     assert np.all(low <= high)
     assert np.all((low >= plane.limits[0, joint, 0]) & (high <= plane.limits[0, joint, 1]))
@@ -82,31 +93,35 @@ def test_a_joint_between_the_walls_touches_no_neighbour(plane_at, seed, joint, s
     for part in (0.0, 0.3, 0.5, 0.8, 1.0):
         turned = low + part * (high - low)
         assert least_spare_gap(plane, angles, joint, turned).min() >= -1e-9
-    if side:  # neighbouring instants are on the same side of a neighbour
-        assert np.all(low[1:] <= high[:-1]) and np.all(high[1:] >= low[:-1])
 
 
-@pytest.mark.parametrize("joint", [0, 1])
-def test_a_wall_is_beside_a_neighbour_or_at_the_full_reach(plane_at, joint):
-    # but for walls along which the joint glides: their approach ends after 24 short steps
-    plane, justified = plane_at(TRIANGLE), []
-    for seed in range(150):
-        motion = random_motion(np.random.default_rng(seed), 3)
-        angles, low, high, is_open = walls(plane, motion, joint, 0)
-        if not is_open:
-            continue
-        limits = plane.limits[0, joint]
-        for wall, way in ((low, -1), (high, 1)):
-            turned = way * (wall - angles[0, joint])
-            far = turned > REACH_RAD - 1e-9
-            at_limit = np.abs(wall - limits[(way + 1) // 2]) < 1e-9
-            # 0.05 rad farther a neighbour has a gap of at most the required one and 0.15 mm
-            beyond = least_spare_gap(plane, angles, joint, wall + way * 0.05)
-            near = np.minimum(beyond, least_spare_gap(plane, angles, joint, wall)) < 0.15
-            justified.append(far | at_limit | near)
-    assert len(justified) > 100
-    assert np.mean([walls.all() for walls in justified]) > 0.95
-    assert np.mean(justified) > 0.99
+@given(seed=st.integers(0, 2**32 - 1), joint=st.sampled_from([0, 1]))
+def test_a_free_interval_ends_at_a_neighbour_at_a_limit_or_at_the_full_reach(plane_at, seed, joint):
+    plane = plane_at(TRIANGLE, obstacles=[[-4.0, 5.0, 1.5]])
+    motion = random_motion(np.random.default_rng(seed), 3)
+    angles, low, high = intervals(plane, motion, joint)
+    turned, (bottom, top) = angles[0, joint], plane.limits[0, joint]
+    spare = least_spare_gap(plane, angles, joint, turned)
+    free = (spare >= 0.0) & (bottom <= turned) & (turned <= top)
+    sure = np.abs(spare) > 1e-9
+    assert np.all((low == turned)[~free & sure] & (high == turned)[~free & sure])
+    nearest = FINEST_RAD * levers_of(plane)[0, joint] + 1e-9
+    for end, limit, way in ((low, bottom, -1), (high, top, 1)):
+        gap = least_spare_gap(plane, angles, joint, end)
+        full = way * (end - turned) > REACH_RAD - 1e-9
+        assert np.all(gap[free & sure] >= -1e-9)
+        assert np.all((full | (np.abs(end - limit) < 1e-9) | (gap < nearest))[free & sure])
+
+
+@given(seed=st.integers(0, 2**32 - 1), joint=st.sampled_from([0, 1]))
+def test_a_joint_is_free_between_the_ends_of_its_interval(plane_at, seed, joint):
+    plane = plane_at(TRIANGLE, obstacles=[[-4.0, 5.0, 1.5]])
+    motion = random_motion(np.random.default_rng(seed), 3)
+    angles, low, high = intervals(plane, motion, joint)
+    wide = high > low
+    for part in np.linspace(0.0, 1.0, 9):
+        turned = low + part * (high - low)
+        assert np.all(least_spare_gap(plane, angles, joint, turned)[wide] >= -1e-9)
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -121,6 +136,7 @@ def test_a_corridor_goes_around_an_obstacle(plane_at, side):
     middle = slice(SAMPLES // 2 - 1, SAMPLES // 2 + 2)
     assert np.all(side * (low + high)[middle] > 0.0)  # folded to that side at the disc
     assert low[0] <= 0.0 <= high[0] and low[-1] <= 0.0 <= high[-1]
+    assert np.all(low[1:] <= high[:-1]) and np.all(high[1:] >= low[:-1])  # it can be passed
     assert not walls(plane, motion, 1, 0)[3]
 
 

@@ -9,8 +9,9 @@ from hypothesis import settings
 from fiber_core.fields import random_problem
 from fiber_core.presets import preset
 
-settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
-settings.load_profile("repeatable")
+# New draws in every run: a law holds for all of them, and a failure prints how to repeat it.
+settings.register_profile("laws", derandomize=False, database=None, deadline=None, print_blob=True)
+settings.load_profile("laws")
 
 
 def row_of_robots(places, **columns):

@@ -14,6 +14,7 @@ import pytest
 import fiber_viewer
 from fiber_core import kinematics
 from fiber_core.clearance import gaps, neighbour_pairs
+from fiber_core.corridor import JointCorridors
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_recording import load_recording, save_recording
@@ -270,6 +271,24 @@ def test_the_corridor_is_that_of_the_recording_and_ends_at_a_stop(node, request,
             for drawn, wall in ((low, corridors.low), (high, corridors.high)):
                 exact = np.interp(time_s, corridors.times_s(row), wall[row, joint])
                 np.testing.assert_allclose(np.deg2rad(drawn), exact, atol=1.1e-3)
+
+
+def test_a_corridor_that_is_closed_at_one_instant_is_open_at_all_others(node, recording, tmp_path):
+    sound, row = recording.corridors, 7
+    high = sound.high.copy()
+    high[row, :, 3] = sound.low[row, :, 3]
+    closed = JointCorridors(sound.lasts_s, sound.low, high)
+    file = tmp_path / "closed.npz"
+    save_recording(file, replace(recording, corridors=closed))
+    answer = node(
+        file,
+        "answer = [0, 1].map((j) => profiles.corridorBand(recording, inputs.row, j));",
+        row=row,
+    )
+    for band in answer:
+        _, low, high = np.reshape(band, (-1, 3)).T
+        assert (low <= high).all()
+        assert np.flatnonzero(low == high).tolist() == [3]
 
 
 def test_the_closest_approach_is_one_of_six_moments_inside_the_motion(node, recording_file):

@@ -88,6 +88,8 @@ function corridorsOf(arrays) {
     const to = wall % 2 ? high : low, at = (wall >> 1) * count;
     for (let k = 0, sum = 0; k < count; k++) to[at + k] = (sum += steps[wall * count + k]) * MILLIRADIAN;
   }
+  // rounding inwards can put the low wall above the high one: then the corridor is one angle
+  low.forEach((wall, at) => { low[at] = Math.min(wall, high[at]); });
   return { count, low, high, lasts: arrays.margin_lasts_s.data };
 }
 
