@@ -47,8 +47,9 @@ ARROWS = {
     "fiber_discretizer.node": {"fiber_discretizer", "fiber_node"} | ROS,
     "fiber_bus_bridge": {"fiber_core", "yaml", "vcd", "smbus2"},
     "fiber_bus_bridge.simulation": {"fiber_bus_bridge", "fiber_formats"},
+    "fiber_bus_bridge.plant": {"fiber_bus_bridge.simulation"},
     "fiber_bus_bridge.node": {"fiber_bus_bridge.node.hardware"},
-    "fiber_bus_bridge.node.hardware": {"fiber_bus_bridge.simulation", "fiber_node"} | ROS,
+    "fiber_bus_bridge.node.hardware": {"fiber_bus_bridge.plant", "fiber_node"} | ROS,
     "fiber_client": {"fiber_node", "fiber_formats", "rich"} | ROS,
     "fiber_recording": {"fiber_bus_bridge"},
     "fiber_recording.node": {"fiber_recording.received_plans", "fiber_node"} | ROS,
@@ -65,6 +66,7 @@ ARROWS = {
         "rich",
     },
     "fiber_bringup": {
+        "fiber_bus_bridge.plant",
         "fiber_client",
         "fiber_positioners",
         "fiber_viewer",
@@ -75,7 +77,7 @@ ARROWS = {
     "bench": {
         "fiber_planner",
         "fiber_discretizer",
-        "fiber_bus_bridge.simulation",
+        "fiber_bus_bridge.plant",
         "fiber_viewer",
         "fiber_positioners",
     },
@@ -84,6 +86,7 @@ ARROWS = {
 # the demonstration may, because it checks the names of faults before it starts the bridge.
 SIMULATION_USERS = (
     "fiber_bus_bridge.simulation",
+    "fiber_bus_bridge.plant",
     "fiber_bus_bridge.node.hardware",
     "fiber_positioners",
     "fiber_bringup.demo",

@@ -56,7 +56,8 @@ def test_the_judge_detects_robots_that_were_not_stopped(soak, monkeypatch):
 def test_the_judge_detects_orders_that_were_not_verified(soak):
     campaign = soak.Campaign("none", 0)
     ones = np.ones((1, 2, 15), dtype=np.int64)
-    odd = Movements(np.array([3]), np.array([1.0]), np.array([2.0]), np.array([[1, 1]]), ones, ones)
+    one = np.array([1.0])
+    odd = Movements(np.array([3]), one, one + 1.0, one, np.array([[1, 1]]), ones, ones)
     soak._judge_movements(campaign, odd, [])
     assert campaign.wrong == ["robot 3 moved at 1.0000 s unverified"]
 

@@ -21,5 +21,10 @@ setup(
         "linux": ["smbus2"],
     },  # colcon looks for pytest here
     zip_safe=False,  # compiled loops are cached beside the modules
-    entry_points={"console_scripts": ["bridge = fiber_bus_bridge.node.bridge:main"]},
+    entry_points={
+        "console_scripts": [
+            "bridge = fiber_bus_bridge.node.bridge:main",
+            "plant = fiber_bus_bridge.plant.main:main",
+        ]
+    },
 )

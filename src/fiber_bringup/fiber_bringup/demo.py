@@ -1,8 +1,8 @@
 """Take a simulated focal plane through one reconfiguration with the installed nodes.
 
-Makes a problem, starts bridge, planner, discretizer and recorder as processes on this machine,
-moves the robots, and writes into the output folder: problem.npz, plan.npz (the motion decoded
-from the bytes that went over the buses), report.json, recording.npz (all of the plan in one
+Makes a problem, starts plant, bridge, planner, discretizer and recorder as processes on this
+machine, moves the robots, and writes into the output folder: problem.npz, plan.npz (the motion
+decoded from the bytes that went over the buses), report.json, recording.npz (all of the plan in one
 file), player.html (open it in a browser), plane.png, and the logs of the nodes.
 
 With --faults robots and buses fail during the motion, e.g. `--faults stall:2,reset`: robots stop
@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from fiber_bringup.processes import Processes
+from fiber_bus_bridge.plant import plant_socket
 from fiber_bus_bridge.simulation import FaultKind, SimulationConfig
 from fiber_client.client import PlaneClient
 from fiber_client.reconfigure import summary, went_well
@@ -153,14 +154,17 @@ def _found_problem(options: argparse.Namespace) -> FoundProblem:
 def _reconfigure(problem: Problem, options: argparse.Namespace, display: ProgressDisplay) -> _Run:
     use_loopback()
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
-    bridge = {
-        "problem": str((options.out / "problem.npz").resolve()),
-        "seed": options.seed,
-        "time_scale": options.time_scale,
-        "faults": options.faults,
-    }
+    problem_file = str((options.out / "problem.npz").resolve())
+    plant = plant_socket(f"demo.{os.getpid()}")
+    bridge = {"problem": problem_file, "time_scale": options.time_scale, "plant": str(plant)}
     times = [time.monotonic()]
     with Processes(options.out) as processes:
+        processes.start_command(
+            "fiber_bus_bridge",
+            "plant",
+            [f"--problem={problem_file}", f"--seed={options.seed}", f"--faults={options.faults}",
+             f"--time-scale={options.time_scale}", f"--socket={plant}"],
+        )  # fmt: skip
         processes.start("fiber_bus_bridge", "bridge", bridge)
         processes.start("fiber_planner", "planner", {"planner": options.planner})
         processes.start("fiber_discretizer", "discretizer", {})

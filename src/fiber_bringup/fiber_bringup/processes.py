@@ -1,10 +1,10 @@
-"""Nodes as processes: started from the installed executables, watched, and ended."""
+"""Plant and nodes as processes: started from the installed executables, watched, and ended."""
 
 import json
 import os
 import signal
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -83,10 +83,24 @@ class Processes:
         Raises:
             ProcessError: it is not installed.
         """
-        command = [str(installed(package, executable)), "--ros-args"]
+        arguments = ["--ros-args"]
         for name, value in parameters.items():
             # as JSON a value is YAML of its own type: "2021" stays a string
-            command += ["-p", f"{name}:={json.dumps(value)}"]
+            arguments += ["-p", f"{name}:={json.dumps(value)}"]
+        return self.start_command(package, executable, arguments)
+
+    def start_command(self, package: str, executable: str, arguments: Sequence[str]) -> int:
+        """Start an installed executable that is no node; return its process id.
+
+        Args:
+            package: name of its package.
+            executable: name of the executable.
+            arguments: its command line.
+
+        Raises:
+            ProcessError: it is not installed.
+        """
+        command = [str(installed(package, executable)), *arguments]
         log = self._logs / f"{executable}.log"
         with open(log, "wb") as file:
             process = subprocess.Popen(

@@ -1,14 +1,20 @@
-"""Bridge, planner, discretizer, recorder and viewer of one focal plane, on this machine.
+"""Plant, bridge, planner, discretizer, recorder and viewer of one focal plane, on this machine.
 
 ros2 launch fiber_bringup focal_plane.launch.py preset:=desi robots:=500
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
-from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, SetEnvironmentVariable
+from launch.conditions import UnlessCondition
+from launch.substitutions import (
+    EnvironmentVariable,
+    EqualsSubstitution,
+    LaunchConfiguration,
+    PathJoinSubstitution,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
+from launch_ros.substitutions import FindPackagePrefix, FindPackageShare
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -16,7 +22,13 @@ def generate_launch_description() -> LaunchDescription:
     config = PathJoinSubstitution([FindPackageShare("fiber_bringup"), "config"])
     parameters = PathJoinSubstitution([config, "focal_plane.yaml"])
     return LaunchDescription(
-        [*_arguments(), *_environment(), *_control(parameters), *_observers(parameters)]
+        [
+            *_arguments(),
+            *_environment(),
+            _plant(parameters),
+            *_control(parameters),
+            *_observers(parameters),
+        ]
     )
 
 
@@ -58,6 +70,15 @@ def _arguments() -> list[DeclareLaunchArgument]:
             description="simulated seconds per second; 0: as fast as possible",
         ),
         DeclareLaunchArgument(
+            "plant",
+            default_value="auto",
+            description="socket of the simulated plant; auto: by user and domain; none: no plant, "
+            "the bridge simulates the robots itself",
+        ),
+        DeclareLaunchArgument(
+            "faults", default_value="", description="simulated faults, as stall:2,scl_stuck"
+        ),
+        DeclareLaunchArgument(
             "folder", default_value="recordings", description="folder of the recordings"
         ),
     ]
@@ -76,6 +97,29 @@ def _environment() -> list[SetEnvironmentVariable]:
             EnvironmentVariable("FASTRTPS_DEFAULT_PROFILES_FILE", default_value=profile),
         ),
     ]
+
+
+def _plant(parameters: PathJoinSubstitution) -> ExecuteProcess:
+    """Return the process of the simulated robots, which outlives the bridge."""
+    folder = PathJoinSubstitution([FindPackagePrefix("fiber_bus_bridge"), "lib"])
+    return ExecuteProcess(
+        cmd=[
+            PathJoinSubstitution([folder, "fiber_bus_bridge", "plant"]),
+            ["--params-file=", parameters],
+            ["--preset=", LaunchConfiguration("preset")],
+            ["--robots=", LaunchConfiguration("robots")],
+            ["--seed=", LaunchConfiguration("seed")],
+            ["--layout=", LaunchConfiguration("layout")],
+            ["--starts=", LaunchConfiguration("starts")],
+            ["--problem=", LaunchConfiguration("problem")],
+            ["--faults=", LaunchConfiguration("faults")],
+            ["--time-scale=", LaunchConfiguration("time_scale")],
+            ["--socket=", LaunchConfiguration("plant")],
+        ],
+        name="plant",
+        output="screen",
+        condition=UnlessCondition(EqualsSubstitution(LaunchConfiguration("plant"), "none")),
+    )
 
 
 def _control(parameters: PathJoinSubstitution) -> list[Node]:
@@ -98,6 +142,7 @@ def _control(parameters: PathJoinSubstitution) -> list[Node]:
                     "time_scale": ParameterValue(
                         LaunchConfiguration("time_scale"), value_type=float
                     ),
+                    "plant": ParameterValue(LaunchConfiguration("plant"), value_type=str),
                     "disabled_file": ParameterValue(
                         LaunchConfiguration("disabled_file"), value_type=str
                     ),

@@ -12,6 +12,8 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from fiber_bringup.graph import Graph
+from fiber_bus_bridge.plant import main
+from fiber_bus_bridge.simulation import SimulationConfig
 from fiber_msgs_py import FRAME_ID
 from fiber_msgs_py.topics import JOINT_STATES, VIEW_ARMS, VIEW_PLANE, VIEW_TARGETS
 from fiber_viewer.node import WATCHED
@@ -22,6 +24,8 @@ TREE = ast.parse((SHARE / "launch" / "focal_plane.launch.py").read_text())
 
 
 _NOTED = {("recorder", "seed"), ("recorder", "planner")}
+# a bridge alone simulates its robots itself
+_OF_LAUNCH = {("bridge", "plant")}
 
 
 def calls(name):
@@ -55,6 +59,17 @@ def nodes():
     return found
 
 
+def plant_arguments():
+    """Launch arguments that the plant is given, and the option of each."""
+    (call,) = calls("ExecuteProcess")
+    found = {}
+    for part in keywords(call)["cmd"].elts:
+        if isinstance(part, ast.List) and "LaunchConfiguration" in ast.unparse(part):
+            option, value = part.elts
+            found[value.args[0].value] = option.value
+    return found
+
+
 @pytest.fixture(scope="module")
 def declared(new_domain):
     """Parameters of every node, with their values, as the nodes declare them."""
@@ -70,9 +85,10 @@ def declared(new_domain):
 
 def test_every_argument_is_declared_and_used():
     arguments = {call.args[0].value for call in calls("DeclareLaunchArgument")}
-    assert arguments == {name for typed in nodes().values() for name in typed}
+    of_nodes = {name for typed in nodes().values() for name in typed}
+    assert arguments == of_nodes | set(plant_arguments())
     known = {"preset", "robots", "seed", "layout", "problem", "planner", "time_scale", "folder"}
-    assert known | {"starts", "disabled_file"} == arguments
+    assert known | {"starts", "disabled_file", "plant", "faults"} == arguments
 
 
 def test_arguments_have_the_type_of_the_parameter_they_set(declared):
@@ -85,18 +101,36 @@ def test_arguments_have_the_type_of_the_parameter_they_set(declared):
             value = declared[node][name]
             assert type(value).__name__ == kind, name
             # a recorder writes down what the other nodes were given, and has no default of its own
-            if name != "robots" and (node, name) not in _NOTED:
+            if name != "robots" and (node, name) not in _NOTED | _OF_LAUNCH:
                 assert type(value)(defaults[name]) == value, name
 
 
 def test_the_parameter_file_holds_the_defaults_of_parameters_that_exist(declared):
     content = yaml.safe_load((SHARE / "config" / "focal_plane.yaml").read_text())
+    plant = content.pop("plant")["ros__parameters"]
+    assert plant and plant == {name: getattr(SimulationConfig(), name) for name in plant}
+    assert plant["clock"] == content["bridge"]["ros__parameters"]["clock"]
     assert set(content) == set(declared) == set(nodes())
     for node, entry in content.items():
         assert entry["ros__parameters"]
         for name, value in entry["ros__parameters"].items():
             assert declared[node][name] == value and type(declared[node][name]) is type(value), name
             assert name not in nodes()[node], f"{name} is set by the launch file anyway"
+
+
+def test_the_plant_has_the_options_that_the_launch_file_gives_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(main, "_serve", lambda options: served.append(options))
+    served = []
+    given = plant_arguments()
+    assert {name for name in given if name in nodes()["bridge"]} == set(given) - {"faults"}
+    values = {"robots": "7", "seed": "3", "time_scale": "0.5", "faults": "stall", "plant": "auto"}
+    parameters = SHARE / "config" / "focal_plane.yaml"
+    options = [f"{option}{values.get(name, '')}" for name, option in given.items()]
+    assert main.main([f"--params-file={parameters}", *options]) == 0
+    assert served[0].robots == 7 and served[0].faults == "stall" and served[0].socket == "auto"
+    assert served[0].clock == "1M" and served[0].time_scale == 0.5
+    (tmp_path / "wrong.yaml").write_text("plant: {ros__parameters: {clocks: 1M}}")
+    assert main.main([f"--params-file={tmp_path / 'wrong.yaml'}"]) == 2
 
 
 def test_files_of_the_launch_file_are_installed():

@@ -58,7 +58,7 @@ class BridgeNode(PlaneNode):
 
     def __init__(self, **options: Any):
         super().__init__("bridge", **options)
-        hardware = declare_hardware(self.parameters)
+        hardware = declare_hardware(self.parameters, self.get_namespace())
         safety = self.parameters.declare(Safety, "safety", read_only=True).value
         execution = self.parameters.declare(ExecutionConfig, read_only=True).value
         scale = execution.time_scale

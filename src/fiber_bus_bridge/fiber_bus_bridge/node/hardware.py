@@ -1,21 +1,32 @@
-"""The hardware of the bridge: simulated buses or I2C adapters of this machine, and their clock."""
+"""The hardware of the bridge: simulated buses, here or in a plant, or I2C adapters; its clock."""
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 
-from fiber_bus_bridge.bus import BusBackend, BusTiming, LinuxBuses, bus_timing
+from fiber_bus_bridge.bus import BusBackend, BusTiming, LinuxBuses, addresses_of, bus_timing
 from fiber_bus_bridge.errors import BridgeError
+from fiber_bus_bridge.plant import PlantBuses, plant_socket
+from fiber_bus_bridge.plant.rehearsal import rehearse
 from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_problem
 from fiber_core.array_types import Angles
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 from fiber_node import NodeParameters
 
-__all__ = ["Hardware", "declare_hardware", "device_hardware", "simulated_hardware"]
+__all__ = [
+    "Hardware",
+    "declare_hardware",
+    "device_hardware",
+    "plant_hardware",
+    "simulated_hardware",
+]
 
+_OF_THE_PLANT = ("clock_ppm", "start_skew_s", "faults", "faults_from_s", "faults_until_s")
+_PLANT_S = 60.0  # longest wait for a plant, which may have to compile its loops
 _SLICE_S = 0.01  # real time after which a waiting stop is served
 
 
@@ -51,29 +62,45 @@ class Hardware:
 
 
 @dataclass(frozen=True)
-class DeviceConfig:
-    """The I2C adapters of this machine.
+class HardwareConfig:
+    """The process of the simulated robots, or the I2C adapters of this machine.
 
     Args:
+        plant: socket of a plant with the simulated robots; "auto" for that of this user, domain and
+            namespace; "none" for robots in the process of the bridge.
         devices: paths of the I2C adapters in the order of the bus numbers, as /dev/i2c-1; an
             empty text for the simulated buses.
     """
 
+    plant: str = "none"
     devices: tuple[str, ...] = ("",)
 
 
-def declare_hardware(parameters: NodeParameters) -> Hardware:
+def declare_hardware(parameters: NodeParameters, namespace: str = "") -> Hardware:
     """Declare the parameters of the hardware; return the hardware they describe.
 
-    The parameters are those of SimulationConfig and of DeviceConfig, which replaces the simulated
+    The parameters are those of SimulationConfig and of HardwareConfig, which replaces the simulated
     buses. None of them can change while the bridge runs.
 
+    Args:
+        parameters: the parameters of the node.
+        namespace: the namespace of the node, which is part of the path of its plant.
+
     Raises:
-        FiberError: the parameters describe no hardware.
+        FiberError: the parameters describe no hardware, or there is no plant.
     """
     config = parameters.declare(SimulationConfig, read_only=True).value
-    devices = parameters.declare(DeviceConfig, read_only=True).value.devices
-    return device_hardware(config, devices) if devices else simulated_hardware(config)
+    chosen = parameters.declare(HardwareConfig, read_only=True).value
+    if chosen.devices:
+        if chosen.plant != "none":
+            raise BridgeError(
+                f"plant is {chosen.plant!r} and devices are {list(chosen.devices)}: choose one"
+            )
+        return device_hardware(config, chosen.devices)
+    if chosen.plant == "none":
+        return simulated_hardware(config)
+    path = plant_socket(namespace) if chosen.plant == "auto" else Path(chosen.plant)
+    return plant_hardware(config, path)
 
 
 def simulated_hardware(config: SimulationConfig) -> Hardware:
@@ -87,6 +114,30 @@ def simulated_hardware(config: SimulationConfig) -> Hardware:
     units = WireUnits.for_plane(plane)
     buses = simulated_buses(plane, units, start, config)
     return Hardware(plane, units, start, buses, bus_timing(config.clock), lines=found.lines)
+
+
+def plant_hardware(config: SimulationConfig, path: Path) -> Hardware:
+    """Return a plane with robots in the process of a plant.
+
+    Args:
+        config: the plane; errors of clocks and faults are those of the plant.
+        path: the socket of the plant, which may appear later.
+
+    Raises:
+        BridgeError: a parameter belongs to the plant; there is no plant, another bridge is
+            connected with it, or it has another plane.
+        FiberError: the plane does not exist.
+    """
+    for field in fields(SimulationConfig):
+        value = getattr(config, field.name)
+        if field.name in _OF_THE_PLANT and value != field.default:
+            raise BridgeError(f"{field.name} is {value!r}: give it to the plant at {path} instead")
+    found = simulated_problem(config)
+    plane, start = found.problem.plane, found.problem.start
+    timing = bus_timing(config.clock)
+    rehearse()
+    buses = PlantBuses(path, plane.ids, addresses_of(plane), timing, _PLANT_S)
+    return Hardware(plane, WireUnits.for_plane(plane), start, buses, timing, lines=found.lines)
 
 
 def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardware:

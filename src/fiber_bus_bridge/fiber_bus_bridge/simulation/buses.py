@@ -121,6 +121,16 @@ class SimulatedBuses:
         ack = np.where(line_ack == _OK, ack, line_ack)
         return Replies(ack, start_s, end_s, offsets, responses.data ^ received.reply_errors)
 
+    @property
+    def now_s(self) -> float:
+        """Time at which all buses are free [s], 0 before the first message."""
+        return max(float(self._free_s.max(initial=-np.inf)), 0.0)
+
+    def run_until(self, t: float) -> None:
+        """Let time pass without messages until time t [s]; later messages begin after it."""
+        np.maximum(self._free_s, t, out=self._free_s)
+        self.positioners.advance(t)
+
     def recover(self, bus: int, recovery: Recovery, t: float) -> tuple[float, bool]:
         """Try to free the lines of a bus; see BusBackend.recover."""
         end_s, free = self._line(bus).recover(recovery, t)

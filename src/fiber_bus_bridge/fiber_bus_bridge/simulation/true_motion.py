@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from fiber_bus_bridge.bus import BusBackend, Recovery, Replies
 from fiber_bus_bridge.simulation.memory import Memory
 from fiber_bus_bridge.simulation.positioners import Positioners
-from fiber_bus_bridge.wire import Frames
-from fiber_core.array_types import Floats, Ints, Rows
+from fiber_bus_bridge.wire import Frames, RobotState
+from fiber_core.array_types import Counts, Floats, Ints, Rows
 from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
 
@@ -23,6 +23,7 @@ class Movements(NamedTuple):
         row: the robot, shape (r,).
         started_s: start [s], shape (r,).
         ended_s: end, completed or broken off [s], nan while the robot moves, shape (r,).
+        tick_s: duration of a tick of the robot's clock [s], shape (r,).
         counts: numbers of segments of theta and phi, shape (r, 2).
         ticks: durations [ticks], shape (r, 2, MAX_SEGMENTS).
         velocity: speeds [velocity units], shape (r, 2, MAX_SEGMENTS).
@@ -31,9 +32,46 @@ class Movements(NamedTuple):
     row: Rows
     started_s: Floats
     ended_s: Floats
+    tick_s: Floats
     counts: Ints
     ticks: Ints
     velocity: Ints
+
+    def motion(
+        self, start: Counts, quantum_rad: float, until_s: float, begin_s: float = 0.0
+    ) -> SegmentMotion:
+        """Return the motion of a plane that these movements make.
+
+        Args:
+            start: encoders before the first movement [quanta], shape (n, 2).
+            quantum_rad: size of one encoder count [rad].
+            until_s: end of the motion [s]; a movement without an end goes on until then.
+            begin_s: time zero of the motion [s], before any movement.
+        """
+        n = len(start)
+        durations: list[list[float]] = [[] for _ in range(2 * n)]
+        speeds: list[list[float]] = [[] for _ in range(2 * n)]
+        now = np.full(n, begin_s)
+        ended_s = np.where(np.isnan(self.ended_s), until_s, self.ended_s)
+        for k, row in enumerate(self.row):
+            lasts_s = ended_s[k] - self.started_s[k]
+            if lasts_s <= 0.0:
+                continue  # broken off in its countdown
+            for joint in range(2):
+                count = self.counts[k, joint]
+                ends = np.cumsum(self.ticks[k, joint, :count] * self.tick_s[k])
+                lasts = np.diff(np.minimum(ends, lasts_s), prepend=0.0)
+                speed = self.velocity[k, joint, :count] * quantum_rad / self.tick_s[k]
+                pieces = [(self.started_s[k] - now[row], 0.0), *zip(lasts, speed)]
+                pieces.append((lasts_s - lasts.sum(), 0.0))
+                for duration, velocity in pieces:
+                    if duration > 0.0:
+                        durations[2 * row + joint].append(duration)
+                        speeds[2 * row + joint].append(velocity)
+            now[row] = ended_s[k]
+        offsets = Parts.from_counts([len(d) for d in durations]).offsets
+        flat = [np.array([x for part in parts for x in part]) for parts in (durations, speeds)]
+        return SegmentMotion(start * quantum_rad, offsets, *flat)
 
 
 class TrueMotion:
@@ -43,19 +81,32 @@ class TrueMotion:
     start the robot again: once for each batch of frames is enough.
 
     Args:
-        robots: the robots, all at rest.
+        robots: the robots. Those that move count as started now.
         quantum_rad: size of one encoder count [rad].
+        kept: number of movements that are kept; older ones that have ended are forgotten.
     """
 
-    def __init__(self, robots: Positioners, quantum_rad: float):
-        self._robots, self._quantum_rad = robots, quantum_rad
+    def __init__(self, robots: Positioners, quantum_rad: float, kept: int | None = None):
+        self._robots, self.quantum_rad, self._kept = robots, quantum_rad, kept
         self._start = robots.memory["position"].copy()
-        self._last_started_s = robots.memory["started_s"].copy()
-        self._open = np.full(robots.n, -1)  # movement of each robot that has not ended
+        moving = robots.memory["state"] == RobotState.MOVING
+        self._last_started_s = np.where(moving, -np.inf, robots.memory["started_s"])
+        self._open = np.full(robots.n, -1)  # number of the movement of each robot that moves
         self._go_s = np.full(robots.n, np.inf)
+        self.forgotten = 0  # number of the first movement that is kept
         self._rows: list[int] = []
         self._ended: list[float] = []
+        self._rest: list[Counts] = []  # encoders after each movement
         self._copies: list[Memory] = []
+
+    @property
+    def count(self) -> int:
+        """Number of movements observed, with those forgotten."""
+        return self.forgotten + len(self._rows)
+
+    def rows_from(self, number: int) -> Rows:
+        """Return the robots of all movements from a number on, shape (r,)."""
+        return np.array(self._rows[number - self.forgotten :], dtype=np.int64)
 
     def observe(self) -> None:
         """Record the robots that have started or stopped since the last call."""
@@ -64,28 +115,70 @@ class TrueMotion:
         for row in np.flatnonzero(memory["started_s"] != self._last_started_s):
             self._last_started_s[row] = memory["started_s"][row]
             self._go_s[row] = memory["heartbeat_s"][row]
-            self._open[row] = len(self._rows)
+            self._open[row] = self.count
             self._rows.append(int(row))
             self._ended.append(np.nan)
+            self._rest.append(memory["position"][row].copy())
             self._copies.append(memory[row].copy())
         self._close_ended()
+        if self._kept is not None and len(self._rows) > 2 * self._kept:
+            self._forget(self.count - self._kept)
 
     def _close_ended(self) -> None:
         # a movement broken off in its countdown ended before it began, but after the GO
         halted_s = self._robots.memory["halted_s"]
         for row in np.flatnonzero((self._open >= 0) & (halted_s > self._go_s)):
-            self._ended[self._open[row]] = halted_s[row]
+            at = self._open[row] - self.forgotten
+            self._ended[at] = halted_s[row]
+            self._rest[at] = self._robots.memory["position"][row].copy()
             self._open[row] = -1
 
+    def _closed_before(self, number: int) -> int:
+        """The largest number up to `number` before which all movements have ended."""
+        return int(min(number, self._open[self._open >= 0].min(initial=self.count)))
+
+    def _start_before(self, number: int) -> Counts:
+        """Encoders before the movement of a number, of which all earlier ones have ended."""
+        start = self._start.copy()
+        for row, rest in zip(self._rows[: number - self.forgotten], self._rest):
+            start[row] = rest
+        return start
+
+    def _forget(self, before: int) -> None:
+        before = self._closed_before(before)
+        self._start = self._start_before(before)
+        for column in (self._rows, self._ended, self._rest, self._copies):
+            del column[: before - self.forgotten]
+        self.forgotten = before
+
+    def since(self, number: int = 0) -> tuple[int, Counts, Movements]:
+        """Return the movements observed so far from a number on, and where the robots began.
+
+        Args:
+            number: number of the first movement; earlier ones that have not ended are returned too,
+                those that were forgotten are not.
+
+        Returns:
+            The number of the first movement returned, the encoders before it [quanta], shape
+            (n, 2), and the movements.
+        """
+        first = self._closed_before(min(max(number, self.forgotten), self.count))
+        at = slice(first - self.forgotten, None)
+        copies = np.array(self._copies[at], dtype=self._robots.memory.dtype)
+        tick_s = copies["tick_us"] / (1e6 + copies["clock_ppm"])
+        row = np.array(self._rows[at], dtype=np.int64)
+        ended_s = np.array(self._ended[at], dtype=float)
+        moves = Movements(
+            row, copies["started_s"], ended_s, tick_s,
+            copies["counts"], copies["ticks"], copies["velocity"],
+        )  # fmt: skip
+        return first, self._start_before(first), moves
+
     def movements(self, t: float) -> Movements:
-        """Return every movement begun until time t [s], which must not lie in the past."""
+        """Return every movement kept and begun until time t [s], which must not lie in the past."""
         self._robots.advance(t)
         self.observe()
-        copies = np.array(self._copies, dtype=self._robots.memory.dtype)
-        row = np.array(self._rows, dtype=np.int64)
-        names = ("started_s", "counts", "ticks", "velocity")
-        started_s, counts, ticks, velocity = (copies[name] for name in names)
-        return Movements(row, started_s, np.array(self._ended), counts, ticks, velocity)
+        return self.since()[2]
 
     def motion(self, t: float, begin_s: float = 0.0) -> SegmentMotion:
         """Return the motion of the plane until time t [s].
@@ -95,32 +188,7 @@ class TrueMotion:
             begin_s: time zero of the motion [s], before any movement.
         """
         moves = self.movements(t)
-        memory, n = self._robots.memory, self._robots.n
-        durations: list[list[float]] = [[] for _ in range(2 * n)]
-        speeds: list[list[float]] = [[] for _ in range(2 * n)]
-        now = np.full(n, begin_s)
-        for k, row in enumerate(moves.row):
-            until = t if np.isnan(moves.ended_s[k]) else moves.ended_s[k]
-            if until <= moves.started_s[k]:
-                continue
-            tick_s = self._copies[k]["tick_us"] / (1e6 + memory["clock_ppm"][row])
-            for joint in range(2):
-                count = moves.counts[k, joint]
-                lasts = moves.ticks[k, joint, :count] * tick_s
-                ends = np.minimum(np.cumsum(lasts), until - moves.started_s[k])
-                lasts = np.diff(ends, prepend=0.0)
-                rest = until - moves.started_s[k] - lasts.sum()
-                pieces = [(moves.started_s[k] - now[row], 0.0)]
-                speed = moves.velocity[k, joint, :count] * self._quantum_rad / tick_s
-                pieces += [*zip(lasts, speed), (rest, 0.0)]
-                for duration, velocity in pieces:
-                    if duration > 0.0:
-                        durations[2 * row + joint].append(duration)
-                        speeds[2 * row + joint].append(velocity)
-            now[row] = until
-        offsets = Parts.from_counts([len(d) for d in durations]).offsets
-        flat = [np.array([x for part in parts for x in part]) for parts in (durations, speeds)]
-        return SegmentMotion(self._start * self._quantum_rad, offsets, *flat)
+        return moves.motion(self._start, self.quantum_rad, t, begin_s)
 
 
 class ObservedBuses:
