@@ -39,12 +39,12 @@ OUT ?= out/demo
 OPTIONS = $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) \
 	$(if $(SEED),--seed $(SEED)) $(if $(PLANNER),--planner $(PLANNER)) \
 	$(if $(LAYOUT),--layout $(LAYOUT)) $(if $(STARTS),--starts $(STARTS)) \
-	$(if $(TARGETS),--targets $(TARGETS))
+	$(if $(TARGETS),--targets $(TARGETS)) $(if $(SPACING),--spacing $(SPACING))
 
 .PHONY: help
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /|/' | column -t -s '|'
-	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file STARTS=file TARGETS=file OUT=folder; demo FAULTS=stall:2,reset"
+	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file STARTS=file TARGETS=file SPACING=mm OUT=folder; demo FAULTS=stall:2,reset"
 
 .PHONY: venv
 venv: $(ENV_STAMP) ## make .venv from requirements.lock (PY=python3.12 chooses the Python)

@@ -73,7 +73,7 @@ def of_methods(plane: FocalPlane, motion: SampledMotion) -> list[dict]:
     """Return a row for each rule and method: lines of each joint, in the steps of the paper.
 
     The share of a robot is half of the free space to a neighbour, which is by rule: the gap
-    less the required gap, the distance of the tips less d (half the spacing of targets), or the
+    less the required gap, the distance of the tips less d (half the envelope), or the
     whole distance of the tips, as printed.
     """
     pairs, every = neighbour_pairs(plane), np.ones(plane.n, dtype=bool)
@@ -81,7 +81,7 @@ def of_methods(plane: FocalPlane, motion: SampledMotion) -> list[dict]:
     required = _SAFETY.required_at(fastest, float(motion.time_s[-1]), pairs)[:, None]
     spaces = {
         "gap - required": lambda angles: sampled_gaps(plane, pairs, angles) - required,
-        "tips - d": lambda angles: tip_distances_mm(plane, pairs, angles) - plane.spacing_mm / 2,
+        "tips - d": lambda angles: tip_distances_mm(plane, pairs, angles) - plane.envelope_mm / 2,
         "tips, as printed": lambda angles: tip_distances_mm(plane, pairs, angles),
     }
     rows = []

@@ -42,7 +42,8 @@ def headers():
 COLUMNS = {
     "layout": {
         "id": 6, "kind": 2, "enabled": 2, "bus": 4, "address": 4, "x": 8, "y": 8, "arm_theta": 8,
-        "arm_phi": 8, "arm_radius": 8, "theta_radius": 8, "spacing": 8, "theta_min": 8,
+        "arm_phi": 8, "arm_radius": 8, "theta_radius": 8, "spacing": 8,
+        "envelope": 8, "theta_min": 8,
         "theta_max": 8, "phi_min": 8, "phi_max": 8, "theta_speed": 8, "phi_speed": 8,
         "tick_us": 6, "quantum_prad": 6, "velocity_bits": 2, "duration_bits": 2,
         "phi_outline": 8,

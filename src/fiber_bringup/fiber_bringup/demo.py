@@ -120,6 +120,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--layout", help="files of robots instead of a preset, joined by commas")
     parser.add_argument("--starts", help="files with the present angles; by default random")
     parser.add_argument("--targets", help="files with targets; by default random targets")
+    parser.add_argument("--spacing", type=float, metavar="MM", help="least distance of two targets")
     parser.add_argument("--seed", type=int, default=0, help="seed of random starts and targets")
     parser.add_argument("--planner", choices=planners(), default=DEFAULT_PLANNER)
     parser.add_argument(
@@ -148,6 +149,7 @@ def _found_problem(options: argparse.Namespace) -> FoundProblem:
         seed=options.seed,
         starts=options.starts,
         targets=options.targets,
+        spacing_mm=options.spacing,
     )
 
 

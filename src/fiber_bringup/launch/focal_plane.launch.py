@@ -50,6 +50,11 @@ def _arguments() -> list[DeclareLaunchArgument]:
             "starts", default_value="", description="files of present angles; none: random"
         ),
         DeclareLaunchArgument(
+            "spacing_mm",
+            default_value="-1.0",
+            description="least distance between two targets; -1: that of the layout",
+        ),
+        DeclareLaunchArgument(
             "problem",
             default_value="",
             description="problem.npz with plane and starts; none: random starts",
@@ -138,6 +143,9 @@ def _control(parameters: PathJoinSubstitution) -> list[Node]:
                     "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
                     "layout": ParameterValue(LaunchConfiguration("layout"), value_type=str),
                     "starts": ParameterValue(LaunchConfiguration("starts"), value_type=str),
+                    "spacing_mm": ParameterValue(
+                        LaunchConfiguration("spacing_mm"), value_type=float
+                    ),
                     "problem": ParameterValue(LaunchConfiguration("problem"), value_type=str),
                     "time_scale": ParameterValue(
                         LaunchConfiguration("time_scale"), value_type=float

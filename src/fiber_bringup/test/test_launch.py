@@ -88,7 +88,7 @@ def test_every_argument_is_declared_and_used():
     of_nodes = {name for typed in nodes().values() for name in typed}
     assert arguments == of_nodes | set(plant_arguments())
     known = {"preset", "robots", "seed", "layout", "problem", "planner", "time_scale", "folder"}
-    assert known | {"starts", "disabled_file", "plant", "faults"} == arguments
+    assert known | {"starts", "disabled_file", "plant", "faults", "spacing_mm"} == arguments
 
 
 def test_arguments_have_the_type_of_the_parameter_they_set(declared):

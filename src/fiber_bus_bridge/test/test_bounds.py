@@ -17,7 +17,7 @@ NUMBERS = [
     if not isinstance(field.default, str)
 ]
 FITTING = {("stretch_s", np.inf), ("stretch_s", 1e12), ("stretch_s", 1e25), ("stretch_s", 2.0**63)}
-FITTING |= {("seed", 1e12), ("seed", 2.0**63)}
+FITTING |= {("seed", 1e12), ("seed", 2.0**63), ("spacing_mm", -1.0)}
 
 
 @pytest.mark.parametrize("extreme", EXTREMES, ids=str)

@@ -26,6 +26,8 @@ def test_robots_stand_where_the_file_of_starts_says(files):
     plane, start = simulated_plane(SimulationConfig(**files))
     assert plane.ids.tolist() == [5, 6, 7] and plane.enabled.tolist() == [True, False, True]
     np.testing.assert_allclose(np.rad2deg(start), [[10, 150], [20, 160], [30, 140]])
+    assert plane.spacing_mm == 0.0
+    assert simulated_plane(SimulationConfig(**files, spacing_mm=5.0))[0].spacing_mm == 5.0
 
 
 @pytest.mark.timeout(600)

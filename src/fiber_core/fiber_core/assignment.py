@@ -32,12 +32,14 @@ class Assignment:
         blocker: for TARGET_TOO_CLOSE the row of the robot with the other target, for
             TARGET_ON_OBSTACLE the row of the robot, or n + obstacle, that is in the way;
             else -1, shape (n,).
+        spacing_mm: least distance between two accepted targets [mm], 0 for any.
     """
 
     plane: FocalPlane
     asked_mm: Points
     reason: Codes
     blocker: Rows
+    spacing_mm: float
 
     @property
     def accepted(self) -> Mask:
@@ -94,7 +96,7 @@ class Assignment:
                 apart = np.hypot(*(self.asked_mm[row] - self.asked_mm[other]))
                 return (
                     f"is {apart:.4g} mm from the target of robot {self.plane.ids[other]}, "
-                    f"spacing {self.plane.spacing_mm:.4g} mm"
+                    f"spacing {self.spacing_mm:.4g} mm"
                 )
             case Reason.TARGET_ON_OBSTACLE:
                 other = self.blocker[row]
@@ -115,10 +117,11 @@ def assign(
     xy_mm: ArrayLike,
     pairs: ArrayLike | None = None,
     margin_mm: float | None = None,
+    spacing_mm: float | None = None,
 ) -> Assignment:
     """Check targets against the focal plane; refuse the impossible ones robot by robot.
 
-    Of two targets closer than the spacing of the plane, the robot with the lower id keeps
+    Of two targets closer than the spacing, the robot with the lower id keeps
     its target. A robot cannot move if it is disabled or starts outside its joint limits. A
     target is refused if every configuration that reaches it comes within the margin of such
     a robot or of an obstacle. A refused target gets the first reason that applies, in the
@@ -133,6 +136,8 @@ def assign(
         pairs: neighbour pairs of the plane, shape (p, 2); by default they are computed.
         margin_mm: gap to robots and obstacles that cannot move [mm]; by default the margin
             of Safety.
+        spacing_mm: least distance between two targets [mm]; by default that of the plane,
+            which is 0 (any distance) unless a layout or a planner asks for more.
 
     Raises:
         TargetsError: shapes do not fit, an id is unknown or given twice, or a value is
@@ -144,6 +149,7 @@ def assign(
         ~np.all(np.isfinite(start), axis=1), plane.ids, start, Reason.NOT_FINITE, "start angles"
     )
     margin_mm = Safety().margin_mm if margin_mm is None else margin_mm
+    spacing_mm = plane.spacing_mm if spacing_mm is None else spacing_mm
 
     low, high = np.moveaxis(plane.limits, -1, 0)
     outside = ((start < low - _ENCODER_RAD) | (start > high + _ENCODER_RAD)).any(axis=1)
@@ -165,10 +171,10 @@ def assign(
     blocker = np.full(plane.n, -1)
     pairs = neighbour_pairs(plane, max(1.0, margin_mm)) if pairs is None else np.asarray(pairs)
     _refuse_blocked(plane, start, stuck, solutions, valid, pairs, margin_mm, reason, blocker)
-    _refuse_close(plane, asked, reason, blocker)
+    _refuse_close(spacing_mm, asked, reason, blocker)
     for value in (asked, reason, blocker):
         value.setflags(write=False)
-    return Assignment(plane, asked, reason, blocker)
+    return Assignment(plane, asked, reason, blocker, spacing_mm)
 
 
 def _checked(plane: FocalPlane, ids: ArrayLike, xy_mm: ArrayLike) -> tuple[Rows, Points]:
@@ -232,13 +238,13 @@ def _refuse_blocked(
     blocker[~blocked] = -1
 
 
-def _refuse_close(plane: FocalPlane, asked: Points, reason: Codes, blocker: Rows) -> None:
+def _refuse_close(spacing_mm: float, asked: Points, reason: Codes, blocker: Rows) -> None:
     # reason and blocker are filled in
     left = np.flatnonzero(reason == Reason.OK)
-    pairs = left[cKDTree(asked[left]).query_pairs(plane.spacing_mm, output_type="ndarray")]
+    pairs = left[cKDTree(asked[left]).query_pairs(spacing_mm, output_type="ndarray")]
     low, high = np.sort(pairs, axis=1).T
     apart = np.hypot(*(asked[low] - asked[high]).T)
-    low, high = (side[apart < plane.spacing_mm - _ROUNDING_MM] for side in (low, high))
+    low, high = (side[apart < spacing_mm - _ROUNDING_MM] for side in (low, high))
     order = np.lexsort([low, high])  # a robot is decided after all robots of lower rows
     for first, second in zip(low[order], high[order]):
         if reason[first] == Reason.OK and reason[second] == Reason.OK:

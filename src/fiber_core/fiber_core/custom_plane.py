@@ -16,7 +16,7 @@ from fiber_core.validation import frozen_array
 __all__ = ["hexagonal"]
 
 _RADIUS_SHARE = 1 / 3  # capsule radius over the shorter arm: 1 mm with the 3 mm arms of DESI
-_RADII_APART = 4  # least distance of two targets over the capsule radius, as in the presets
+_RADII_APART = 4  # distance of two random targets over the capsule radius, as in the presets
 
 
 def hexagonal(
@@ -48,7 +48,8 @@ def hexagonal(
         limits_deg: joint ranges [deg], shape (2, 2): joint (theta, phi), (low, high); by
             default the least ranges with which the tip reaches the whole patrol region.
         speeds_deg_s: highest speeds of theta and phi [deg/s].
-        spacing_mm: least distance between two targets [mm]; by default four radii.
+        spacing_mm: least distance between two targets [mm]; by default any distance is accepted,
+            and random targets are four radii apart.
         disabled: ids of robots that may not be moved, shape (k,), or the share of the robots
             that are drawn as disabled, 0 to 1.
         seed: seed with which the disabled robots are drawn; the same seed draws the same ones.
@@ -63,8 +64,8 @@ def hexagonal(
     arms, speeds = _pair(arms_mm, "arms_mm"), _pair(speeds_deg_s, "speeds_deg_s")
     radius_mm = _RADIUS_SHARE * min(arms) if radius_mm is None else radius_mm
     _check(radius_mm >= 0, "radius_mm", "0 or more", radius_mm)
-    spacing_mm = _RADII_APART * radius_mm if spacing_mm is None else spacing_mm
-    _check(spacing_mm >= 0, "spacing_mm", "0 or more", spacing_mm)
+    envelope_mm = _RADII_APART * radius_mm if spacing_mm is None else spacing_mm
+    _check(envelope_mm >= 0, "spacing_mm", "0 or more", envelope_mm)
     theta_deg, phi_deg = _ranges(limits_deg)
     centers = hexagonal_centers(robots, pitch_mm)
     figures = Preset(
@@ -74,11 +75,11 @@ def hexagonal(
         theta_deg=theta_deg,
         phi_deg=phi_deg,
         speeds_deg_s=speeds,
-        spacing_mm=spacing_mm,
+        envelope_mm=envelope_mm,
         radius_mm=radius_mm,
     )
     enabled = ~_disabled(disabled, len(centers), np.random.default_rng(seed))
-    columns = PlaneColumns(enabled=enabled, name=name)
+    columns = PlaneColumns(enabled=enabled, name=name, spacing_mm=spacing_mm or 0.0)
     if obstacles is not None:
         columns["obstacles"] = obstacles
     return plane_from(figures, np.arange(len(centers)), centers, **columns)

@@ -64,7 +64,8 @@ def random_field(
         plane: the focal plane.
         rng: source of randomness; the same state gives the same field.
         gap_mm: gap between outlines at start and goal [mm]; by default the margin of
-            Safety and 0.1 mm more. Targets keep the plane's spacing as well.
+            Safety and 0.1 mm more. Targets are also as
+            far apart as spacing and envelope of the plane.
         asked: robots that get a target, shape (n,); by default all. Disabled robots get none.
         start: present joint angles [rad], shape (n, 2); by default they are drawn.
 
@@ -74,7 +75,8 @@ def random_field(
     gap_mm = Safety().margin_mm + _OVER_MARGIN_MM if gap_mm is None else gap_mm
     asked = np.ones(plane.n) if asked is None else asked
     asked = frozen_array(asked, np.bool_, (plane.n,), "asked", FieldError) & plane.enabled
-    neighbours = _neighbours(plane, max(gap_mm, plane.spacing_mm))
+    spacing_mm = max(plane.spacing_mm, plane.envelope_mm)
+    neighbours = _neighbours(plane, max(gap_mm, spacing_mm))
     if start is None:
         moves, unplaced = np.ones(plane.n, dtype=np.bool_), np.zeros((plane.n, 2))
         start = _arrange(plane, rng, neighbours, moves, unplaced, gap_mm, 0.0, "start")
@@ -83,7 +85,7 @@ def random_field(
         not_finite = plane.ids[~np.isfinite(start).all(axis=1)]
         if len(not_finite):
             raise FieldError(f"robot {not_finite[0]}: its start is not finite", not_finite)
-    goal = _arrange(plane, rng, neighbours, asked, start, gap_mm, plane.spacing_mm, "goal")
+    goal = _arrange(plane, rng, neighbours, asked, start, gap_mm, spacing_mm, "goal")
     targets = np.where(asked[:, None], kinematics.forward(plane, goal)[1], np.nan)
     goal.setflags(write=False)
     return Field(Problem(plane, start, targets), goal)

@@ -48,7 +48,9 @@ class FocalPlane:
         obstacles: fixed discs x, y, radius [mm], shape (k, 3); by default none.
         bus: number of the bus of each robot, shape (n,); by default 500 robots a bus, in order.
         address: address on that bus, unique there, shape (n,); by default 1, 2, ...
-        spacing_mm: least distance between two targets, D of the papers [mm].
+        spacing_mm: least distance between two targets that are accepted [mm]; 0 for any.
+        envelope_mm: D of the papers, the distance of tips from which the navigation function
+            keeps them apart, and which random targets keep [mm]; by default the spacing.
         name: preset or file from which this plane was made.
 
     Raises:
@@ -69,6 +71,7 @@ class FocalPlane:
     bus: Ints
     address: Ints
     spacing_mm: float
+    envelope_mm: float
     name: str
 
     def __init__(
@@ -87,6 +90,7 @@ class FocalPlane:
         bus: ArrayLike | None = None,
         address: ArrayLike | None = None,
         spacing_mm: float = 0.0,
+        envelope_mm: float | None = None,
         name: str = "",
     ):
         n = np.size(ids)
@@ -110,6 +114,7 @@ class FocalPlane:
             self._set(field, frozen_array(value, np.float64, shape, field, LayoutError))
         self._set("enabled", frozen_array(enabled, np.bool_, (n,), "enabled", LayoutError))
         self._set("spacing_mm", spacing_mm)
+        self._set("envelope_mm", spacing_mm if envelope_mm is None else envelope_mm)
         self._set("name", name)
         self._check_ids()
         self._check_values()
@@ -154,6 +159,7 @@ class FocalPlane:
                 f"0 to {most[2]:.6g} mm, got {self.obstacles[at].tolist()}"
             )
         bounds.check_number(self.spacing_mm, "the spacing of targets [mm]", *lengths, LayoutError)
+        bounds.check_number(self.envelope_mm, "the envelope, D [mm]", *lengths, LayoutError)
 
     def _refuse(self, bad: NDArray[np.bool_], name: str, value: NDArray[Any], rule: str) -> None:
         # bad: elements that break the rule, the first axis being that of the robots
@@ -227,7 +233,7 @@ class FocalPlane:
         rows = {
             field.name: getattr(self, field.name)[order]
             for field in fields(self)
-            if field.name not in ("ids", "obstacles", "spacing_mm", "name")
+            if field.name not in ("ids", "obstacles", "spacing_mm", "envelope_mm", "name")
         }
         return replace(self, ids=np.arange(len(order)), **rows)
 

@@ -41,7 +41,8 @@ class Preset:
         theta_deg: range of theta about the zero of the robot [deg].
         phi_deg: range of phi [deg].
         speeds_deg_s: highest speeds of theta and phi [deg/s].
-        spacing_mm: least distance between two targets, D of the papers [mm].
+        envelope_mm: D of the papers: random targets and the navigation function keep tips that
+            far apart [mm]. The spacing of targets is off, unless the outline is only a tip.
         radius_mm: rounding of the phi outline, for a capsule or a disc its radius [mm].
         phi_outline: "capsule" from elbow to tip, "tip" for a disc there, or a polygon [mm].
         theta_outline: polygon of the body that turns with theta [mm], empty for none.
@@ -55,12 +56,17 @@ class Preset:
     theta_deg: tuple[float, float]
     phi_deg: tuple[float, float]
     speeds_deg_s: tuple[float, float]
-    spacing_mm: float
+    envelope_mm: float
     radius_mm: float
     phi_outline: Literal["capsule", "tip"] | Polygon = "capsule"
     theta_outline: Polygon = ()
     hexagon: bool = False
     note: str = ""
+
+    @property
+    def spacing_mm(self) -> float:
+        """Least distance between two targets that are accepted [mm]: 0 where outlines are whole."""
+        return self.envelope_mm if self.phi_outline == "tip" else 0.0
 
 
 _DESI = Preset(
@@ -70,7 +76,7 @@ _DESI = Preset(
     theta_deg=(-194.0, 194.0),
     phi_deg=(0.0, 180.0),
     speeds_deg_s=(176.0, 176.0),
-    spacing_mm=4.0,
+    envelope_mm=4.0,
     radius_mm=1.0,
     note="A capsule of 1 mm in place of the real outlines, and a plain hexagonal grid in "
     "place of ten petals. Joint ranges are the narrow end of the real ones.",
@@ -85,7 +91,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             theta_deg=(-1440.0, 1440.0),
             phi_deg=(-1440.0, 1440.0),
             speeds_deg_s=(180.0, 120.0),
-            spacing_mm=4.0,
+            envelope_mm=4.0,
             radius_mm=1.0,
             phi_outline="tip",
             hexagon=True,
@@ -109,10 +115,10 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             theta_deg=(-192.5, 192.5),
             phi_deg=(0.0, 180.0),
             speeds_deg_s=(180.0, 180.0),
-            spacing_mm=4.0,
+            envelope_mm=4.0,
             radius_mm=1.0,
             note="Speed assumed, none is published: half a turn a second, so that times read as "
-            "half turns. Spacing as in the papers.",
+            "half turns. Envelope as in the papers.",
         ),
         "sdss_v": Preset(
             robots=547,
@@ -121,11 +127,11 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             theta_deg=(0.0, 360.0),
             phi_deg=(0.0, 180.0),
             speeds_deg_s=(12.0, 12.0),
-            spacing_mm=8.0,
+            envelope_mm=8.0,
             radius_mm=2.0,
             hexagon=True,
             note="Speed as its own planner uses it. The full hexagon of 547 sites, of which the "
-            "instrument fills 500. Spacing chosen: four radii.",
+            "instrument fills 500. Envelope chosen: four radii.",
         ),
         "moons": Preset(
             robots=1006,
@@ -134,10 +140,10 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             theta_deg=(-180.0, 180.0),
             phi_deg=(-180.0, 150.0),
             speeds_deg_s=(16.7, 22.5),
-            spacing_mm=10.5,
+            envelope_mm=10.5,
             radius_mm=2.625,
             note="The highest speeds of the ranges quoted. A capsule as wide as the widest part of "
-            "the beta arm (5.25 mm), without its 0.5 mm of safety. Spacing chosen: four radii.",
+            "the beta arm (5.25 mm), without its 0.5 mm of safety. Envelope chosen: four radii.",
         ),
         "lamost": Preset(
             robots=4000,
@@ -146,11 +152,11 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             theta_deg=(-180.0, 180.0),
             phi_deg=(0.0, 180.0),
             speeds_deg_s=(180.0, 180.0),
-            spacing_mm=8.0,
+            envelope_mm=8.0,
             radius_mm=2.0,
             note="Arms inferred. Joint ranges, speeds and arm width are assumed, none is known: "
             "the least ranges that reach the whole disc, half a turn a second, the width of an "
-            "SDSS-V arm. Spacing chosen: four radii.",
+            "SDSS-V arm. Envelope chosen: four radii.",
         ),
     }
 )
@@ -170,6 +176,7 @@ class PlaneColumns(TypedDict, total=False):
     bus: ArrayLike | None
     address: ArrayLike | None
     spacing_mm: float
+    envelope_mm: float | None
     name: str
 
 
@@ -231,6 +238,7 @@ def plane_from(
         theta_radius=np.zeros(n),
         enabled=np.ones(n, dtype=bool),
         spacing_mm=figures.spacing_mm,
+        envelope_mm=figures.envelope_mm,
     )
     values.update(columns)
     return FocalPlane(ids=ids, centers=centers, arms=arms, **values)

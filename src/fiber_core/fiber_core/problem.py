@@ -107,6 +107,7 @@ def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
         "bus": plane.bus,
         "address": plane.address,
         "spacing_mm": np.array(plane.spacing_mm),
+        "envelope_mm": np.array(plane.envelope_mm),
         "name": np.array(plane.name),
     }
 
@@ -143,8 +144,8 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
     """Return the problem in named arrays.
 
     Args:
-        data: named arrays, as from problem_columns; outlines, discs, buses, spacing and name
-            may be missing.
+        data: named arrays, as from problem_columns; outlines, discs, buses, spacing,
+            envelope and name may be missing.
         name: name of the plane if the arrays hold none.
 
     Raises:
@@ -156,7 +157,9 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
     n = np.size(data["id"])
     arms = frozen_array(data["arm_mm"], np.float64, (n, 2), "arm_mm", LayoutError)
     radius = frozen_array(data["radius_mm"], np.float64, (n,), "radius_mm", LayoutError)
-    spacing = data.get("spacing_mm", np.array(4 * radius.max(initial=0.0)))
+    spacing = data.get("spacing_mm", np.array(0.0))
+    apart = spacing if "spacing_mm" in data else np.array(4 * radius.max(initial=0.0))
+    envelope = data.get("envelope_mm", apart)
     elbow_to_tip = np.zeros((n, 2, 2))
     elbow_to_tip[:, 1, 0] = arms[:, 1]
     plane = FocalPlane(
@@ -174,6 +177,7 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
         bus=data.get("bus"),
         address=data.get("address"),
         spacing_mm=float(frozen_array(spacing, np.float64, (), "spacing_mm", LayoutError)),
+        envelope_mm=float(frozen_array(envelope, np.float64, (), "envelope_mm", LayoutError)),
         name=str(data.get("name", name)),
     )
     return Problem(plane, data["start_rad"], data["target_mm"])

@@ -23,6 +23,7 @@ FOLDED = np.pi
 
 def seven(**changes):
     """Robot 10 in the middle, 11..16 around it, all folded."""
+    changes = {"spacing_mm": 4.0} | changes
     plane = replace(preset("desi", 7), ids=np.arange(10, 17), **changes)
     return plane, np.tile([0.0, FOLDED], (7, 1))
 
@@ -99,6 +100,22 @@ def test_of_two_close_targets_the_lower_id_keeps_its_own():
     assert "is 2.4 mm from the target of robot 10, spacing 4 mm" in found.explain(11)
 
 
+def test_presets_with_whole_outlines_accept_targets_at_any_distance():
+    for name in PRESETS:
+        plane = preset(name, 7)
+        start = np.tile([0.0, FOLDED], (7, 1))
+        pair = [between(plane, 0, 1, 4.0), between(plane, 1, 0, 0.9 * plane.arms[1].sum())]
+        pair[1] = pair[0] + [0.0, 0.5 * plane.envelope_mm]
+        expected = Reason.TARGET_TOO_CLOSE if name == "paper" else Reason.OK
+        others = np.array([0, 1])
+        if not inverse(plane, np.resize(pair, (7, 2)))[1][others].any(axis=1).all():
+            continue
+        assert assign(plane, start, others, pair).reason[1] == expected, name
+        asked = assign(plane, start, others, pair, spacing_mm=plane.envelope_mm)
+        assert asked.reason[1] == Reason.TARGET_TOO_CLOSE
+        assert f"spacing {plane.envelope_mm:.4g} mm" in asked.explain(1)
+
+
 @pytest.mark.parametrize("short_mm, reason", [(0.0, Reason.OK), (1e-6, Reason.TARGET_TOO_CLOSE)])
 def test_targets_exactly_at_the_spacing_are_allowed(short_mm, reason):
     plane, start = seven()
@@ -110,7 +127,9 @@ def test_targets_exactly_at_the_spacing_are_allowed(short_mm, reason):
 def test_a_refused_target_does_not_block_other_targets():
     # 10 blocks 11 and 11 blocks 12: if 11 is refused, 12 is accepted; if 10 is refused for
     # another reason, 11 is accepted.
-    plane = plane_from(PRESETS["desi"], [10, 11, 12], [[0, 0], [10.4, 0], [20.8, 0]])
+    plane = plane_from(
+        PRESETS["desi"], [10, 11, 12], [[0, 0], [10.4, 0], [20.8, 0]], spacing_mm=4.0
+    )
     start = np.tile([0.0, FOLDED], (3, 1))
     asked = np.array([[5.0, 0.0], [8.0, 0.0], [11.5, 0.0]])
     plane = replace(plane, arms=np.array([[3.0, 3.0], [3.0, 3.0], [5.0, 5.0]]))
@@ -183,6 +202,7 @@ def test_a_target_near_an_obstacle_is_refused_only_within_the_margin():
 def test_reasons_agree_with_a_slow_implementation_of_their_definition(name):
     rng = np.random.default_rng(8)
     plane = preset(name, 120).with_enabled(rng.random(120) < 0.8)
+    plane = replace(plane, spacing_mm=plane.envelope_mm)
     field = random_field(plane, rng)
     reach = plane.arms.sum(axis=1, keepdims=True)
     radius = reach * np.sqrt(rng.uniform(0.0, 1.1, (120, 1)))

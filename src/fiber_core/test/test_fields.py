@@ -36,7 +36,7 @@ def check(plane, field, gap_mm, asked):
     assert np.array_equal(tips[asked], problem.targets[asked])
     assert np.array_equal(field.goal[~asked], problem.start[~asked])
     apart = cKDTree(tips[asked]).query(tips[asked], k=2)[0][:, 1]
-    assert apart.min() >= plane.spacing_mm - 1e-9
+    assert apart.min() >= plane.envelope_mm - 1e-9
     found = assign(plane, problem.start, plane.ids[asked], problem.targets[asked])
     assert np.array_equal(found.accepted, asked)
 

@@ -11,7 +11,7 @@ from fiber_core import FocalPlane, LayoutError, forward, preset
 def columns(**changes):
     plane = preset("desi_outlines", 7)
     values = {f.name: np.array(getattr(plane, f.name)) for f in fields(plane)}
-    values["spacing_mm"], values["name"] = 4.0, "seven"
+    values |= {"spacing_mm": 4.0, "envelope_mm": 5.0, "name": "seven"}
     values["ids"] = values["ids"] + 100
     for name, change in changes.items():
         values[name] = change(values[name]) if callable(change) else change
@@ -51,6 +51,7 @@ def at_row_3(value):
         ({"obstacles": [[0.0, np.nan, 1.0]]}, ["obstacle"]),
         ({"obstacles": [[0.0, 0.0, -1.0]]}, ["obstacle"]),
         ({"spacing_mm": -1.0}, ["spacing", "-1.0"]),
+        ({"envelope_mm": -1.0}, ["envelope", "-1.0"]),
         ({"address": at_row_3(1)}, ["robots 100 and 103", "address 1 of bus 0"]),
     ],
 )

@@ -36,7 +36,7 @@ def test_a_preset_has_the_figures_of_its_instrument(name):
     count = np.bincount(neighbour_pairs(plane).ravel(), minlength=plane.n)
     middle = np.hypot(*plane.centers.T) < 4 * pitch
     assert np.all(count[middle] == neighbours) and count.max() == neighbours
-    assert plane.spacing_mm == (4.0 if pitch <= 12 else 4 * plane.phi_radius[0])
+    assert plane.envelope_mm == (4.0 if pitch <= 12 else 4 * plane.phi_radius[0])
 
 
 @pytest.mark.parametrize("name", PRESETS)

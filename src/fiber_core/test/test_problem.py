@@ -58,7 +58,7 @@ def test_a_file_with_the_required_fields_alone_is_enough(tmp_path):
     plane = load_problem(tmp_path / "minimal.npz").plane
     assert np.array_equal(plane.phi_vertices, problem.plane.phi_vertices)  # a capsule, as preset
     assert plane.theta_vertices.shape == (19, 0, 2)
-    assert plane.spacing_mm == 4 * problem.plane.phi_radius.max()
+    assert plane.spacing_mm == 0.0 and plane.envelope_mm == 4 * problem.plane.phi_radius.max()
     assert np.array_equal(plane.obstacles, problem.plane.obstacles)
     assert len(set(zip(plane.bus, plane.address))) == 19
 

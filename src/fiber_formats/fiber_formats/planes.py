@@ -81,7 +81,8 @@ def plane_of(
         obstacles=found.obstacles,
         name=stem,
     )
-    supplied.append("spacing")
+    if "spacing_mm" in columns:
+        fields["spacing_mm"] = _same(name, columns["spacing_mm"], "spacing_mm")
     if "radius_mm" in columns:
         outline = figures.phi_outline if figures.phi_outline == "tip" else "capsule"
         figures = replace(figures, phi_outline=outline, theta_outline=())
@@ -104,6 +105,13 @@ def _refuse_shared_places(name: str, ids: NDArray, centers: Floats) -> None:
             for k in same[:_NAMED]
         ]
         raise FormatError(f"{name}: two robots stand on one place: {'; '.join(pairs)}")
+
+
+def _same(name: str, values: NDArray, column: str) -> float:
+    if np.ptp(values):
+        least, most = values.min(), values.max()
+        raise FormatError(f"{name}: column {column} is {least} to {most}; it holds for all robots")
+    return float(values[0])
 
 
 def _pair(

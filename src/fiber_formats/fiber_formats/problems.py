@@ -1,7 +1,7 @@
 """A problem from files, or a random one on the plane of a file or of an instrument."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,7 @@ def problem_from(
     starts: Paths | None = None,
     targets: Paths | None = None,
     random_targets: bool = True,
+    spacing_mm: float | None = None,
 ) -> FoundProblem:
     """Return a problem; what no file gives is random.
 
@@ -51,6 +52,7 @@ def problem_from(
         targets: files with targets; robots that the plane lacks are named in a line.
         random_targets: whether targets are drawn where starts come from a file and targets from
             none; otherwise no robot has a target then.
+        spacing_mm: least distance between two targets, in place of that of the plane [mm].
 
     Raises:
         FiberError: there is no such preset, or a file is refused.
@@ -65,6 +67,8 @@ def problem_from(
         plane, lines = read.plane, (read.summary, *read.notices)
     else:
         plane = preset_plane(preset or DEFAULT_PRESET, robots or None)
+    if spacing_mm is not None:
+        plane = replace(plane, spacing_mm=spacing_mm)
     start = None if base is None else base.start
     if starts:
         begun = read_starts(starts, plane)

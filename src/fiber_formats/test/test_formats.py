@@ -43,8 +43,7 @@ def test_desi_state_gives_the_observed_tips(made_up):
 def test_desi_state_names_what_it_does_not_use(made_up):
     layout = read_layout(made_up / "desi_state.ecsv")
     assert layout.summary == (
-        "desi_state.ecsv: 6 robots, 2 disabled; "
-        "from preset desi_outlines: speeds, spacing, outlines"
+        "desi_state.ecsv: 6 robots, 2 disabled; from preset desi_outlines: speeds, outlines"
     )
     text = "\n".join(layout.notices)
     for words in (

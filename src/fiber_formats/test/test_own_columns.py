@@ -65,7 +65,7 @@ def test_every_container_gives_the_same_plane(suffix, tmp_path):
     assert np.allclose(np.rad2deg(plane.speeds[:, 0]), table["theta_speed_deg_s"])
     assert np.allclose(np.rad2deg(plane.speeds[:, 1]), 176.0)  # from the preset
     assert len(np.unique(plane.bus)) == 6 - 1  # the last of three petals has one robot
-    assert layout.summary.endswith("from preset desi: phi_speed_deg_s, spacing")
+    assert layout.summary.endswith("from preset desi: phi_speed_deg_s")
     assert layout.notices == ()
 
 
@@ -82,6 +82,16 @@ def test_a_unit_beside_the_name_is_converted_or_refused(suffix, tmp_path):
             read_layout(write(table, tmp_path / f"wrong{suffix}"))
 
 
+def test_spacing_is_a_column_and_the_same_for_all_robots(tmp_path):
+    table = layout_table()
+    assert read_layout(write(table, tmp_path / "plane.csv")).plane.spacing_mm == 0.0
+    table["spacing_mm"] = 5.5
+    assert read_layout(write(table, tmp_path / "apart.csv")).plane.spacing_mm == 5.5
+    table["spacing_mm"][1] = 5.0
+    with pytest.raises(FormatError, match="spacing_mm is 5.0 to 5.5"):
+        read_layout(write(table, tmp_path / "mixed.csv"))
+
+
 def test_two_columns_are_a_plane_once_a_preset_is_named(tmp_path):
     path = write(layout_table()["x_mm", "y_mm"], tmp_path / "sites.csv")
     usual = preset("pfs", 9)
@@ -89,7 +99,7 @@ def test_two_columns_are_a_plane_once_a_preset_is_named(tmp_path):
     for name in ("arms", "limits", "speeds", "phi_vertices", "phi_radius", "enabled", "bus"):
         assert np.array_equal(getattr(layout.plane, name), getattr(usual, name)), name
     assert layout.notices == ("no column id: robots have the numbers of their rows, from 0",)
-    assert "arms, range of theta, range of phi, speeds, spacing, outlines" in layout.summary
+    assert "arms, range of theta, range of phi, speeds, outlines" in layout.summary
     with pytest.raises(FormatError, match="no column arm_theta_mm nor arm_phi_mm: name a preset"):
         read_layout(path)
 

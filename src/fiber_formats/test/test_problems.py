@@ -50,3 +50,12 @@ def test_a_problem_file_lends_what_no_other_file_gives(tmp_path):
 def test_a_file_that_is_refused_is_named(tmp_path):
     with pytest.raises(FormatError, match="there is no file .*missing.csv"):
         problem_from(layout=tmp_path / "missing.csv")
+
+
+def test_a_spacing_stands_before_that_of_the_plane(tmp_path):
+    assert problem_from(robots=7).problem.plane.spacing_mm == 0.0
+    asked = problem_from(robots=7, spacing_mm=6.0).problem.plane
+    assert (asked.spacing_mm, asked.envelope_mm) == (6.0, 4.0)
+    save_problem(tmp_path / "problem.npz", problem_from(robots=7, spacing_mm=6.0).problem)
+    assert problem_from(tmp_path / "problem.npz").problem.plane.spacing_mm == 6.0
+    assert problem_from(tmp_path / "problem.npz", spacing_mm=0.0).problem.plane.spacing_mm == 0.0

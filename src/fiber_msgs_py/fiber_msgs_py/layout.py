@@ -17,7 +17,7 @@ __all__ = ["decode", "encode"]
 _ROBOT, _DISC = 0, 1  # kinds of row: robots first, then fixed discs
 
 # lengths [m]
-_METRES = ("x", "y", "arm_theta", "arm_phi", "arm_radius", "theta_radius", "spacing")
+_METRES = ("x", "y", "arm_theta", "arm_phi", "arm_radius", "theta_radius", "spacing", "envelope")
 # angles [rad] and speeds [rad/s]
 _RADIANS = ("theta_min", "theta_max", "phi_min", "phi_max", "theta_speed", "phi_speed")
 # with the same value in every row
@@ -70,7 +70,7 @@ def encode(plane: FocalPlane, units: WireUnits, stamp: PlanStamp) -> PointCloud2
     robots["theta_speed"], robots["phi_speed"] = plane.speeds.T
     fixed["kind"], fixed["id"] = _DISC, np.arange(len(discs))
     fixed["x"], fixed["y"], fixed["arm_radius"] = discs.T / 1e3
-    rows["spacing"] = plane.spacing_mm / 1e3
+    rows["spacing"], rows["envelope"] = plane.spacing_mm / 1e3, plane.envelope_mm / 1e3
     for name in _UNITS:
         value = getattr(units, name)
         if not 0 < value <= np.iinfo(rows[name].dtype).max:
@@ -94,7 +94,7 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
     if n == 0:
         raise MessageError("layout", "robots, expected at least 1", field="has", value=0)
     refuse(kind[:n] != _ROBOT, "layout", "kind", ids, kind, "comes before the last robot")
-    for name in (*_UNITS, "spacing"):
+    for name in (*_UNITS, "spacing", "envelope"):
         changed = rows[name] != rows[name][0]
         refuse(
             changed,
@@ -109,12 +109,12 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
     refuse(robots["enabled"] > 1, "layout", "enabled", ids, robots["enabled"], "is neither 0 nor 1")
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what is infinite in mm is refused
-            return _plane(robots, fixed, float(rows["spacing"][0])), _units(rows[0])
+            return _plane(robots, fixed), _units(rows[0])
     except LayoutError as error:
         raise MessageError("layout", f"is not a focal plane: {error}") from None
 
 
-def _plane(robots: np.ndarray, fixed: np.ndarray, spacing_m: float) -> FocalPlane:
+def _plane(robots: np.ndarray, fixed: np.ndarray) -> FocalPlane:
     n = len(robots)
     return FocalPlane(
         ids=robots["id"],
@@ -130,7 +130,8 @@ def _plane(robots: np.ndarray, fixed: np.ndarray, spacing_m: float) -> FocalPlan
         obstacles=_stacked(fixed, "x", "y", "arm_radius") * 1e3,
         bus=robots["bus"],
         address=robots["address"],
-        spacing_mm=spacing_m * 1e3,
+        spacing_mm=float(robots["spacing"][0]) * 1e3,
+        envelope_mm=float(robots["envelope"][0]) * 1e3,
     )
 
 

@@ -29,4 +29,5 @@ def plane():
         bus=[0, 1, 9],
         address=[1, 1023, 500],
         spacing_mm=4.0,
+        envelope_mm=5.0,
     )

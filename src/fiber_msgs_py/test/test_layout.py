@@ -58,6 +58,7 @@ def test_lengths_travel_in_metres_and_angles_in_radians(plane, stamp):
     np.testing.assert_allclose(rows["phi_max"][:3], plane.limits[:, 1, 1])
     np.testing.assert_allclose(rows["theta_speed"][:3], plane.speeds[:, 0])
     np.testing.assert_allclose(rows["spacing"], plane.spacing_mm / 1000)
+    np.testing.assert_allclose(rows["envelope"], plane.envelope_mm / 1000)
 
 
 @pytest.mark.parametrize(
@@ -74,6 +75,7 @@ def test_lengths_travel_in_metres_and_angles_in_radians(plane, stamp):
         ("id", 0, 50, ["42", "50"]),
         ("tick_us", 2, 5, ["robot 70000", "tick_us", "5", "60000"]),
         ("spacing", 1, 0.5, ["robot 42", "spacing", "0.5", "0.004"]),
+        ("envelope", 1, 0.5, ["robot 42", "envelope", "0.5", "0.005"]),
     ],
 )
 def test_impossible_values_are_refused(plane, stamp, column, row, value, words):

@@ -16,7 +16,13 @@ from fiber_planner.dnf import (
 )
 from fiber_planner.errors import PlannerError
 from fiber_planner.goal_selection import choose_goals, lower_bound_s, travel_s
-from fiber_planner.interface import PlannedMotion, Planner, ProgressCallback
+from fiber_planner.interface import (
+    PlannedMotion,
+    Planner,
+    ProgressCallback,
+    SpacedPlanner,
+    spacing_of,
+)
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment, plan_targets
 from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
 
@@ -35,6 +41,7 @@ __all__ = [
     "Planner",
     "PlannerError",
     "ProgressCallback",
+    "SpacedPlanner",
     "choose_goals",
     "lower_bound_s",
     "make_planner",
@@ -42,5 +49,6 @@ __all__ = [
     "plan_assignment",
     "plan_targets",
     "planners",
+    "spacing_of",
     "travel_s",
 ]

@@ -19,11 +19,12 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 
 from fiber_core.array_types import Angles, Codes, Pairs
+from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.problem import Problem
 from fiber_planner.errors import PlannerError
 
-__all__ = ["PlannedMotion", "Planner", "ProgressCallback"]
+__all__ = ["PlannedMotion", "Planner", "ProgressCallback", "SpacedPlanner", "spacing_of"]
 
 # Called from time to time with the fraction of the work that is done, 0..1, and a short text.
 ProgressCallback: TypeAlias = Callable[[float, str], None]
@@ -92,3 +93,30 @@ class Planner(Protocol):
             PlannerError: the parameters of the planner do not suit the plane.
         """
         ...
+
+
+@runtime_checkable
+class SpacedPlanner(Planner, Protocol):
+    """A planner that needs targets apart, as those that know only the tips of the robots."""
+
+    def spacing_mm(self, plane: FocalPlane) -> float:
+        """Return the least distance between two targets that the planner can bring together [mm].
+
+        Raises:
+            PlannerError: the parameters of the planner do not suit the plane.
+        """
+        ...
+
+
+def spacing_of(planner: Planner, plane: FocalPlane) -> float:
+    """Return the spacing of targets for a planner [mm]: that of the plane, or more if it needs it.
+
+    Args:
+        planner: the planner.
+        plane: the focal plane.
+
+    Raises:
+        PlannerError: the parameters of the planner do not suit the plane.
+    """
+    needed_mm = planner.spacing_mm(plane) if isinstance(planner, SpacedPlanner) else 0.0
+    return max(plane.spacing_mm, needed_mm)

@@ -20,7 +20,7 @@ from fiber_msgs_py import (
 )
 from fiber_node import PlaneCache, PlaneNode, Reporter, run
 from fiber_planner.errors import PlannerError
-from fiber_planner.interface import Planner
+from fiber_planner.interface import Planner, spacing_of
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment
 from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
 
@@ -96,7 +96,9 @@ class PlannerNode(PlaneNode):
                 self._report.refuse(f"targets {attempt} refused: robots are moving", "targets")
                 return
             start = self._plane_cache.angles
-            assignment = assign(self._plane_cache.plane, start, ids, xy_mm)
+            plane = self._plane_cache.plane
+            spacing_mm = spacing_of(self._planner, plane)
+            assignment = assign(plane, start, ids, xy_mm, spacing_mm=spacing_mm)
             self._newest = attempt  # malformed targets were refused before and take no stamp
             self._warn_of_refused(assignment, attempt)
             result = plan_assignment(

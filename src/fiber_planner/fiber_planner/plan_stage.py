@@ -17,7 +17,7 @@ from fiber_core.outcomes import Reason, first_reason, holds
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
 from fiber_planner.errors import PlannerError
-from fiber_planner.interface import PlannedMotion, Planner, ProgressCallback
+from fiber_planner.interface import PlannedMotion, Planner, ProgressCallback, spacing_of
 
 __all__ = ["PlanStageResult", "plan_assignment", "plan_targets"]
 
@@ -75,7 +75,9 @@ def plan_targets(
         PlannerError: the planner's parameters do not suit the plane, or its motion does not
             have one row for each robot.
     """
-    return plan_assignment(start, assign(plane, start, ids, xy_mm), planner, progress)
+    spacing_mm = spacing_of(planner, plane)
+    assignment = assign(plane, start, ids, xy_mm, spacing_mm=spacing_mm)
+    return plan_assignment(start, assignment, planner, progress)
 
 
 def plan_assignment(

@@ -67,13 +67,13 @@ def test_motions_begin_at_the_start_and_the_disabled_never_move(name, crowded_pl
 @pytest.mark.parametrize("name", ON_TIPS)
 def test_tips_never_come_within_d(name, crowded_plans, random_field, densely, closest_tips):
     for problem, plan in crowded_plans(name, random_field):
-        assert closest_tips(problem.plane, densely(plan.motion)) > problem.plane.spacing_mm / 2
+        assert closest_tips(problem.plane, densely(plan.motion)) > problem.plane.envelope_mm / 2
 
 
 def test_without_adaptive_steps_they_do(random_field, densely, closest_tips):
     problem = random_field("pfs", 120, seed=0)
     plan = make_planner("dnf", adaptive=False).plan(problem)
-    assert closest_tips(problem.plane, densely(plan.motion, 2)) < problem.plane.spacing_mm / 2
+    assert closest_tips(problem.plane, densely(plan.motion, 2)) < problem.plane.envelope_mm / 2
 
 
 @pytest.mark.parametrize("name", ON_ARMS)

@@ -109,7 +109,7 @@ def test_envelopes_must_nest(robots):
     with pytest.raises(PlannerError, match="6.0"):
         DnfParameters(inner_mm=6.0).radii_mm(robots([(0, 0)]))
     with pytest.raises(PlannerError, match="0.0 mm"):
-        DnfParameters().radii_mm(robots([(0, 0)], spacing_mm=0.0))
+        DnfParameters().radii_mm(robots([(0, 0)], envelope_mm=0.0))
 
 
 def test_planned_motion_checks_that_its_parts_belong_together():

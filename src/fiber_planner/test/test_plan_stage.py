@@ -7,7 +7,14 @@ from fiber_core.assignment import assign
 from fiber_core.errors import TargetsError
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
-from fiber_planner import PlannedMotion, PlannerError, make_planner, plan_assignment, plan_targets
+from fiber_planner import (
+    PlannedMotion,
+    PlannerError,
+    make_planner,
+    plan_assignment,
+    plan_targets,
+    planners,
+)
 
 
 class FixedPlanner:
@@ -57,6 +64,22 @@ def test_a_refused_target_is_not_planned_and_keeps_its_reason(problem):
     assert result.planned.reason[ids[0]] == Reason.NO_TARGET
     assert result.reason[ids[0]] == Reason.UNREACHABLE
     assert np.array_equal(result.held, result.assignment.refused)
+
+
+def test_planners_of_the_papers_ask_for_targets_that_are_d_apart(problem):
+    plane, ids = problem.plane, problem.plane.ids[:2]
+    towards = (plane.centers[1] - plane.centers[0]) / np.hypot(
+        *(plane.centers[1] - plane.centers[0])
+    )
+    xy_mm = [plane.centers[0] + 3.5 * towards, plane.centers[1] - 3.5 * towards]  # 3.4 mm apart
+    for name in planners():
+        planner = make_planner(name)
+        reason = plan_targets(plane, problem.start, ids, xy_mm, planner).assignment.reason[:2]
+        expected = Reason.OK if name == "direct" else Reason.TARGET_TOO_CLOSE
+        assert reason.tolist() == [Reason.OK, expected], name
+    narrow = make_planner("dnf", outer_mm=3.0)
+    reason = plan_targets(plane, problem.start, ids, xy_mm, narrow).assignment.reason[:2]
+    assert reason.tolist() == [Reason.OK, Reason.OK]
 
 
 def test_robots_that_the_planner_holds_have_its_reason(problem):

@@ -25,6 +25,7 @@ from fiber_planner import (
     PlanStageResult,
     make_planner,
     plan_assignment,
+    spacing_of,
 )
 
 __all__ = ["Orders", "ProgressCallback", "make_orders"]
@@ -124,7 +125,10 @@ def make_orders(
     units = WireUnits.for_plane(plane)
     counts = units.encoder_counts(plane, problem.start)
     start, asked = units.to_angles(counts), problem.asked
-    assignment = assign(plane, start, plane.ids[asked], problem.targets[asked])
+    spacing_mm = spacing_of(chosen, plane)
+    assignment = assign(
+        plane, start, plane.ids[asked], problem.targets[asked], spacing_mm=spacing_mm
+    )
     times = _StageTimes()
     with times.of("plan_s"):
         progress_of_plan = part_of(progress, 0.0, 0.7, "plan")

@@ -40,6 +40,17 @@ def test_plan_takes_a_problem_file_and_a_table_of_targets(tmp_path, capsys, resu
     assert report["robots"] == 37 and report["asked"] == report["reached"] == 1
 
 
+def test_plan_takes_the_spacing_of_targets(tmp_path, capsys):
+    (tmp_path / "targets.csv").write_text("id,x_mm,y_mm\n0,-1.8,-3.118\n1,-3.4,-5.889\n")
+    arguments = ["plan", "--robots", "7", "--targets", str(tmp_path / "targets.csv"), "--cold"]
+    for more, refused in (([], 0), (["--spacing", "4"], 1), (["--planner", "dnf_arms"], 1)):
+        assert main([*arguments, *more]) == 0
+        reasons = json.loads(capsys.readouterr().out)["reasons"]
+        assert reasons.get("target_too_close", 0) == refused, more
+    assert main([*arguments, "--spacing", "-1"]) == 2
+    assert "'-1' is less than 0" in capsys.readouterr().err
+
+
 def test_plan_reads_files_of_an_instrument_and_writes_all_robots(tmp_path, capsys):
     layout, starts = tmp_path / "layout.csv", tmp_path / "starts.csv"
     layout.write_text(

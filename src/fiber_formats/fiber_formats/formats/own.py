@@ -32,6 +32,7 @@ NUMBERS = {
     "theta_speed_deg_s": "deg / s",
     "phi_speed_deg_s": "deg / s",
     "radius_mm": "mm",
+    "spacing_mm": "mm",
 }
 _ENABLED, _DISABLED = ("enabled", "functional"), ("nonfunctional", "disabled")
 _IDS = ("id", "location")

@@ -32,7 +32,7 @@ class DnfParameters:
         lambda1: weight of the attraction to the target [1/mm^2].
         lambda2: weight of the repulsion between neighbours [1/s].
         outer_mm: D of the paper, distance below which neighbours repel [mm]; None for
-            the plane's target spacing.
+            the plane's envelope.
         inner_mm: d of the paper, distance that they never reach [mm]; None for half of D.
         dt_s: time step [s]; None for the paper's 10 ms at 180 deg/s, longer in
             proportion if the fastest joint is slower.
@@ -93,7 +93,7 @@ class DnfParameters:
         Raises:
             PlannerError: neither the parameters nor the plane give a D above d.
         """
-        outer = plane.spacing_mm if self.outer_mm is None else self.outer_mm
+        outer = plane.envelope_mm if self.outer_mm is None else self.outer_mm
         inner = outer / 2 if self.inner_mm is None else self.inner_mm
         if not outer > inner > 0:
             raise PlannerError(

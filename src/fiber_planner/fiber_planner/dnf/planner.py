@@ -6,6 +6,7 @@ import numpy as np
 
 from fiber_core import kinematics
 from fiber_core.array_types import Angles, Floats, Ints, Mask, Points
+from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
@@ -62,6 +63,10 @@ class DnfPlanner:
 
     def __init__(self, parameters: DnfParameters | None = None):
         self.parameters = parameters or DnfParameters()
+
+    def spacing_mm(self, plane: FocalPlane) -> float:
+        """Return D [mm]: targets closer than that are no equilibria of the control law."""
+        return self.parameters.radii_mm(plane)[0]
 
     def plan(self, problem: Problem, progress: ProgressCallback | None = None) -> PlannedMotion:
         """Plan the motion of every robot, see Planner.plan.

@@ -11,6 +11,7 @@ __all__ = [
     "HelpFormatter",
     "Parser",
     "arm_pairs",
+    "length",
     "names",
     "numbers",
     "positive",
@@ -60,6 +61,18 @@ def positive(text: str) -> int:
     if value != int(value) or value < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a positive whole number")
     return int(value)
+
+
+def length(text: str) -> float:
+    """Read a length of 0 or more.
+
+    Raises:
+        argparse.ArgumentTypeError: the text is no such number; names it.
+    """
+    value = _number(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is less than 0")
+    return value
 
 
 def numbers(text: str) -> list[float]:

@@ -9,7 +9,7 @@ from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem
 from fiber_formats import FORMS, FormatError, kind_of, problem_from
 from fiber_planner import DEFAULT_PLANNER, planners
-from fiber_positioners.command.arguments import positive
+from fiber_positioners.command.arguments import length, positive
 from fiber_positioners.command.exit_codes import DONE
 from fiber_positioners.command.progress import ProgressLine
 from fiber_positioners.reconfiguration import reconfigure
@@ -43,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--starts", metavar="FILES", help="present angles; by default random")
     add("--problem", type=Path, help="problem.npz, solved as it is")
     add("--targets", metavar="FILES", help="targets; by default random")
+    add("--spacing", type=length, metavar="MM", help="least distance between two targets")
     add("--robots", type=positive, help="number of robots of the preset; by default all")
     add("--seed", type=int, default=0, help="seed of the random field and of the robots' clocks")
     add("--planner", choices=planners(), default=DEFAULT_PLANNER, help="planner")
@@ -58,7 +59,14 @@ def run(args: argparse.Namespace) -> int:
     """Run the subcommand; returns the exit code."""
     _refuse_results(args)
     found = problem_from(
-        args.problem, args.layout, args.preset, args.robots, args.seed, args.starts, args.targets
+        args.problem,
+        args.layout,
+        args.preset,
+        args.robots,
+        args.seed,
+        args.starts,
+        args.targets,
+        spacing_mm=args.spacing,
     )
     problem = found.problem
     with ProgressLine() as progress:
