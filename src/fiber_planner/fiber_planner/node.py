@@ -96,15 +96,15 @@ class PlannerNode(PlaneNode):
                 self._report.refuse(f"targets {attempt} refused: robots are moving", "targets")
                 return
             start = self._plane_cache.angles
-            plane = self._plane_cache.plane
-            spacing_mm = spacing_of(self._planner, plane)
+            plane, planner = self._plane_cache.plane, self.planner()
+            spacing_mm = spacing_of(planner, plane)
             assignment = assign(plane, start, ids, xy_mm, spacing_mm=spacing_mm)
             self._newest = attempt  # malformed targets were refused before and take no stamp
             self._warn_of_refused(assignment, attempt)
             result = plan_assignment(
                 start,
                 assignment,
-                self.planner(),
+                planner,
                 lambda fraction, text: self._report.progress(attempt, fraction, text),
             )
             self._publish(result, attempt)
