@@ -23,7 +23,7 @@ from fiber_viewer.node import ViewerNode
 
 __all__ = ["Graph", "main"]
 
-_THREADS = 6  # one for each node, and one for the bridge's service stop
+_THREADS = 8  # one for each node, and three for work, parameters and service stop of the bridge
 
 _Parameters = Mapping[str, object]
 

@@ -1,11 +1,13 @@
 """The discretizer as a node: a trajectory in, certified segments in whole wire units out."""
 
+from functools import partial
 from typing import Any
 
 from trajectory_msgs.msg import JointTrajectory
 
 from fiber_core.clearance import Safety
 from fiber_core.errors import FiberError
+from fiber_core.focal_plane import FocalPlane
 from fiber_discretizer.discretize_stage import DiscretizeStageResult, discretize_trajectory
 from fiber_discretizer.joint_corridors import joint_corridors
 from fiber_discretizer.options import DiscretizeOptions
@@ -34,6 +36,8 @@ class DiscretizerNode(PlaneNode):
         self._held = topics.HELD_BY_DISCRETIZER.publisher(self)
         self._segments = topics.SEGMENTS.publisher(self)
         self._corridors = topics.CORRIDORS.publisher(self)
+        self._worker = self.worker("discretizing")
+        self._worker.follow_stop(self._report, self._is_done)
         topics.TRAJECTORY.subscription(self, self._on_trajectory)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
@@ -44,10 +48,14 @@ class DiscretizerNode(PlaneNode):
             return
 
         def discretize_when_current(attempt: Attempt) -> None:
-            self._plane_cache.when_current(attempt, lambda: self._discretize(attempt, message))
+            work = partial(self._discretize, attempt, message)
+            self._plane_cache.when_current(attempt, lambda: self._worker.submit(attempt, work))
 
         if not self._attempts.when_announced(stamp, discretize_when_current):
             self._report.waiting(f"trajectory {stamp} waits for targets with its stamp")
+
+    def _is_done(self, attempt: Attempt) -> bool:
+        return self._newest is not None and attempt.stamp <= self._newest.stamp
 
     def _discretize(self, attempt: Attempt, message: JointTrajectory) -> None:
         try:
@@ -58,25 +66,30 @@ class DiscretizerNode(PlaneNode):
                 )
                 return
             ids, motion, velocities = trajectory.decode(message)
-            safety = self._safety.value
+            safety, state = self._safety.value, self._plane_cache.state
             result = discretize_trajectory(
-                self._plane_cache.plane,
-                self._plane_cache.angles,
+                state.plane,
+                state.angles,
                 ids,
                 motion,
-                self._plane_cache.units,
+                state.units,
                 safety,
                 options=self._options.value,
-                progress=lambda fraction, text: self._report.progress(attempt, fraction, text),
+                progress=self._report.progress_of(attempt, self._worker.check),
                 velocities=velocities,
             )
+            self._worker.check()
             self._newest = attempt
-            self._publish(result, safety, attempt)
+            self._publish(result, state.plane, safety, attempt)
         except FiberError as error:
             self._report.refuse(f"trajectory refused: {error}", "trajectory")
 
-    def _publish(self, result: DiscretizeStageResult, safety: Safety, attempt: Attempt) -> None:
-        ids = self._plane_cache.plane.ids
+    def _publish(
+        self, result: DiscretizeStageResult, plane: FocalPlane, safety: Safety, attempt: Attempt
+    ) -> None:
+        # corridors take longer than all the rest, and are computed when the orders are out
+        corridors_wanted = self._corridors.get_subscription_count() > 0
+        ids = plane.ids
         wire, certificate = result.discretization.wire, result.discretization.certificate
         reason, is_held, stamp = result.reason, result.held, attempt.stamp
         self._held.publish(held.encode(ids[is_held], reason[is_held], Stage.DISCRETIZER, stamp))
@@ -100,8 +113,8 @@ class DiscretizerNode(PlaneNode):
             f"{moving} robots move, {is_held.sum()} held, {len(wire.ticks)} segments, "
             f"least clearance {clearance} mm",
         )
-        if self._corridors.get_subscription_count():  # corridors take longer than all the rest
-            found = joint_corridors(self._plane_cache.plane, wire.decoded(), safety)
+        if corridors_wanted:
+            found = joint_corridors(plane, wire.decoded(), safety)
             self._corridors.publish(corridors.encode(ids, found, stamp))
 
 

@@ -14,7 +14,8 @@ __all__ = ["RULES", "SHARINGS", "DiscretizeOptions", "ProgressCallback"]
 SHARINGS = ("sequential", "makarem2014")
 RULES = ("safe", "printed")
 
-# Called from time to time with the fraction of the work that is done, 0..1, and a short text.
+# Called from time to time with the fraction of the work that is done, 0..1, and a short text. It
+# ends the work by raising an exception.
 ProgressCallback: TypeAlias = Callable[[float, str], None]
 
 

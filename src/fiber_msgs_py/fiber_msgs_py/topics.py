@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2
@@ -30,6 +31,7 @@ __all__ = [
     "SEGMENTS",
     "START",
     "STOP",
+    "STOPPED",
     "TARGETS",
     "TRAJECTORY",
     "VIEW_ARMS",
@@ -155,6 +157,8 @@ JOINT_STATES = _topic("joint_states", JointState, qos.LATEST)
 CORRIDORS = _topic("corridors", PointCloud2, qos.LATEST)
 OUTCOME = _topic("outcome", PointCloud2, qos.RESULTS)
 PROGRESS = _topic("progress", DiagnosticStatus, qos.STREAM)
+# The bridge was told to stop: planning and discretizing of plans up to this stamp end.
+STOPPED = _topic("stopped", Time, qos.EVENTS)
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, qos.EVENTS)
 
 # One topic for each stage: an empty table does not name its stage, and of two latched

@@ -8,6 +8,7 @@ from fiber_node.reporter import Reporter
 from fiber_node.ros_client import RosClient, WaitError
 from fiber_node.run_node import run
 from fiber_node.thread_executor import ThreadExecutor
+from fiber_node.worker import WorkCancelled, Worker
 
 __all__ = [
     "AttemptListener",
@@ -20,5 +21,7 @@ __all__ = [
     "RosClient",
     "ThreadExecutor",
     "WaitError",
+    "WorkCancelled",
+    "Worker",
     "run",
 ]

@@ -1,6 +1,7 @@
 """The newest layout and joint states of the focal plane, for the nodes that plan with them."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from rclpy.node import Node
@@ -14,7 +15,23 @@ from fiber_msgs_py import Attempt, PlanStamp, joint_states, layout, topics
 from fiber_msgs_py.errors import MessageError
 from fiber_node.reporter import Reporter
 
-__all__ = ["PlaneCache"]
+__all__ = ["PlaneCache", "PlaneState"]
+
+
+class PlaneState(NamedTuple):
+    """The focal plane and where its robots are.
+
+    Args:
+        plane: the focal plane.
+        units: tick, quantum and field widths of its hardware.
+        angles: joint angles by the robots' encoders [rad], shape (n, 2).
+        moving: whether any robot moves.
+    """
+
+    plane: FocalPlane
+    units: WireUnits
+    angles: Angles
+    moving: bool
 
 
 class PlaneCache:
@@ -56,41 +73,24 @@ class PlaneCache:
         return self._pair() is not None
 
     @property
-    def plane(self) -> FocalPlane:
-        """The focal plane.
+    def state(self) -> PlaneState:
+        """The newest layout and joint states, as they are at one instant.
 
         Raises:
             MessageError: layout, or joint states of its robots, have not been received yet.
         """
-        return self._received()[0][0]
-
-    @property
-    def units(self) -> WireUnits:
-        """Tick, quantum and field widths of the plane's hardware; raises as `plane` does."""
-        return self._received()[0][1]
-
-    @property
-    def angles(self) -> Angles:
-        """Joint angles by the robots' encoders [rad], shape (n, 2); raises as `plane` does."""
-        return self._received()[1][1]
-
-    @property
-    def moving(self) -> bool:
-        """Whether any robot moves; raises as `plane` does."""
-        return bool(np.any(self._received()[1][2]))
-
-    def _pair(self):
-        if self._layout is None or self._states is None:
-            return None
-        same = np.array_equal(self._states[0], self._layout[0].ids)
-        return (self._layout, self._states) if same else None
-
-    def _received(self):
         pair = self._pair()
         if pair is None:
             missing = "layout" if self._layout is None else "joint states of this layout"
             raise MessageError(missing, "not received yet")
-        return pair
+        (plane, units), (_, angles, velocities) = pair
+        return PlaneState(plane, units, angles, bool(np.any(velocities)))
+
+    def _pair(self):
+        layout, states = self._layout, self._states  # a worker reads while callbacks replace
+        if layout is None or states is None:
+            return None
+        return (layout, states) if np.array_equal(states[0], layout[0].ids) else None
 
     def _start_if_current(self) -> None:
         if self._waiting is None or min(self._layout_ns, self._states_ns) < self._waiting[0]:

@@ -8,15 +8,20 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
 from fiber_node.parameters import NodeParameters
+from fiber_node.worker import Worker
 
 __all__ = ["PlaneNode"]
+
+
+_WORK_ENDS_S = 0.5  # longest wait for work that was cancelled
 
 
 class PlaneNode(Node):
     """A node of the graph of one focal plane.
 
     It is in the namespace of the environment variable ROS_NAMESPACE, unless a namespace is given
-    or remapped. `parameters` declares its parameters.
+    or remapped. `parameters` declares its parameters. `ended` tells, once the node is destroyed,
+    whether the work of its workers has ended too.
 
     Args:
         name: name of the node.
@@ -28,6 +33,18 @@ class PlaneNode(Node):
         # declared as they were given, so that `parameters` can name the unknown ones
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
         self.parameters = NodeParameters(self)
+        self._workers: list[Worker] = []
+        self.ended = True
+
+    def worker(self, name: str) -> Worker:
+        """Return a new worker, whose work is cancelled when the node is destroyed."""
+        self._workers.append(Worker(self, name))
+        return self._workers[-1]
+
+    def destroy_node(self) -> None:
+        """Cancel the work of all workers, and give up the node."""
+        self.ended = all([worker.close(_WORK_ENDS_S) for worker in self._workers])
+        super().destroy_node()
 
     def declare_parameters(
         self, namespace: str, parameters: Sequence[Any], ignore_override: bool = False

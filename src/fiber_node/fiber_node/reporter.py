@@ -1,5 +1,8 @@
 """Progress and diagnostics of a node."""
 
+import math
+import threading
+import time
 from collections.abc import Callable, Iterable
 
 from rclpy.node import Node
@@ -19,6 +22,7 @@ from fiber_msgs_py.progress import Progress
 __all__ = ["Reporter"]
 
 _PERIOD_S = 1.0
+_PROGRESS_PERIOD_S = 0.1  # least time between two messages about one piece of work
 
 
 class Reporter:
@@ -39,6 +43,7 @@ class Reporter:
         self._node, self._stage, self._more = node, stage, more
         self._level, self._text = Level.OK, "waiting"
         self.refused = self.dropped = 0
+        self._lock = threading.Lock()  # a worker and callbacks may refuse at once
         self.counters: dict[str, object] = {}
         self._progress = topics.PROGRESS.publisher(node)
         self._diagnostics = topics.DIAGNOSTICS.publisher(node)
@@ -58,6 +63,26 @@ class Reporter:
         self._level, self._text = Level.OK, text
         message = progress.encode(Progress(self._stage, min(fraction, 1.0), text, attempt))
         self._progress.publish(message)
+
+    def progress_of(
+        self, attempt: Attempt, check: Callable[[], None]
+    ) -> Callable[[float, str], None]:
+        """Return a progress callback for work on an attempt, which may be called at any rate.
+
+        Args:
+            attempt: the attempt.
+            check: called each time; it ends the work by raising, as Worker.check does.
+        """
+        due_s = -math.inf
+
+        def report(fraction: float, text: str) -> None:
+            nonlocal due_s
+            check()
+            if fraction >= 1.0 or time.monotonic() >= due_s:
+                self.progress(attempt, fraction, text)
+                due_s = time.monotonic() + _PROGRESS_PERIOD_S
+
+        return report
 
     def done(self, attempt: Attempt, text: str) -> None:
         """Publish that the work on an attempt of a plan is done, and log it."""
@@ -88,7 +113,8 @@ class Reporter:
             source: the topic of a dropped message, of which one line a second is logged.
         """
         self._level, self._text = Level.WARN, text
-        self.dropped += 1
+        with self._lock:
+            self.dropped += 1
         line = text if source is None else self._limit.line(source, text)
         if line is not None:
             self._node.get_logger().warning(line)
@@ -96,7 +122,8 @@ class Reporter:
 
     def _count_refusal(self, text: str) -> None:
         self._level, self._text = Level.ERROR, text
-        self.refused += 1
+        with self._lock:
+            self.refused += 1
         self.publish()
 
     def _on_timer(self) -> None:

@@ -1,5 +1,7 @@
 """Run a node as a process."""
 
+import os
+import sys
 from collections.abc import Callable, Sequence
 
 import rclpy
@@ -17,15 +19,17 @@ __all__ = ["run"]
 def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     """Build a node and run it until it is interrupted; return the exit code.
 
-    Parameters that a core refuses end the process with their message and code 2. Two threads run
-    callbacks, so that a callback in a group of its own is served while another is at work.
+    Parameters that a core refuses end the process with their message and code 2. Three threads run
+    callbacks, so that parameters and a callback in a group of its own, such as the service stop,
+    are served while another is at work. Work
+    of a Worker is cancelled, and the process ends within a second.
 
     Args:
         make_node: called once rclpy is initialised.
         args: command line for ROS; by default that of the process.
     """
     rclpy.init(args=None if args is None else list(args))
-    executor, code = ThreadExecutor(2), 0
+    executor, code = ThreadExecutor(3), 0
     try:
         executor.add_node(make_node())
         executor.spin()
@@ -40,4 +44,8 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         for node in nodes:
             node.destroy_node()
         try_shutdown()
+    if not all(getattr(node, "ended", True) for node in nodes):
+        # work that does not follow its cancellation may go on for a minute; this process shall not
+        sys.stderr.flush()
+        os._exit(code)
     return code

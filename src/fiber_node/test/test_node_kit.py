@@ -91,7 +91,7 @@ def test_the_cache_is_complete_only_with_joint_states_of_the_same_robots(graph):
     plane, node, source = preset("desi", robots=7), graph("cache"), graph("source")
     cache = PlaneCache(node, Reporter(node, "planner"))
     with pytest.raises(MessageError, match="layout: not received"):
-        _ = cache.plane
+        _ = cache.state
     layouts, states = topics.LAYOUT.publisher(source), topics.JOINT_STATES.publisher(source)
     still = np.zeros((7, 2))
     states.publish(joint_states.encode(plane.ids[:3], still[:3], still[:3], 1))
@@ -102,9 +102,9 @@ def test_the_cache_is_complete_only_with_joint_states_of_the_same_robots(graph):
     turning[4, 1] = 0.1
     states.publish(joint_states.encode(plane.ids, still + 0.5, turning, 2))
     graph.until(lambda: cache.complete)
-    assert cache.moving
-    np.testing.assert_array_equal(cache.angles, still + 0.5)
-    np.testing.assert_array_equal(cache.plane.ids, plane.ids)
+    assert cache.state.moving
+    np.testing.assert_array_equal(cache.state.angles, still + 0.5)
+    np.testing.assert_array_equal(cache.state.plane.ids, plane.ids)
 
 
 def test_work_on_a_later_attempt_waits_for_a_plane_as_new_as_its_targets_say(graph):

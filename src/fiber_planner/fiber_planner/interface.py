@@ -26,7 +26,8 @@ from fiber_planner.errors import PlannerError
 
 __all__ = ["PlannedMotion", "Planner", "ProgressCallback", "SpacedPlanner", "spacing_of"]
 
-# Called from time to time with the fraction of the work that is done, 0..1, and a short text.
+# Called from time to time with the fraction of the work that is done, 0..1, and a short text. It
+# ends the planning by raising an exception, which the planner lets pass.
 ProgressCallback: TypeAlias = Callable[[float, str], None]
 
 
@@ -87,7 +88,8 @@ class Planner(Protocol):
 
         Args:
             problem: the plane, the present joint angles and the targets that were accepted.
-            progress: called with the fraction of the work that is done and a short text.
+            progress: called with the fraction of the work that is done and a short text, several
+                times a second, so that a node can end the planning.
 
         Raises:
             PlannerError: the parameters of the planner do not suit the plane.

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -68,6 +69,8 @@ class PlannerNode(PlaneNode):
         self._plane_cache = PlaneCache(self, self._report)
         self._held = topics.HELD_BY_PLANNER.publisher(self)
         self._trajectory = topics.TRAJECTORY.publisher(self)
+        self._worker = self.worker("planning")
+        self._worker.follow_stop(self._report)
         topics.TARGETS.subscription(self, self._on_targets)
 
     def planner(self) -> Planner:
@@ -82,9 +85,10 @@ class PlannerNode(PlaneNode):
         except FiberError as error:
             self._report.refuse(f"targets refused: {error}", "targets")
             return
-        self._plane_cache.when_current(attempt, lambda: self._handle(attempt, ids, xy_mm))
+        work = partial(self._plan, attempt, ids, xy_mm)
+        self._plane_cache.when_current(attempt, lambda: self._worker.submit(attempt, work))
 
-    def _handle(self, attempt: Attempt, ids: Ids, xy_mm: Points) -> None:
+    def _plan(self, attempt: Attempt, ids: Ids, xy_mm: Points) -> None:
         try:
             newest = self._newest
             if newest is not None and attempt.stamp <= newest.stamp:
@@ -92,11 +96,11 @@ class PlannerNode(PlaneNode):
                     f"targets {attempt} dropped: plan {newest} is not older", "targets"
                 )
                 return
-            if self._plane_cache.moving:
+            plane, _, start, moving = self._plane_cache.state
+            if moving:
                 self._report.refuse(f"targets {attempt} refused: robots are moving", "targets")
                 return
-            start = self._plane_cache.angles
-            plane, planner = self._plane_cache.plane, self.planner()
+            planner = self.planner()
             spacing_mm = spacing_of(planner, plane)
             assignment = assign(plane, start, ids, xy_mm, spacing_mm=spacing_mm)
             self._newest = attempt  # malformed targets were refused before and take no stamp
@@ -105,8 +109,9 @@ class PlannerNode(PlaneNode):
                 start,
                 assignment,
                 planner,
-                lambda fraction, text: self._report.progress(attempt, fraction, text),
+                self._report.progress_of(attempt, self._worker.check),
             )
+            self._worker.check()
             self._publish(result, attempt)
         except FiberError as error:
             self._report.refuse(f"targets refused: {error}", "targets")

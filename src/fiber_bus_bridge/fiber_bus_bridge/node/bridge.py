@@ -44,6 +44,7 @@ __all__ = ["BridgeNode", "main"]
 _TICK_S = 0.1  # time of the buses between two publications while robots move
 _SOON_S = 1e-3
 _TIMEOUT_CHECK_S = 0.5
+_ANSWER_S = 0.25  # longest wait of a change of parameters for other work of the bridge
 _Response: TypeAlias = Trigger.Response
 
 
@@ -86,28 +87,38 @@ class BridgeNode(PlaneNode):
         self._outgoing = Publishers(self, self._session, self._availability)
         self._reporter = Reporter(self, "bridge", self._outgoing.statuses)
         self._targets = topics.TARGETS.publisher(self)
+        self._stopped = topics.STOPPED.publisher(self)
+        self._work_group = MutuallyExclusiveCallbackGroup()
         self._subscribe()
         pause_s = _SOON_S if hardware.in_real_time or not scale else _TICK_S / scale
-        self._timer = self.create_timer(pause_s, guarded(self, "tick", self._on_tick))
+        self._timer = self.create_timer(
+            pause_s, guarded(self, "tick", self._on_tick), callback_group=self._work_group
+        )
         self._timer.cancel()
-        self.create_timer(_TIMEOUT_CHECK_S, guarded(self, "time-out", self._check_timeout))
+        self.create_timer(
+            _TIMEOUT_CHECK_S,
+            guarded(self, "time-out", self._check_timeout),
+            callback_group=self._work_group,
+        )
         self._configure()
         for line in hardware.lines:
             self.get_logger().info(line)
         self.get_logger().info(f"{plane.n} robots on {len(self._session.transactions.buses)} buses")
 
     def _subscribe(self) -> None:
-        topics.TARGETS.subscription(self, self._on_targets)
-        topics.HELD_BY_PLANNER.subscription(self, self._on_held)
-        topics.HELD_BY_DISCRETIZER.subscription(self, self._on_held)
-        topics.SEGMENTS.subscription(self, self._on_segments)
+        # the work of the bridge leaves the default group to parameters and diagnostics
+        work = self._work_group
+        topics.TARGETS.subscription(self, self._on_targets, callback_group=work)
+        topics.HELD_BY_PLANNER.subscription(self, self._on_held, callback_group=work)
+        topics.HELD_BY_DISCRETIZER.subscription(self, self._on_held, callback_group=work)
+        topics.SEGMENTS.subscription(self, self._on_segments, callback_group=work)
         for service, call in (
             (topics.START, self._start),
             (topics.HOME, self._home),
             (topics.CLEAR, self._clear),
             (topics.CONFIGURE, self._configure),
         ):
-            service.server(self, self._served(call))
+            service.server(self, self._served(service.name, call), callback_group=work)
         # stop is served while another call is at work
         own_group = MutuallyExclusiveCallbackGroup()
         topics.STOP.server(self, self._on_stop, callback_group=own_group)
@@ -243,17 +254,19 @@ class BridgeNode(PlaneNode):
 
     # --- services ------------------------------------------------------------
 
-    def _served(self, call: Callable[[], str]) -> Callable[[Any, _Response], _Response]:
+    def _served(self, name: str, call: Callable[[], str]) -> Callable[[Any, _Response], _Response]:
         """Make a Trigger service of a call; a refusal of the core becomes the response."""
+        name = name.rpartition("/")[2]
 
         def serve(_: Any, response: _Response) -> _Response:
             try:
                 with self._lock:
                     response.message = call()
                 response.success = True
+                self.get_logger().info(f"service {name}: {response.message}")
             except FiberError as error:
                 response.success, response.message = False, str(error)
-                self._reporter.refuse(str(error))
+                self._reporter.refuse(f"service {name} refused: {error}")
             return response
 
         return serve
@@ -283,8 +296,10 @@ class BridgeNode(PlaneNode):
 
     def _on_stop(self, request: Any, response: _Response) -> _Response:
         self._stop_requested.set()  # a start that is still checking will not send GO
+        now, newest = PlanStamp(self._outgoing.now_ns()), self._plan_inputs.newest
+        self._stopped.publish((now if newest is None else max(now, newest)).to_time())
         try:
-            return self._served(self._stop)(request, response)
+            return self._served(topics.STOP.name, self._stop)(request, response)
         finally:
             self._stop_requested.clear()
 
@@ -311,7 +326,9 @@ class BridgeNode(PlaneNode):
         return f"{self._session.known.sum()} of {self._session.plane.n} robots configured"
 
     def _disable(self, ids: Sequence[int], reason: str) -> None:
-        with self._lock:
+        if not self._lock.acquire(timeout=_ANSWER_S):
+            raise SessionError("robots cannot be disabled or enabled while a plan is under way")
+        try:
             changed = sorted(set(ids) ^ set(self._availability.disabled))
             moving = self._session.state is SessionState.MOVING
             if changed and (moving or self._awaited is not None):
@@ -320,6 +337,8 @@ class BridgeNode(PlaneNode):
             self._availability.disable(ids, reason)
             self._session.enable(self._availability.enabled)
             self._outgoing.publish_layout()
+        finally:
+            self._lock.release()
         self._reporter.publish()
         self.get_logger().info(f"disabled by operators: {sorted(ids) or 'no robot'}")
 

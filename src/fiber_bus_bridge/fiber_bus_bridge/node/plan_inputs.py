@@ -31,6 +31,11 @@ class PlanInputs:
         """Return the targets of a plan [mm], shape (n, 2), nan = no target; None if unknown."""
         return self._targets.get(stamp)
 
+    @property
+    def newest(self) -> PlanStamp | None:
+        """The newest stamp of targets that were received."""
+        return max(list(self._targets), default=None)  # callbacks add to it meanwhile
+
     def free_stamp_after(self, stamp: PlanStamp) -> PlanStamp | None:
         """Return the earliest stamp after another that no received targets have, None at the end.
 

@@ -196,7 +196,7 @@ def sampled_gaps(plane: FocalPlane, pairs: ArrayLike, angles: ArrayLike) -> Floa
     return _posed_gaps(bodies_of(plane).table, pairs, np.concatenate([poses, obstacles]))
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", nogil=True)
 def _posed_gaps(table: Floats, pairs: Pairs, poses: Floats) -> Floats:
     out = np.empty((len(pairs), poses.shape[1]))
     for i in range(len(pairs)):

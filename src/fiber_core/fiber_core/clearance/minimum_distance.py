@@ -112,7 +112,7 @@ def _cut(
     return k
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", nogil=True)  # the longest loop of all
 def minimum_gaps(
     bodies: Bodies,
     profiles: Profiles,

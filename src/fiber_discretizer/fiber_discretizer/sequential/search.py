@@ -81,10 +81,10 @@ def _fill(
 ) -> int:
     # Fill a plan with the fewest segments found for all robots that can be moved safely; the
     # others rest. Returns how often robots without a safe motion were tried again.
-    search = _Search(plan, candidates, options)
+    search = _Search(plan, candidates, options, progress)
     search.begin_straight()
     remaining = ~plan.is_rounded | (plan.in_conflict & candidates.moves)
-    progress(0.2, f"discretizing {remaining.sum()} robots one after another")
+    search.begin_step(0.2, 0.5, f"discretizing {remaining.sum()} robots one after another")
     search.improve(remaining)
     unsolved = candidates.moves & ~plan.is_rounded
     if unsolved.any():
@@ -96,13 +96,15 @@ def _fill(
         if not remaining.any():
             break
         done = rounds / options.rounds
-        progress(0.5 + 0.3 * done, f"trying {remaining.sum()} robots again")
+        fraction = 0.5 + 0.3 * done
+        search.begin_step(fraction, fraction, f"trying {remaining.sum()} robots again")
         changed = search.improve(remaining)
         _, held, _ = hold_until_safe(plan.plane, plan.motion, safety, plan.pairs)
         plan.rest(held)
         rounds += 1
         if not (changed or held.any()):
             break
+    search.begin_step(0.8, 0.8, "shortening the orders")
     search.follow_trajectories()
     search.improve(plan.counts().max(axis=1) > _MANY)
     search.shorten_longest()
@@ -112,8 +114,15 @@ def _fill(
 class _Search:
     # Local search over a SegmentPlan: each step replaces the segments of some robots.
 
-    def __init__(self, plan: SegmentPlan, candidates: Candidates, options: DiscretizeOptions):
+    def __init__(
+        self,
+        plan: SegmentPlan,
+        candidates: Candidates,
+        options: DiscretizeOptions,
+        progress: ProgressCallback,
+    ):
         self.plan, self.candidates, self.options = plan, candidates, options
+        self._progress, self._step, self._done = progress, (0.0, 0.0, ""), 0.0
         self.moving_joints = candidates.moving_joints
         self.enough = self.moving_joints + 2
         # A robot without a short motion may take as long as its trajectory, and longer than
@@ -125,6 +134,17 @@ class _Search:
     def idle(self) -> Mask:
         """Robots that rest though they are to move, shape (n,)."""
         return (self.moving_joints > 0) & ~self.plan.counts().any(axis=1)
+
+    def begin_step(self, begin: float, end: float, text: str) -> None:
+        """Begin a step that lasts from one fraction of the work to another; report it."""
+        self._step, self._done = (begin, end, text), max(self._done, begin)
+        self._progress(self._done, text)
+
+    def _report(self, part: float) -> None:
+        # that a part of the step is done; the callback may end the work
+        begin, end, text = self._step
+        self._done = max(self._done, begin + part * (end - begin))
+        self._progress(self._done, text)
 
     def begin_straight(self) -> None:
         # straight lines, and the trajectory for each robot that they bring into conflict
@@ -153,6 +173,7 @@ class _Search:
             rows = np.flatnonzero(remaining & ~later)
             changed += self._select(rows)
             remaining[rows] = False
+            self._report(1.0 - float(remaining.sum() / max(robots.sum(), 1)))
         return changed
 
     def follow_trajectories(self) -> None:

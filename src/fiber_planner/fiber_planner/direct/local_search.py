@@ -51,7 +51,7 @@ class _Buffers(NamedTuple):
     best_folded: Ints
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", nogil=True)
 def sweep(
     scene: Scene,
     plan: PlanState,
@@ -192,7 +192,7 @@ def raise_weights(plan: PlanState) -> None:
             plan.weight[p] *= _GROWTH
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def fold_arms(scene: Scene, plan: PlanState, which: Bools, step_s: float) -> None:
     """Give robots profiles that fold the arm at full speed first and unfold it at the end.
 
@@ -230,7 +230,7 @@ def fold_arms(scene: Scene, plan: PlanState, which: Bools, step_s: float) -> Non
         fill_two_ramps(plan.q[i, 0], s, g, g, begin, end, last, last)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def straighten(scene: Scene, plan: PlanState, which: Bools) -> None:
     """Give robots straight profiles over the whole time, from their starts to their ends.
 
@@ -249,7 +249,7 @@ def straighten(scene: Scene, plan: PlanState, which: Bools) -> None:
                 fill_two_ramps(plan.q[i, joint], s, g, g, 0, last, last, last)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", nogil=True)
 def restore(
     scene: Scene,
     plan: PlanState,

@@ -69,7 +69,7 @@ def measure_all(scene: Scene, plan: PlanState) -> int:
     return count_conflicts(plan)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", nogil=True)
 def measure_pairs(scene: Scene, plan: PlanState, pairs: Ints) -> None:
     """Compute the collision cost of some pairs, given as rows of scene.pairs, shape (k,)."""
     for p in pairs:

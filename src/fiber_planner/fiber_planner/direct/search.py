@@ -35,8 +35,8 @@ _LONGER = 1.4  # growth of the stretch beyond those
 _FOLDING = 0.7  # share of moves that fold the arm, once arms are folded
 _DRAWS = (30, 100)  # moves of a robot in a sweep: not folding, folding
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
-_VISITS = 100  # robots between two readings of the clock, at least
-_PARTS = 50  # readings of the clock in a sweep, at most
+_VISITS = 100  # robots between two reports of progress, at least
+_PARTS = 50  # reports of progress in a sweep, at most
 _AT_ONE_MAKESPAN = 200  # moves per robot after which no more robots are folded anew
 _REFOLDED_AT_MOST = 20  # times at one makespan
 _CERTIFIED_AT_MOST = 8  # rounds of certificate and local search
@@ -93,6 +93,7 @@ class Search:
         units = WireUnits.for_plane(problem.plane)
         self._tick_s, self._longest_s = units.tick_s, units.longest_order_s
         self._spent, self._sweep, self._folding = 0, 0, 0.0
+        self._done = 0.0  # fraction of the makespans that were tried
         self._effort_share = _effort_share(problem.plane.n)
         self._limit = parameters.effort * self._effort_share
         # robots next to an arm that cannot move; a fixed disc blocks only a passage
@@ -111,7 +112,8 @@ class Search:
             self._lengthen(stretch)
             if stretch >= _FOLD_FROM[crowded] and self._folding == 0.0:
                 conflicts = self._fold_all()
-            self._report_progress(number / len(stretches), conflicts)
+            self._done = number / len(stretches)
+            self._report_progress(conflicts)
             conflicts = self._certified_search()
             for _ in range(_RELEASE_ROUNDS):
                 if conflicts == 0 or stretch < _RELEASE_FROM[crowded] or self._exhausted:
@@ -173,10 +175,10 @@ class Search:
             self._plan.changed[:] = self._plan.shortcut_due[:] = True
             self._grid = longer
 
-    def _report_progress(self, fraction: float, conflicts: int) -> None:
+    def _report_progress(self, conflicts: int) -> None:
         if self._progress is not None:
             makespan_s = self._grid.makespan_s
-            self._progress(fraction, f"{conflicts} conflicts in {makespan_s:.2f} s of motion")
+            self._progress(self._done, f"{conflicts} conflicts in {makespan_s:.2f} s of motion")
 
     @property
     def _exhausted(self) -> bool:
@@ -223,14 +225,17 @@ class Search:
         return conflicts
 
     def _sweep_repeatedly(self, sweeps: int) -> int:
-        # whole sweeps, made in parts so that a budget is kept on planes of any size
+        # whole sweeps, made in parts so that a budget is kept, and the search can be ended by its
+        # progress callback, on planes of any size
         n, folding = self._problem.plane.n, self._folding
         draws = _DRAWS[int(folding > 0.0)]
-        visits = max(_VISITS, n // _PARTS) if math.isfinite(self._end_s) else n
+        visits = max(_VISITS, n // _PARTS)
         for _ in range(sweeps):
-            if count_conflicts(self._plan) == 0 or self._exhausted:
+            conflicts = count_conflicts(self._plan)
+            if conflicts == 0 or self._exhausted:
                 break
             for first in range(0, n, visits):
+                self._report_progress(conflicts)
                 self._spent += sweep(
                     self._scene, self._plan, self._grid.step_s, folding,
                     self._sweep, first, min(first + visits, n), draws,
@@ -297,6 +302,7 @@ class Search:
         for first in range(0, len(released), _VISITS):
             if self._late:
                 break
+            self._report_progress(0)
             restored += restore(
                 self._scene, self._plan, self._grid.step_s, self._folding,
                 released[first : first + _VISITS], self._sweep, _RESTORE_DRAWS,

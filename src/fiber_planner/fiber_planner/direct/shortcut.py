@@ -18,7 +18,7 @@ __all__ = ["shortcut_profiles"]
 _STRAIGHT_RAD = 1e-9
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", nogil=True)
 def shortcut_profiles(scene: Scene, plan: PlanState) -> int:
     """Remove breakpoints from the profiles of a plan without conflict while it stays free.
 
