@@ -111,6 +111,13 @@ soak: build ## campaigns of faults (CAMPAIGNS= of each kind, MIXED=, LINES=file 
 	else $(PYTHON) bench/soak.py --campaigns $(CAMPAIGNS) $(if $(MIXED),--mixed $(MIXED)) \
 		$(if $(LINES),--lines $(LINES)) && $(PYTHON) bench/fuzz.py; fi
 
+RUNS ?= 90
+.PHONY: kill
+kill: build ## kill, pause and disturb the processes of a small plane (RUNS=, SEED=), into bench/results/kill.md
+	@$(INSTALLED) && rm -f out/kill.jsonl; \
+	$(PYTHON) bench/kill.py --runs $(RUNS) $(if $(SEED),--seed $(SEED)) --lines out/kill.jsonl; failed=$$?; \
+	$(PYTHON) bench/kill_table.py out/kill.jsonl --out bench/results/kill.md; exit $$failed
+
 .PHONY: test
 test: build ## run every test of the packages and of test/, and count them
 	@rm -rf build/*/pytest.xml build/test

@@ -81,6 +81,7 @@ ARROWS = {
         "fiber_viewer",
         "fiber_positioners",
     },
+    "bench.kill": {"fiber_bringup"},
 }
 # Compartments that may import the simulated plant directly. Run-time code for real buses may not;
 # the demonstration may, because it checks the names of faults before it starts the bridge.

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from fiber_bringup.graph import Graph
+from fiber_bus_bridge.plant.rehearsal import rehearse
 from fiber_client.client import PlaneClient
 from fiber_core.fields import random_field, random_problem
 from fiber_core.presets import preset
@@ -53,6 +54,7 @@ def main() -> int:
     with ProcessPoolExecutor(2) as pool:
         done = [pool.submit(_reconfigure, "dnf")]
         done += [pool.submit(_plan, name) for name in planners() if name != "dnf"]
+        done.append(pool.submit(rehearse))
         for each in done:
             each.result()
     return 0

@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
@@ -18,11 +19,15 @@ _GRACE_S = 10.0  # between one way to end a process and the next, harder one
 _TAIL_LINES = 15
 
 
+_Process: TypeAlias = subprocess.Popen[bytes]
+
+
 @dataclass(frozen=True)
 class _Started:
     name: str
-    process: subprocess.Popen[bytes]
+    process: _Process
     log: Path
+    command: tuple[str, ...]
 
     def error(self) -> str:
         lines = self.log.read_text(errors="replace").splitlines()[-_TAIL_LINES:]
@@ -61,7 +66,7 @@ class Processes:
 
     def __init__(self, logs: Path, grace_s: float = _GRACE_S):
         self._logs, self._grace_s = Path(logs), grace_s
-        self._started: list[_Started] = []
+        self._started: dict[str, _Started] = {}  # by executable
 
     def __enter__(self) -> "Processes":
         return self
@@ -69,7 +74,7 @@ class Processes:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         codes = self.end()
         if kind is None and any(codes.values()):
-            failed = (each for each in self._started if each.process.returncode)
+            failed = (each for each in self._started.values() if each.process.returncode)
             raise ProcessError("; ".join(each.error() for each in failed))
 
     def start(self, package: str, executable: str, parameters: Mapping[str, object]) -> int:
@@ -98,11 +103,16 @@ class Processes:
             arguments: its command line.
 
         Raises:
-            ProcessError: it is not installed.
+            ProcessError: it is not installed, or runs already.
         """
+        before = self._started.get(executable)
+        if before is not None and before.process.poll() is None:
+            raise ProcessError(f"{executable} runs already, process {before.process.pid}")
         command = [str(installed(package, executable)), *arguments]
-        log = self._logs / f"{executable}.log"
-        with open(log, "wb") as file:
+        return self._run(executable, command, self._logs / f"{executable}.log", "wb").pid
+
+    def _run(self, name: str, command: Sequence[str], log: Path, mode: str) -> _Process:
+        with open(log, mode) as file:
             process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -110,8 +120,35 @@ class Processes:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # this process passes on an interrupt from the terminal
             )
-        self._started.append(_Started(executable, process, log))
-        return process.pid
+        self._started[name] = _Started(name, process, log, tuple(command))
+        return process
+
+    def send(self, executable: str, what: signal.Signals) -> None:
+        """Send a signal to a process; a process that is killed is gone when this returns."""
+        process = self._started[executable].process
+        process.send_signal(what)
+        if what is signal.SIGKILL:
+            process.wait()
+
+    def restart(self, executable: str) -> int:
+        """Start a process that has ended once more, with its command; return its process id."""
+        ended = self._started[executable]
+        return self._run(executable, ended.command, ended.log, "ab").pid
+
+    def ended(self) -> list[str]:
+        """Return the executables of the processes that have ended."""
+        return [each.name for each in self._started.values() if each.process.poll() is not None]
+
+    def memory_mb(self) -> dict[str, tuple[int, float]]:
+        """Return process id and resident memory [MB] of each process that runs, by executable."""
+        found = {}
+        for name, each in self._started.items():
+            try:
+                pages = int(Path(f"/proc/{each.process.pid}/statm").read_text().split()[1])
+            except (OSError, IndexError):
+                continue
+            found[name] = each.process.pid, round(pages * os.sysconf("SC_PAGE_SIZE") / 1e6, 1)
+        return found
 
     def check(self) -> None:
         """Make sure that all processes still run.
@@ -119,7 +156,7 @@ class Processes:
         Raises:
             ProcessError: a process has ended; shows the end of its log.
         """
-        for started in self._started:
+        for started in self._started.values():
             if started.process.poll() is not None:
                 raise ProcessError(started.error())
 
@@ -134,7 +171,7 @@ class Processes:
                     process.wait(self._grace_s)
                 except subprocess.TimeoutExpired:
                     continue
-        return {started.name: started.process.returncode for started in self._started}
+        return {started.name: started.process.returncode for started in self._started.values()}
 
     def _running(self) -> Iterator[subprocess.Popen[bytes]]:
-        return (each.process for each in self._started if each.process.poll() is None)
+        return (each.process for each in self._started.values() if each.process.poll() is None)

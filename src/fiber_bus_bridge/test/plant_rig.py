@@ -76,7 +76,7 @@ def session_on(buses, certify=hold_until_safe):
 
 def turning(session, ticks=60, speed=400):
     offsets = np.repeat(np.arange(N + 1), 2)[1:]
-    return WireMotion(UNITS, session.counts, offsets, np.full(N, ticks), np.full(N, speed))
+    return WireMotion(UNITS, session.counts, offsets, np.broadcast_to(ticks, N), np.full(N, speed))
 
 
 def begin(session, t=0.0, **motion):

@@ -262,6 +262,17 @@ def test_the_truth_is_the_true_motion_and_is_read_without_effect(path):
     assert set(session.result.outcome) == {Outcome.REACHED}
 
 
+def test_a_reader_of_the_truth_finds_the_plant_that_began_anew(path):
+    with served(path):
+        reader = PlantTruth(path, wait_s=5.0)
+    with reader:
+        with served(path):
+            assert len(reader.since().moves.row) == 0
+        reader._wait_s = 0.1
+        with pytest.raises(PlantError, match="no plant at"):
+            reader.since()
+
+
 def test_arms_that_touch_are_found_in_the_truth(path):
     with served(path) as plant:
         session, _ = session_on(plant.connect(), certify=without_care)
@@ -333,8 +344,13 @@ def test_a_plant_that_was_killed_leaves_its_robots_where_they_were(path, tmp_pat
     kept = MemoryFile(memory_path, buses)
     assert not kept.taken_over
     session, _ = session_on(buses)
-    t = begin(session, ticks=1000)
-    session.advance(t + 0.3)
+    t = session.configure(0.0)
+    # some have arrived when the others still move
+    motion = turning(session, ticks=np.where(np.arange(PLANE.n) % 3 == 0, 20, 1000))
+    session.submit(motion)
+    session.advance(session.start(t) + 0.3)
+    states = buses.positioners.memory["state"]
+    assert set(states) == {RobotState.MOVING, RobotState.DONE}
     kept.keep_time()
     where = buses.positioners.positions(buses.now_s)  # 1 us before the cut
     copy = tmp_path / "copy"
@@ -351,7 +367,8 @@ def test_a_plant_that_was_killed_leaves_its_robots_where_they_were(path, tmp_pat
     assert set(memory["boot"]) == {2} and set(memory["state"]) == {RobotState.UNCONFIGURED}
     plant.truth.observe()
     _, start, moves = plant.truth.since()
-    assert len(moves.row) == PLANE.n and np.allclose(moves.ended_s, buses.now_s)
+    assert sorted(moves.row) == list(range(PLANE.n))
+    assert np.array_equal(start, motion.start)
     end = moves.motion(start, UNITS.quantum_rad, buses.now_s).end
     assert np.allclose(end, UNITS.to_angles(where), atol=2 * UNITS.quantum_rad)
     session, _ = session_on(buses)

@@ -5,7 +5,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 from fiber_bus_bridge.plant.link import PlantLink
-from fiber_bus_bridge.plant.messages import Kind
+from fiber_bus_bridge.plant.messages import Kind, PlantError
 from fiber_bus_bridge.simulation import Movements
 from fiber_core.array_types import Bools, Codes, Counts, Ints
 from fiber_core.clearance import Certificate, Safety, certify, neighbour_pairs
@@ -56,7 +56,7 @@ class Truth(NamedTuple):
 
 
 class PlantTruth:
-    """Reads the truth from a plant; it changes nothing there.
+    """Reads the truth from a plant; it changes nothing there. It finds a plant that began anew.
 
     Args:
         path: the socket of the plant.
@@ -67,7 +67,7 @@ class PlantTruth:
     """
 
     def __init__(self, path: Path, wait_s: float = 30.0):
-        self._link = PlantLink(path, _ANSWER_S)
+        self._link, self._wait_s = PlantLink(path, _ANSWER_S), wait_s
         self._link.connect(wait_s)
 
     def __enter__(self) -> "PlantTruth":
@@ -81,10 +81,18 @@ class PlantTruth:
     def since(self, number: int = 0) -> Truth:
         """Return the movements from a number on; those before it that go on are among them.
 
+        A plant that began anew counts its movements from 0.
+
         Raises:
-            PlantError: the plant is gone.
+            PlantError: the plant is gone, and no other came in time.
         """
-        got = self._link.ask(Kind.TRUTH, since=number)
+        try:
+            got = self._link.ask(Kind.TRUTH, since=number)
+        except PlantError:
+            if self._link.connected:
+                raise  # refused
+            self._link.connect(self._wait_s)
+            got = self._link.ask(Kind.TRUTH, since=number)
         r = len(got["row"])
         moves = Movements(
             got["row"], got["started_s"], got["ended_s"], got["tick_s"],

@@ -15,6 +15,8 @@ from fiber_core.ragged import Parts
 
 __all__ = ["Movements", "ObservedBuses", "TrueMotion"]
 
+_TOGETHER_S = 0.01  # between the first and the last start of one motion
+
 
 class Movements(NamedTuple):
     """Movements of robots, one row each, in the order in which they were observed.
@@ -74,6 +76,15 @@ class Movements(NamedTuple):
         return SegmentMotion(start * quantum_rad, offsets, *flat)
 
 
+def _turned(r: np.void) -> Counts:
+    """Return how far the last movement of a robot went [quanta], shape (2,)."""
+    left = (r["halted_s"] - r["started_s"]) * (1e6 + r["clock_ppm"]) / max(r["tick_us"], 1)
+    used = np.arange(r["ticks"].shape[1]) < r["counts"][:, None]
+    ends = np.cumsum(r["ticks"] * used, axis=1)
+    done = np.diff(np.minimum(ends, max(left, 0.0)), axis=1, prepend=0)
+    return np.rint((done * r["velocity"] * used).sum(axis=1)).astype(np.int64)
+
+
 class TrueMotion:
     """The true motion of all robots, observed from now on.
 
@@ -81,16 +92,16 @@ class TrueMotion:
     start the robot again: once for each batch of frames is enough.
 
     Args:
-        robots: the robots. Those that move count as started now.
+        robots: the robots. The motion of those that move is observed from its begin.
         quantum_rad: size of one encoder count [rad].
         kept: number of movements that are kept; older ones that have ended are forgotten.
     """
 
     def __init__(self, robots: Positioners, quantum_rad: float, kept: int | None = None):
         self._robots, self.quantum_rad, self._kept = robots, quantum_rad, kept
-        self._start = robots.memory["position"].copy()
-        moving = robots.memory["state"] == RobotState.MOVING
-        self._last_started_s = np.where(moving, -np.inf, robots.memory["started_s"])
+        memory = robots.memory
+        self._start = memory["position"].copy()
+        self._last_started_s = memory["started_s"].copy()
         self._open = np.full(robots.n, -1)  # number of the movement of each robot that moves
         self._go_s = np.full(robots.n, np.inf)
         self.forgotten = 0  # number of the first movement that is kept
@@ -98,6 +109,13 @@ class TrueMotion:
         self._ended: list[float] = []
         self._rest: list[Counts] = []  # encoders after each movement
         self._copies: list[Memory] = []
+        moving = memory["state"] == RobotState.MOVING
+        if moving.any():
+            # robots that moved together with those that move, and have ended
+            with_them = memory["started_s"] > memory["started_s"][moving].min() - _TOGETHER_S
+            for row in np.flatnonzero(with_them & ~moving):
+                self._start[row] -= _turned(memory[row])
+            self._last_started_s[with_them] = -np.inf
 
     @property
     def count(self) -> int:

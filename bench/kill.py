@@ -1,0 +1,400 @@
+#!/usr/bin/env python3
+"""Kill, pause and disturb the processes of a small plane at random moments; judge by the truth.
+
+Each run makes a plan with installed executables, and at a random moment of one of its stages one
+process (in some runs two) is killed and started again, or paused and woken. Other runs send
+messages of strangers on every topic while robots move, or call services from four clients. Then the
+next reconfiguration must come about without touching the other processes. The plant tells what the
+robots really did. Each run leaves a line of JSON in `--lines`; the table covers all lines of the
+file. Seed and number define a run; its moments depend on the machine.
+"""
+
+import argparse
+import importlib.util
+import json
+import os
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from fiber_bringup import Processes
+from fiber_bus_bridge.plant import PlantTruth, Truth, plant_socket, touching
+from fiber_client.client import PlaneClient
+from fiber_core.errors import FiberError
+from fiber_core.fields import random_field
+from fiber_core.kinematics import forward
+from fiber_core.outcomes import Outcome, PlanOutcome
+from fiber_msgs_py import PlanStamp, Progress, Topic, targets, topics
+from fiber_node import RosClient, WaitError
+from fiber_node.ros_environment import own_domain, use_loopback
+
+__all__ = ["Campaign", "main"]
+
+PROCESSES = ("plant", "bridge", "planner", "discretizer", "recorder", "viewer", "client")
+STAGES = ("planning", "discretizing", "loading", "countdown", "moving", "after")
+_Line: TypeAlias = dict[str, Any]
+
+_SCALE, _PATIENCE_S = 2.0, 0.3
+_COMPILE_S, _WAIT_S = 600.0, 10.0
+_END_S = 6.0  # for which a plan may go on when all processes are back
+_CLIENT, _SENT_KEPT = "reconfigure", 400
+_NEXT_S = 5.0  # goal for the next reconfiguration
+_GIVE_UP_S = 40.0
+_TOLERANCE_MM = 0.1 + 1e-3  # session.tolerance_mm, and the rounding of the targets' message
+_SERVICES = (topics.START, topics.STOP, topics.CLEAR, topics.HOME, topics.CONFIGURE)
+
+
+class _Over(FiberError):
+    """All processes are back for long, and the plan has not ended."""
+
+
+class Campaign:
+    """A graph of processes, the client that uses it, and the judge of its runs.
+
+    Args:
+        folder: folder for logs, recordings and the socket.
+        robots: number of robots.
+        seed: seed of starts, targets and moments.
+    """
+
+    def __init__(self, folder: Path, robots: int, seed: int):
+        self._folder, self._robots, self._seed = folder, robots, seed
+        self._socket = plant_socket(f"kill.{os.getpid()}")
+        self._processes = Processes(folder)
+        self._at: dict[str, Callable[[], None]] = {}  # what begins with a stage
+        self._lasts_s = dict.fromkeys(STAGES, 0.1) | {"after": 0.5}
+        self._back_s = np.inf
+        self._strangers: list[tuple[Any, list[Any]]] = []
+
+    def __enter__(self) -> "Campaign":
+        self._start_processes()
+        try:
+            self._client.wait_for_graph(_COMPILE_S, also=("recorder",))
+            for _ in range(2):  # the first compiles; the second shows how long each stage lasts
+                self._measure()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def _start_processes(self) -> None:
+        plane = {"preset": "desi", "robots": self._robots, "seed": self._seed}
+        plant = [f"--{name}={value}" for name, value in plane.items()]
+        plant += [f"--socket={self._socket}", f"--memory={self._folder / 'robots'}"]
+        plant += [f"--time-scale={_SCALE}", f"--patience={_PATIENCE_S}", "--kept=2000"]
+        start = self._processes.start
+        self._processes.start_command("fiber_bus_bridge", "plant", plant)
+        bridge = {"plant": str(self._socket), "time_scale": _SCALE}
+        start("fiber_bus_bridge", "bridge", plane | bridge)
+        start("fiber_planner", "planner", {})
+        start("fiber_discretizer", "discretizer", {})
+        start("fiber_recording", "recorder", {"folder": str(self._folder)})
+        start("fiber_viewer", "viewer", {})
+        self._client = PlaneClient(on_progress=self._on_progress, guard=self._guard)
+        self._sent = self._client.collect(topics.TARGETS)
+        self._truth = PlantTruth(self._socket, _COMPILE_S)
+        self._others = [RosClient(f"other_{k}") for k in range(4)]
+        self._rng = np.random.default_rng([self._seed, 0])
+
+    def _measure(self) -> None:
+        client, lasts_s = self._client, self._lasts_s
+        begin_s = time.monotonic()
+        stamp = client.send_targets(*self._new_targets())
+        client.wait_until_ready(stamp, _COMPILE_S)
+        ready_s = time.monotonic()
+        client.start(_COMPILE_S)
+        started_s = time.monotonic()
+        client.wait_for_outcome(stamp, _COMPILE_S)
+        planned_s = client.times[stamp].get("planner", ready_s)
+        lasts_s["planning"] = planned_s - begin_s
+        lasts_s["discretizing"] = max(ready_s - planned_s, 0.01)
+        # load, verify and go; then the countdown
+        lasts_s["loading"] = lasts_s["countdown"] = (started_s - ready_s) / 2
+        lasts_s["moving"] = time.monotonic() - started_s
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()
+        for other in self._others:
+            other.close()
+        self._processes.end()
+
+    def _guard(self) -> None:
+        if time.monotonic() > self._back_s + _END_S:
+            raise _Over("the plan has not ended")
+
+    # --- one run ---------------------------------------------------------------
+
+    def run(self, number: int, **chosen: Any) -> _Line:
+        """Do one run.
+
+        Args:
+            number: with the seed of the campaign it defines the run.
+            chosen: `names`, `stage` or `how`, instead of those drawn.
+
+        Returns:
+            What was done, and `counted`: the number of each event that must not happen.
+        """
+        self._rng = np.random.default_rng([self._seed, number])
+        line = self._draw(number) | chosen
+        begin = self._truth.since(0)
+        strike = threading.Thread(target=self._strike, args=[line], daemon=True)
+        self._at = {line["stage"]: strike.start}
+        outcome, line["ended"] = self._plan(line)
+        self._at = {}
+        if strike.ident is None:  # its stage never came
+            line["missed"] = True
+            strike.start()
+        strike.join()
+        self._back_s = np.inf
+        first = 0 if self._is_new(line) else begin.next
+        after = self._truth.since(first)
+        unordered = after.controller > begin.controller.max(initial=0)
+        # another client may have moved the robots since the outcome
+        judged = None if line["how"] == "services" else outcome
+        false_reached = self._count_false(judged, after)
+        line["next_s"], then = self._recover(line)
+        truth = self._truth.since(first)
+        false_reached += self._count_false(then, truth)
+        line["gone"] = [name for name in self._processes.ended() if name != _CLIENT]
+        for name in line["gone"]:
+            self._processes.restart(name)
+        # movements that a plant took over from the plant before have no controller
+        ran = ~(truth.moves.ended_s <= truth.moves.started_s)
+        found = touching(self._client.plane, truth)
+        line["counted"] = {
+            "unverified": int((ran & ~truth.verified & (truth.controller > 0)).sum()),
+            "unordered": 0 if self._is_new(line) else int(unordered.sum()),
+            "contacts": int(found.unsafe.sum()),
+            "false_reached": false_reached,
+            "no_end": int(line["ended"] == "nothing"),
+            "late": int(line["next_s"] > _NEXT_S),
+            "died": len(line["gone"]),
+        }
+        line["gap_mm"], line["movements"] = round(float(found.min_gap_mm), 4), int(ran.sum())
+        line["memory"], line["load"] = self._processes.memory_mb(), round(os.getloadavg()[0], 1)
+        return line
+
+    def _is_new(self, line: _Line) -> bool:
+        """Whether the plant was killed, and counts its movements from zero."""
+        return "plant" in line["names"] and line["how"] == "kill"
+
+    def _draw(self, number: int) -> _Line:
+        """The kind of a run: all pairs of process and stage in turn, killed and paused."""
+        rng = self._rng
+        kinds = [(p, s, h) for h in ("kill", "pause") for s in STAGES for p in PROCESSES]
+        kinds += [("", "moving", "strangers"), ("", "moving", "services")] * 3
+        order = np.random.default_rng([self._seed, 1, number // len(kinds)]).permutation(len(kinds))
+        name, stage, how = kinds[order[number % len(kinds)]]
+        names = [name] if name else []
+        if how == "kill" and rng.random() < 0.2:
+            names += [str(rng.choice([p for p in PROCESSES[:-1] if p != name]))]
+        pause_s = rng.uniform(0.0, 0.5) if how == "kill" else 10 ** rng.uniform(-1.0, 0.5)
+        return {
+            "number": number, "names": names, "stage": stage, "how": how,
+            "moment": round(rng.random(), 4), "pause_s": round(float(pause_s), 3),
+            "services": rng.integers(len(_SERVICES), size=len(self._others)).tolist(),
+        }  # fmt: skip
+
+    def _strike(self, line: _Line) -> None:
+        time.sleep(line["moment"] * self._lasts_s[line["stage"]])
+        names = [_CLIENT if name == "client" else name for name in line["names"]]
+        names = [name for name in names if name not in self._processes.ended()]
+        if line["how"] in ("strangers", "services"):
+            self._attack() if line["how"] == "strangers" else self._call_services(line)
+        elif line["how"] == "kill":
+            for name in names:
+                self._processes.send(name, signal.SIGKILL)
+            time.sleep(line["pause_s"])
+            for name in reversed(names):
+                if name != _CLIENT:
+                    self._processes.restart(name)
+        else:
+            for what, then_s in ((signal.SIGSTOP, line["pause_s"]), (signal.SIGCONT, 0.0)):
+                for name in names:
+                    self._processes.send(name, what)
+                time.sleep(then_s)
+        self._back_s = line["back_s"] = time.monotonic()
+
+    def _plan(self, line: _Line) -> tuple[PlanOutcome | None, str]:
+        """Make a plan with the client; return its outcome, and how it ended for the client."""
+        client, step = self._client, ""
+        try:
+            if "client" in line["names"]:
+                return self._plan_of_process(line)
+            stamp = client.send_targets(*self._new_targets())
+            line["stamp"] = stamp.ns
+            self._enter("planning")
+            client.wait_until_ready(stamp, _WAIT_S)
+            step = "start"
+            self._enter("loading", "countdown")
+            client.start(_WAIT_S)
+            self._enter("moving")
+            outcome = client.wait_for_outcome(stamp, _WAIT_S)
+            self._enter("after")
+            return outcome, "outcome"
+        except (WaitError, _Over):
+            return None, "nothing"
+        except FiberError as error:
+            line["refused"] = f"{step} {error}"[:200]
+            return None, "refused"
+
+    def _plan_of_process(self, line: _Line) -> tuple[PlanOutcome | None, str]:
+        """The same by the command `reconfigure`, whose steps are seen from outside."""
+        client, before = self._client, len(self._sent)
+        arguments = ["--timeout", f"{_WAIT_S:g}", f"random:{line['number']}"]
+        self._processes.start_command("fiber_client", _CLIENT, arguments)
+        self._client.wait_for(lambda: len(self._sent) > before, _WAIT_S)
+        stamp = PlanStamp.of(self._sent[-1])
+        line["stamp"] = stamp.ns
+        self._enter("planning")
+        client.wait_for(lambda: "bridge" in client.times.get(stamp, {}), _WAIT_S)
+        self._enter("loading", "countdown")
+        early = line["stage"] in STAGES[:4]  # a client that was killed may not have started
+        try:
+            started = lambda: client.moving or stamp in client.outcomes  # noqa: E731
+            client.wait_for(started, 2.0 if early else _WAIT_S)
+        except WaitError:
+            return None, "client gone" if early else "nothing"
+        self._enter("moving")
+        outcome = client.wait_for_outcome(stamp, _WAIT_S)
+        self._enter("after")
+        return outcome, "outcome"
+
+    def _enter(self, *stages: str) -> None:
+        for stage in stages:
+            self._at.pop(stage, lambda: None)()
+
+    def _on_progress(self, progress: Progress) -> None:
+        if progress.stage == "planner" and progress.fraction >= 1.0:
+            self._enter("discretizing")
+
+    def _new_targets(self) -> tuple[np.ndarray, np.ndarray]:
+        plane = self._client.plane
+        drawn = random_field(plane, self._rng, start=self._client.angles).problem
+        return plane.ids[drawn.asked], drawn.targets[drawn.asked]
+
+    # --- disturbances of other kinds ---------------------------------------------
+
+    def _attack(self) -> None:
+        if not self._strangers:
+            path = Path(__file__).parents[1] / "test" / "test_graph_killers.py"
+            spec = importlib.util.spec_from_file_location("killers", path)
+            assert spec is not None and spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+            node = self._others[0].node
+            every = [topic for topic in vars(topics).values() if isinstance(topic, Topic)]
+            self._strangers = [(topic.publisher(node), module.killers(topic)) for topic in every]
+        for publisher, messages in self._strangers:
+            for message in messages:
+                publisher.publish(message)
+
+    def _call_services(self, line: _Line) -> None:
+        calls = []
+        for other, at in zip(self._others, line["services"]):
+            service = _SERVICES[at]
+            client = service.client(other.node)
+            calls.append((other, client, client.call_async(service.type.Request())))
+        for other, client, future in calls:
+            try:
+                other.wait_for(future.done, _WAIT_S)
+            except WaitError:
+                pass  # its plan has an end all the same, or the run counts it
+            other.node.destroy_client(client)
+
+    # --- afterwards -----------------------------------------------------------------
+
+    def _recover(self, line: _Line) -> tuple[float, PlanOutcome | None]:
+        """Reconfigure as an operator would; return how long it took [s], and the outcome.
+
+        The wait for the end of the plan before is not part of the time.
+        """
+        client, begin_s = self._client, time.monotonic()
+        line["waited_s"], line["why"] = round(begin_s - line["back_s"], 2), []
+        if self._is_new(line):
+            self._operate()
+        while time.monotonic() < begin_s + _GIVE_UP_S:
+            try:
+                client.wait_for_graph(_WAIT_S)
+                outcome = client.reconfigure(*self._new_targets(), _WAIT_S)
+                if outcome.count(Outcome.REACHED) > len(outcome.ids) / 2:
+                    return round(time.monotonic() - begin_s, 2), outcome
+                line["why"].append(str(Counter(outcome.reason.tolist())))
+            except FiberError as error:
+                line["why"].append(str(error)[:200])
+            self._operate()
+        return _GIVE_UP_S, None
+
+    def _operate(self) -> None:
+        for service in (topics.STOP, topics.CLEAR, topics.CONFIGURE):
+            try:
+                self._client.call_service(service, _WAIT_S)
+            except FiberError:
+                continue
+
+    def _count_false(self, outcome: PlanOutcome | None, truth: Truth) -> int:
+        """Robots that are said to have reached their targets, and stand elsewhere."""
+        if outcome is None:
+            return 0
+        plane = self._client.plane
+        wanted = np.full((plane.n, 2), np.nan)
+        for message in self._sent:
+            try:
+                if PlanStamp.of(message).ns != outcome.stamp_ns:
+                    continue
+                ids, xy_mm = targets.decode(message)
+            except FiberError:
+                continue  # of a stranger
+            wanted[plane.index_of(ids)] = xy_mm
+        del self._sent[:-_SENT_KEPT]
+        reached = plane.index_of(outcome.ids[outcome.outcome == Outcome.REACHED])
+        at = forward(plane, truth.position * truth.quantum_rad)[1]
+        off_mm = np.hypot(*(at[reached] - wanted[reached]).T)
+        return int((~(off_mm <= _TOLERANCE_MM)).sum())
+
+
+def parse(argv: list[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--runs", type=int, default=90)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--robots", type=int, default=37)
+    parser.add_argument("--lines", type=Path, default="out/kill.jsonl", help="each run adds a line")
+    parser.add_argument("--logs", type=Path, help="folder for the logs of the processes")
+    return parser.parse_args(argv)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; return 1 when something happened that must not."""
+    args = parse(argv)
+    use_loopback()
+    os.environ["ROS_DOMAIN_ID"] = str(own_domain())
+    failed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        logs = args.logs or Path(folder)
+        logs.mkdir(parents=True, exist_ok=True)
+        with Campaign(logs, args.robots, args.seed) as campaign:
+            for number in range(args.runs):
+                line = campaign.run(number)
+                args.lines.parent.mkdir(parents=True, exist_ok=True)
+                with open(args.lines, "a", encoding="utf-8") as file:
+                    file.write(json.dumps(line) + "\n")
+                wrong = {name: count for name, count in line["counted"].items() if count}
+                failed += bool(wrong)
+                print(number, line["how"], line["names"], line["stage"], wrong, flush=True)
+    print(json.dumps({"runs": args.runs, "failed": failed, "robots": args.robots}))
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

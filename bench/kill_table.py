@@ -1,0 +1,100 @@
+#!/usr/bin/env python3
+"""Make the table of a kill campaign from the lines that `bench/kill.py` leaves."""
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+__all__ = ["main", "table"]
+
+_Line: TypeAlias = dict[str, Any]
+_ABOUT = """# Killed, paused and disturbed processes
+
+`make kill` (`bench/kill.py`): plant, bridge, planner, discretizer, recorder, viewer and client of a
+small plane are killed and started again, or paused and woken, at random moments of a plan. In other
+runs strangers send messages on every topic, or four clients call services. The judge is what the
+robots of the plant really did. Columns:
+
+- unverified: movements whose order was not read back by the bridge that started it
+- unordered: movements that a new bridge started by itself
+- contacts: pairs of robots that touched, by whole outlines in continuous time
+- false reached: robots said to have reached their targets that stand elsewhere
+- no end: plans without outcome or refusal 6 s after all processes are back
+- late: the next reconfiguration took more than 5 s, with its motion and a restarted process's start
+- died: processes that ended by themselves
+
+"""
+
+
+def table(lines: Sequence[_Line]) -> str:
+    """Return the tables of a campaign, in markdown: by process, by stage, and the memory."""
+    late = sum("missed" in line for line in lines)
+    load = statistics.median(line["load"] for line in lines)
+    text = [
+        f"{len(lines)} runs, at a load of {load} (median); in {late} of them the plan ended before "
+        "the stage of the strike.",
+        "",
+    ]
+    groups: dict[str, Callable[[_Line], str]] = {
+        "process": lambda line: " ".join([line["how"], *line["names"][:1]]),
+        "stage": lambda line: line["stage"],
+    }
+    for name, group in groups.items():
+        rows: dict[str, list[_Line]] = {}
+        for line in lines:
+            rows.setdefault(group(line), []).append(line)
+        text += [*_rows(name, [*sorted(rows.items()), ("all", list(lines))]), ""]
+    return "\n".join([*text, *_memory(lines), ""])
+
+
+def _rows(name: str, rows: Sequence[tuple[str, list[_Line]]]) -> list[str]:
+    counted = list(rows[0][1][0]["counted"])
+    heads = [name, "runs", *(each.replace("_", " ") for each in counted)]
+    heads += ["next s, median", "next s, worst"]
+    text = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for key, lines in rows:
+        next_s = [line["next_s"] for line in lines]
+        cells: list[object] = [key, len(lines)]
+        cells += [sum(line["counted"][each] for line in lines) for each in counted]
+        cells += [f"{statistics.median(next_s):.1f}", f"{max(next_s):.1f}"]
+        text.append(f"| {' | '.join(map(str, cells))} |")
+    return text
+
+
+def _memory(lines: Sequence[_Line]) -> list[str]:
+    """How the memory of the processes grew from their first run to their last [MB]."""
+    seen: dict[tuple[str, int], list[float]] = {}
+    for line in lines:
+        for name, (pid, mb) in line["memory"].items():
+            seen.setdefault((name, pid), []).append(mb)
+    longest: dict[str, tuple[int, float, float]] = {}
+    for (name, _), mb in seen.items():
+        longest[name] = max(longest.get(name, (0, 0.0, 0.0)), (len(mb), mb[0], mb[-1]))
+    text = ["| process that lived longest | runs | MB, first | MB, last |", "|---|---|---|---|"]
+    return text + [f"| {n} | {k} | {a} | {b} |" for n, (k, a, b) in sorted(longest.items())]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("lines", type=Path, help="file of lines, as out/kill.jsonl")
+    parser.add_argument("--out", type=Path, help="file for the table, in markdown")
+    args = parser.parse_args(argv)
+    text = table([json.loads(line) for line in args.lines.read_text("utf-8").splitlines()])
+    print(text)
+    if args.out:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty"],
+            cwd=Path(__file__).parent, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        args.out.write_text(f"{_ABOUT}Commit {described.stdout.strip()}: {text}", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,65 @@
+"""A short kill campaign: processes are killed and paused in motion, and the truth is the judge."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+from fiber_bringup import ProcessError, installed
+
+pytestmark = pytest.mark.timeout(900)
+
+NEVER = "unverified", "unordered", "contacts", "false_reached", "died"
+ALL_AT_ONCE = ["bridge", "planner", "discretizer", "recorder", "viewer"]
+
+
+def load(name):
+    path = Path(__file__).parents[1] / "bench" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory, new_domain):
+    try:
+        installed("fiber_bus_bridge", "plant")
+    except ProcessError as error:
+        pytest.skip(f"NOT TESTED, {error}")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(new_domain()))
+        with load("kill").Campaign(tmp_path_factory.mktemp("kill"), 37, seed=1) as made:
+            yield made
+
+
+@pytest.mark.parametrize(
+    ("number", "names", "how", "stage"),
+    [
+        (0, ["bridge"], "kill", "moving"),
+        (1, ["plant"], "kill", "moving"),
+        (2, ["bridge"], "pause", "moving"),
+        (3, ALL_AT_ONCE, "kill", "loading"),
+        (4, [], "strangers", "moving"),
+        (5, [], "services", "moving"),
+    ],
+)
+def test_robots_never_touch_nor_move_unverified(campaign, number, names, how, stage):
+    line = campaign.run(number, names=names, how=how, stage=stage, pause_s=0.8)
+    assert {name: line["counted"][name] for name in NEVER} == dict.fromkeys(NEVER, 0), line
+    assert line["movements"] >= 37, "no robot moved, so this run shows nothing"
+    assert line["next_s"] < 40.0, line
+
+
+def test_the_table_counts_each_kind_of_event():
+    line = {
+        "how": "kill", "names": ["bridge"], "stage": "moving", "next_s": 2.0, "load": 1.0,
+        "counted": {"contacts": 2, "no_end": 0}, "memory": {"planner": [17, 200.0]},
+    }  # fmt: skip
+    later = line | {"memory": {"planner": [17, 201.5]}, "stage": "after", "next_s": 6.0}
+    text = load("kill_table").table([line, later])
+    assert "| kill bridge | 2 | 4 | 0 | 4.0 | 6.0 |" in text
+    assert "| after | 1 | 2 | 0 | 6.0 | 6.0 |" in text
+    assert "| planner | 2 | 200.0 | 201.5 |" in text
