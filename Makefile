@@ -138,6 +138,13 @@ lint: $(ENV_STAMP) ## check style, format, complexity and types
 coverage: build ## which lines the tests reach, into out/coverage (SUITES="src/fiber_core/test" for some)
 	@$(INSTALLED) && tools/coverage.sh out/coverage $(PYTHON) $(SUITES)
 
+TARGET ?=
+MUTANTS ?= 200
+.PHONY: mutate
+mutate: $(ENV_STAMP) ## plant MUTANTS= mistakes (0: all; SEED=, JOBS=, TARGET=clearance), count those the tests notice
+	@$(PYTHON) tools/mutate.py --mutants $(MUTANTS) $(if $(SEED),--seed $(SEED)) \
+		$(if $(JOBS),--jobs $(JOBS)) $(if $(TARGET),--target $(TARGET))
+
 .PHONY: pictures
 pictures: $(ENV_STAMP) ## draw the packages (docs/architecture.md) and the protocol (docs/protocol.md) from the code
 	@$(PYTHON) tools/import_graph.py
