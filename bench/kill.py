@@ -46,8 +46,7 @@ _SCALE, _PATIENCE_S = 2.0, 0.3
 _COMPILE_S, _WAIT_S = 600.0, 10.0
 _END_S = 6.0  # for which a plan may go on when all processes are back
 _CLIENT, _SENT_KEPT = "reconfigure", 400
-_NEXT_S = 5.0  # goal for the next reconfiguration
-_GIVE_UP_S = 40.0
+_NEXT_S, _GIVE_UP_S = 5.0, 40.0  # goal for the next reconfiguration, and the longest try
 _TOLERANCE_MM = 0.1 + 1e-3  # session.tolerance_mm, and the rounding of the targets' message
 _SERVICES = (topics.START, topics.STOP, topics.CLEAR, topics.HOME, topics.CONFIGURE)
 
@@ -149,17 +148,19 @@ class Campaign:
         self._at = {line["stage"]: strike.start}
         outcome, line["ended"] = self._plan(line)
         self._at = {}
-        if strike.ident is None:  # its stage never came
-            line["missed"] = True
+        if strike.ident is None:
+            line["missed"] = True  # its stage never came
             strike.start()
         strike.join()
+        assert "back_s" in line, "the strike was not carried out"
         self._back_s = np.inf
         first = 0 if self._is_new(line) else begin.next
         after = self._truth.since(first)
         unordered = after.controller > begin.controller.max(initial=0)
-        # another client may have moved the robots since the outcome
-        judged = None if line["how"] == "services" else outcome
-        false_reached = self._count_false(judged, after)
+        # the bridge that was killed before the client called start is not the one that it called
+        ordered = self._is_new(line) or line.get("called_s", -np.inf) > line["back_s"]
+        # after a plan beside other clients the robots may have moved on
+        false_reached = self._count_false(outcome if line["how"] != "services" else None, after)
         line["next_s"], then = self._recover(line)
         truth = self._truth.since(first)
         false_reached += self._count_false(then, truth)
@@ -171,7 +172,7 @@ class Campaign:
         found = touching(self._client.plane, truth)
         line["counted"] = {
             "unverified": int((ran & ~truth.verified & (truth.controller > 0)).sum()),
-            "unordered": 0 if self._is_new(line) else int(unordered.sum()),
+            "unordered": 0 if ordered else int(unordered.sum()),
             "contacts": int(found.unsafe.sum()),
             "false_reached": false_reached,
             "no_end": int(line["ended"] == "nothing"),
@@ -233,7 +234,7 @@ class Campaign:
             line["stamp"] = stamp.ns
             self._enter("planning")
             client.wait_until_ready(stamp, _WAIT_S)
-            step = "start"
+            step, line["called_s"] = "start", time.monotonic()
             self._enter("loading", "countdown")
             client.start(_WAIT_S)
             self._enter("moving")

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Header
@@ -143,6 +144,8 @@ def killers(topic):
         return list(joints())
     if topic.type is JointTrajectory:
         return list(trajectories())
+    if topic.type is Time:
+        return [Time(), Time(sec=-1), Time(sec=2**31 - 1, nanosec=2**32 - 1)]
     if topic.type is DiagnosticStatus:
         return list(statuses())
     return [DiagnosticArray(header=each, status=[one]) for each in headers() for one in statuses()]

@@ -137,7 +137,7 @@ def _serve(options: argparse.Namespace) -> None:
             memory.power_cut()
             if memory.taken_over:
                 _LOG.info("%s: the robots had a power cut and have booted", options.memory)
-            server.after_step = memory.keep_time
+            server.keep_time = memory.keep_time
         for line in found.lines:
             _LOG.info("%s", line)
         _LOG.info("%d robots on %d buses, at %s", plane.n, len(set(buses.positioners.bus)), path)

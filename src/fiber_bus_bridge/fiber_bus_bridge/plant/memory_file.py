@@ -58,9 +58,10 @@ class MemoryFile:
     def power_cut(self) -> None:
         """Let robots that were taken over lose their power at the time of the file, and boot."""
         if self.taken_over:
-            # after the last message, which may be what a robot lived on
-            now_s = float(self._head["now_s"][0]) + _AFTER_S
             robots = self._buses.positioners
+            # after the last heartbeat, which came before the time was written
+            heard_s = float(robots.memory["heartbeat_s"].max(initial=0.0))
+            now_s = max(float(self._head["now_s"][0]), heard_s) + _AFTER_S
             self._buses.run_until(now_s)
             rows = np.flatnonzero(robots.powered)
             robots.power(rows, False, now_s)

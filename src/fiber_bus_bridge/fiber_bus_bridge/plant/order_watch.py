@@ -18,6 +18,8 @@ class OrderWatch:
     An order counts as verified when the controller that loaded it has read the robot's status
     between LOAD and GO.
 
+    `unread` tells whether orders are loaded that were not read.
+
     Args:
         robots: the robots, at the addresses by which they are read.
     """
@@ -27,6 +29,7 @@ class OrderWatch:
         self._loaded_s = robots.memory["loaded_s"].copy()
         self._loaded_by = np.full(robots.n, -1)
         self._read = np.zeros(robots.n, dtype=bool)
+        self.unread = False
         self._keys = _keys(robots.bus, robots.memory["address"], robots.memory["ten_bit"])
         self._order = np.argsort(self._keys)
 
@@ -44,7 +47,8 @@ class OrderWatch:
         if new.any():
             self._loaded_s[new] = memory["loaded_s"][new]
             self._loaded_by[new], self._read[new] = controller, False
-        if not ((memory["state"] == RobotState.LOADED) & ~self._read).any():
+        self.unread = bool(((memory["state"] == RobotState.LOADED) & ~self._read).any())
+        if not self.unread:
             return
         at = np.flatnonzero((read_bytes >= VERIFY_BYTES) & (replies.ack == Ack.OK))
         rows = self._rows(frames, at)

@@ -6,9 +6,9 @@ from numpy.typing import ArrayLike
 from fiber_bus_bridge.bus import Recovery, Replies
 from fiber_bus_bridge.errors import BridgeError
 from fiber_bus_bridge.plant.order_watch import OrderWatch
-from fiber_bus_bridge.simulation import SimulatedBuses, TrueMotion
-from fiber_bus_bridge.wire import Frames, RobotState
-from fiber_core.array_types import Ints
+from fiber_bus_bridge.simulation import Movements, SimulatedBuses, TrueMotion
+from fiber_bus_bridge.wire import Frames, Opcode, RobotState
+from fiber_core.array_types import Bools, Counts, Ints
 from fiber_core.bounds import check_number
 
 __all__ = ["Plant"]
@@ -16,6 +16,7 @@ __all__ = ["Plant"]
 _STEP_S = 0.1  # simulated time between two looks at robots that run on as fast as possible
 _TICK_S = 0.1  # simulated time that a bridge waits for between two batches of traffic
 _ORDER_PATIENCE_S = 10.0
+_HEARTBEAT = int(Opcode.HEARTBEAT)
 _MOST_SCALE = 1e6
 
 
@@ -96,8 +97,12 @@ class Plant:
     ) -> Replies:
         """Carry a batch of the bridge; see BusBackend.transfer. `read_bytes` has shape (f,)."""
         replies = self.buses.transfer(frames, read_bytes, not_before_s)
-        self._orders.observe(self.controller, frames, read_bytes, replies)
-        self._observe()
+        # most batches supervise a motion: looking at all robots each time would double their cost
+        begins = _may_begin(frames)
+        if begins or self._orders.unread:
+            self._orders.observe(self.controller, frames, read_bytes, replies)
+        if begins:
+            self._observe()
         self._heard(wall_s)
         return replies
 
@@ -131,11 +136,21 @@ class Plant:
             self._advance(self.now_s + _STEP_S)
         return True
 
-    def origin(self, first: int) -> tuple[Ints, Ints]:
-        """Return the controller of each movement from a number on, and whether it was verified."""
+    def true_movements(self, number: int) -> tuple[int, Counts, Movements, Ints, Bools]:
+        """Return the movements from a number on, as TrueMotion.since, and what began them.
+
+        Args:
+            number: number of the first movement.
+
+        Returns:
+            As TrueMotion.since; then the controller of each movement, and whether it had loaded and
+            read back the order, shape (r,) each.
+        """
+        self._observe()
+        first, start, moves = self.truth.since(number)
         chosen = self._origin[first - self._origin_from :]
         table = np.array(chosen, dtype=np.int64).reshape(-1, 2)
-        return table[:, 0], table[:, 1]
+        return first, start, moves, table[:, 0], table[:, 1] > 0
 
     def _advance(self, t: float) -> None:
         self.buses.run_until(t)
@@ -154,3 +169,9 @@ class Plant:
         if self.truth.forgotten > self._origin_from:
             del self._origin[: self.truth.forgotten - self._origin_from]
             self._origin_from = self.truth.forgotten
+
+
+def _may_begin(frames: Frames) -> bool:
+    """Whether a frame of a batch can load an order or begin a movement."""
+    first = frames.offsets[:-1][frames.lengths > 0]
+    return bool((frames.data[first] >> 4 != _HEARTBEAT).any())

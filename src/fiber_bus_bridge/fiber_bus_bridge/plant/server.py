@@ -104,7 +104,7 @@ class PlantServer:
         self._selector.register(listener, selectors.EVENT_READ)
         self._bridge: _Connection | None = None
         self._runs_on = False
-        self.after_step: Callable[[], None] = lambda: None  # called after each step
+        self.keep_time: Callable[[], None] = lambda: None  # called when time has gone on
         # positioners may change their address by a fault; a bridge knows the first ones
         self._addresses = plant.robots.addresses
         self._calls: dict[Kind, Callable[[_Connection, Columns], bytes]] = {
@@ -135,7 +135,6 @@ class PlantServer:
         # a request that waits is served before time goes on: this process may have been paused
         if not served:
             self._run_on()
-        self.after_step()
 
     def close(self, lock: int) -> None:
         """Close all connections, and give the path and its lock back."""
@@ -146,6 +145,8 @@ class PlantServer:
 
     def _run_on(self) -> None:
         runs_on = self._plant.run_on(self._clock())
+        if runs_on:
+            self.keep_time()
         if runs_on and not self._runs_on:
             why = "does not talk" if self._plant.connected else "is gone"
             self._log.warning("the bridge %s: time goes on by itself", why)
@@ -185,7 +186,9 @@ class PlantServer:
         try:
             if kind not in (Kind.OPEN, Kind.TRUTH) and connection is not self._bridge:
                 raise PlantError(f"{kind.name} from process {connection.pid}, which has no buses")
-            return self._calls[kind](connection, columns)
+            answer = self._calls[kind](connection, columns)
+            self.keep_time()
+            return answer
         except (BridgeError, ValueError, IndexError) as error:
             self._log.error("process %d is refused: %s", connection.pid, error)
             return refusal(str(error))
@@ -272,8 +275,8 @@ class PlantServer:
 
     def _truth(self, connection: _Connection, columns: Columns) -> bytes:
         truth, memory = self._plant.truth, self._plant.robots.memory
-        first, start, moves = truth.since(int(columns["since"][0]))
-        controller, verified = self._plant.origin(first)
+        since = int(columns["since"][0])
+        first, start, moves, controller, verified = self._plant.true_movements(since)
         return pack(
             ANSWERS, Kind.TRUTH, now_s=self._plant.now_s, first=first,
             quantum_rad=truth.quantum_rad, start=start, position=memory["position"],
