@@ -127,7 +127,7 @@ class Campaign:
 
     def _guard(self) -> None:
         if time.monotonic() > self._back_s + _END_S:
-            raise _Over("the plan has not ended")
+            raise _Over
 
     # --- one run ---------------------------------------------------------------
 
@@ -310,8 +310,6 @@ class Campaign:
             except WaitError:
                 pass  # its plan has an end all the same, or the run counts it
             other.node.destroy_client(client)
-
-    # --- afterwards -----------------------------------------------------------------
 
     def _recover(self, line: _Line) -> tuple[float, PlanOutcome | None]:
         """Reconfigure as an operator would; return how long it took [s], and the outcome.
