@@ -6,6 +6,7 @@ speeds. Before its first and after its last instant a motion rests.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar, TypeAlias
 
 import numba as nb
 import numpy as np
@@ -14,10 +15,14 @@ from numpy.typing import ArrayLike
 from fiber_core import bounds
 from fiber_core.array_types import Angles, Floats, Ints, Offsets, Times, Velocities
 from fiber_core.errors import MotionError
+from fiber_core.joint_segments import JointSegments, profile_rows
 from fiber_core.ragged import Parts
 from fiber_core.validation import frozen_array
 
-__all__ = ["SampledMotion", "SegmentMotion", "profile_rows"]
+__all__ = ["MotionArrays", "SampledMotion", "SegmentMotion", "profile_rows"]
+
+# start, offsets, duration_s and velocity_rad_s of a SegmentMotion
+MotionArrays: TypeAlias = tuple[Angles, Offsets, Floats, Floats]
 
 
 def _finite(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Floats:
@@ -106,15 +111,12 @@ class SampledMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class SegmentMotion:
+class SegmentMotion(JointSegments):
     """Joint profiles of constant-velocity segments, all starting at time zero.
-
-    Rows are ragged: the segments of robot i, joint j (0 theta, 1 phi) are
-    ``offsets[2 i + j] : offsets[2 i + j + 1]``.
 
     Args:
         start: joint angles at time zero [rad], shape (n, 2).
-        offsets: first segment of each profile, shape (2 n + 1,).
+        offsets: first segment of each profile, shape (2 n + 1,), as in JointSegments.
         duration_s: duration of each segment [s], positive, shape (m,).
         velocity_rad_s: joint velocity in each segment [rad/s], shape (m,).
 
@@ -126,6 +128,8 @@ class SegmentMotion:
     offsets: Offsets
     duration_s: Floats
     velocity_rad_s: Floats
+
+    _COLUMNS: ClassVar[tuple[str, str]] = ("duration_s", "velocity_rad_s")
 
     def __post_init__(self):
         start = _finite(self.start, (None, 2), "start")
@@ -161,19 +165,28 @@ class SegmentMotion:
         return cls(angles, np.zeros(2 * len(angles) + 1, dtype=np.int64), np.zeros(0), np.zeros(0))
 
     @property
-    def n(self) -> int:
-        """Number of robots."""
-        return len(self.start)
+    def arrays(self) -> MotionArrays:
+        """Start, offsets, durations and velocities, as compiled loops take them."""
+        return self.start, self.offsets, self.duration_s, self.velocity_rad_s
+
+    @cached_property
+    def _extremes(self) -> tuple[Angles, Angles, Velocities]:
+        return _extremes(self.start, self.offsets, self.duration_s, self.velocity_rad_s)
 
     @property
-    def parts(self) -> Parts:
-        """The segments of each profile, as parts of the flat arrays."""
-        return Parts(self.offsets)
+    def lowest(self) -> Angles:
+        """Lowest angle of each joint [rad], shape (n, 2)."""
+        return self._extremes[0]
 
     @property
-    def counts(self) -> Ints:
-        """Number of segments of each profile, shape (n, 2)."""
-        return self.parts.counts.reshape(-1, 2)
+    def highest(self) -> Angles:
+        """Highest angle of each joint [rad], shape (n, 2)."""
+        return self._extremes[1]
+
+    @property
+    def fastest(self) -> Velocities:
+        """Highest speed of each joint [rad/s], shape (n, 2)."""
+        return self._extremes[2]
 
     @cached_property
     def _profile(self) -> Ints:
@@ -217,38 +230,6 @@ class SegmentMotion:
         active = (self._begin_s <= t) & (t < self._begin_s + self.duration_s)
         return self._sum_by_profile(np.where(active, self.velocity_rad_s, 0.0))
 
-    def without(self, held: ArrayLike) -> "SegmentMotion":
-        """Return the same motion with some robots resting at their start.
-
-        Args:
-            held: whether each robot rests, shape (n,).
-        """
-        parts, moves = self.parts.without(np.repeat(np.asarray(held, dtype=bool), 2))
-        return SegmentMotion(
-            self.start, parts.offsets, self.duration_s[moves], self.velocity_rad_s[moves]
-        )
-
-    def of_robots(self, rows: ArrayLike) -> "SegmentMotion":
-        """Return the motion of some robots alone.
-
-        Args:
-            rows: rows of the robots, in the order of the result, shape (k,).
-        """
-        rows = np.asarray(rows)
-        parts, kept = self.parts.select(profile_rows(rows))
-        return SegmentMotion(
-            self.start[rows], parts.offsets, self.duration_s[kept], self.velocity_rad_s[kept]
-        )
-
-
-def profile_rows(rows: ArrayLike) -> Ints:
-    """Return the profiles of robots: theta and phi of each, shape (2 k,).
-
-    Args:
-        rows: rows of the robots, shape (k,).
-    """
-    return (2 * np.asarray(rows, dtype=np.int64)[:, None] + np.array([0, 1])).ravel()
-
 
 @nb.njit(cache=True)
 def _begins(offsets: Offsets, duration_s: Floats) -> Times:
@@ -260,3 +241,20 @@ def _begins(offsets: Offsets, duration_s: Floats) -> Times:
             begin_s[k] = t
             t += duration_s[k]
     return begin_s
+
+
+@nb.njit(cache=True)
+def _extremes(
+    start: Angles, offsets: Offsets, duration_s: Floats, velocity_rad_s: Floats
+) -> tuple[Angles, Angles, Velocities]:
+    # lowest and highest angle, and highest speed of each joint
+    low, high, fastest = start.copy(), start.copy(), np.zeros(start.shape)
+    for i in range(len(start)):
+        for joint in range(2):
+            angle = start[i, joint]
+            for k in range(offsets[2 * i + joint], offsets[2 * i + joint + 1]):
+                angle += velocity_rad_s[k] * duration_s[k]
+                low[i, joint] = min(low[i, joint], angle)
+                high[i, joint] = max(high[i, joint], angle)
+                fastest[i, joint] = max(fastest[i, joint], abs(velocity_rad_s[k]))
+    return low, high, fastest

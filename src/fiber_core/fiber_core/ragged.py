@@ -8,6 +8,7 @@ Compiled loops take the offsets themselves.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -121,7 +122,23 @@ class Parts:
             The parts, and for each of their elements its index in the flat array.
         """
         gathered = cls.from_counts(counts)
-        return gathered, np.arange(gathered.total) + np.repeat(first - gathered.first, counts)
+        return gathered, _elements(gathered.offsets, np.asarray(first, dtype=np.int64))
+
+    def replaced(self, parts: ArrayLike, by: "Parts") -> tuple["Parts", Ints]:
+        """Return the same number of parts, some of them taken from another flat array.
+
+        Args:
+            parts: the parts that are replaced, each once, shape (s,).
+            by: the parts of the other array that replace them, s parts in the same order.
+
+        Returns:
+            The parts, and for each of their elements its index in the present flat array with
+            the other one appended.
+        """
+        parts = np.asarray(parts, dtype=np.int64)
+        first, counts = self.first.copy(), self.counts
+        first[parts], counts[parts] = by.first + self.total, by.counts
+        return Parts.gather(first, counts)
 
     def without(self, empty: ArrayLike) -> tuple["Parts", Bools]:
         """Return the same number of parts, some of them emptied, and the elements that remain.
@@ -134,3 +151,13 @@ class Parts:
         """
         empty, counts = np.asarray(empty, dtype=bool), self.counts
         return Parts.from_counts(np.where(empty, 0, counts)), np.repeat(~empty, counts)
+
+
+@nb.njit(cache=True)
+def _elements(offsets: Offsets, first: Ints) -> Ints:
+    # where the elements of parts stand that begin at `first` in another flat array
+    elements = np.empty(offsets[-1], dtype=np.int64)
+    for part in range(len(first)):
+        for k in range(offsets[part], offsets[part + 1]):
+            elements[k] = first[part] + (k - offsets[part])
+    return elements

@@ -6,15 +6,18 @@ is a whole number of quanta at every tick and a positioner integrates its orders
 without rounding.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import bounds
-from fiber_core.array_types import Counts, Floats, Ints, Mask, Offsets
+from fiber_core.array_types import Counts, Floats, Ints, Offsets
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.joint_segments import JointSegments
 from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
 from fiber_core.validation import frozen_array
@@ -151,13 +154,13 @@ class WireUnits:
 
 
 @dataclass(frozen=True, eq=False)
-class WireMotion:
+class WireMotion(JointSegments):
     """A motion in whole wire units, as the discretizer makes it and the bus carries it.
 
     Args:
         units: size of tick and quantum.
         start: joint positions at time zero [quanta], shape (n, 2).
-        offsets: first segment of each profile, shape (2 n + 1,), as in SegmentMotion.
+        offsets: first segment of each profile, shape (2 n + 1,), as in JointSegments.
         ticks: duration of each segment [ticks], positive, shape (m,).
         velocity: joint velocity in each segment [velocity units], shape (m,).
 
@@ -170,6 +173,8 @@ class WireMotion:
     offsets: Offsets
     ticks: Ints
     velocity: Ints
+
+    _COLUMNS: ClassVar[tuple[str, str]] = ("ticks", "velocity")
 
     def __post_init__(self):
         columns = {"start": (None, 2), "offsets": (None,), "ticks": (None,), "velocity": (None,)}
@@ -232,44 +237,13 @@ class WireMotion:
         return cls(units, start, Parts.from_counts(counts).offsets, ticks, velocity)
 
     @property
-    def parts(self) -> Parts:
-        """The segments of each profile, as parts of the flat arrays."""
-        return Parts(self.offsets)
-
-    @property
-    def counts(self) -> Ints:
-        """Number of segments of each profile, shape (n, 2)."""
-        return self.parts.counts.reshape(-1, 2)
-
-    @property
-    def moves(self) -> Mask:
-        """Robots with at least one segment, shape (n,)."""
-        return np.any(self.counts > 0, axis=1)
-
-    @property
     def end(self) -> Counts:
         """Joint positions after the motion [quanta], shape (n, 2)."""
         running = np.concatenate([[0], np.cumsum(self.ticks * self.velocity)])
         return self.start + (running[self.offsets[1:]] - running[self.offsets[:-1]]).reshape(-1, 2)
 
-    def without(self, held: ArrayLike) -> "WireMotion":
-        """Return the same motion with some robots resting at their start.
-
-        Args:
-            held: whether each robot rests, shape (n,).
-        """
-        parts, moves = self.parts.without(np.repeat(np.asarray(held, dtype=bool), 2))
-        return WireMotion(
-            self.units, self.start, parts.offsets, self.ticks[moves], self.velocity[moves]
-        )
-
-    def only(self, chosen: ArrayLike) -> "WireMotion":
-        """Return the same motion with all robots but some resting at their start.
-
-        Args:
-            chosen: whether each robot moves as before, shape (n,).
-        """
-        return self.without(~np.asarray(chosen, dtype=bool))
+    def _shared(self) -> Mapping[str, object]:
+        return {"units": self.units}
 
     def decoded(self) -> SegmentMotion:
         """Return the motion that a perfect positioner makes from these numbers."""

@@ -11,7 +11,6 @@ from fiber_core.clearance import (
     bodies_of,
     certify,
     neighbour_pairs,
-    profiles_of,
     sampled_gaps,
     smallest_gaps,
     unproven,
@@ -127,11 +126,11 @@ def test_a_certificate_without_figures_gives_the_same_verdict(phi, theta):
     plane, motion = _couples(rng, 120, phi, theta), random_motion(rng, 240)
     pairs = np.stack([2 * np.arange(120), 2 * np.arange(120) + 1], axis=1)
     found = certify(plane, motion, Safety(0.3, 0.0, 0.0), pairs)
-    bare = unproven(bodies_of(plane), profiles_of(motion), pairs, found.required_mm)
+    bare = unproven(bodies_of(plane), motion, pairs, found.required_mm)
     doubtful = np.abs(_dense_minimum(plane, motion, pairs) - 0.3) < 2e-3
     assert found.unsafe.sum() > 10 and (~found.unsafe).sum() > 10
     np.testing.assert_array_equal(bare[~doubtful], found.unsafe[~doubtful])
-    lower = smallest_gaps(bodies_of(plane), profiles_of(motion), pairs, found.required_mm)
+    lower = smallest_gaps(bodies_of(plane), motion, pairs, found.required_mm)
     np.testing.assert_array_equal(lower < found.required_mm, found.unsafe)
     np.testing.assert_array_equal(lower[found.unsafe], found.gap_mm[found.unsafe])
 

@@ -12,7 +12,6 @@ from fiber_core.clearance import (
     levers_of,
     neighbour_pairs,
     point_speeds,
-    profiles_of,
     sampled_gaps,
 )
 from fiber_core.motion import SegmentMotion
@@ -42,7 +41,7 @@ def _gap_lost(plane, motion, safety, pairs, clocks):
         clocks: for each trial, rates of the robots' clocks and how late they start [s].
     """
     nominal = certify(plane, motion, RESOLVE_ALL, pairs).gap_mm
-    speeds = point_speeds(levers_of(plane), profiles_of(motion).fastest)
+    speeds = point_speeds(levers_of(plane), motion.fastest)
     allowance = replace(safety, margin_mm=0.0).required_at(speeds, motion.makespan_s, pairs)
     t = np.linspace(0.0, 1.1 * motion.makespan_s + safety.start_skew_s, 800)
     lost = np.zeros(len(pairs))
@@ -98,7 +97,7 @@ def test_robots_that_stop_apart_in_time_use_up_the_margin_and_no_more(name):
     worst = 0.0
     for _ in range(3):
         motion = random_motion(rng, 30, most=2)
-        speeds = point_speeds(levers_of(plane), profiles_of(motion).fastest)
+        speeds = point_speeds(levers_of(plane), motion.fastest)
         required = safety.required_at(speeds, motion.makespan_s, pairs)
         for stop_s in rng.uniform(0.0, motion.makespan_s, 20):
             instants = all_at(motion, [stop_s, stop_s + 0.02])

@@ -48,6 +48,62 @@ def test_emptied_parts_lose_their_elements_and_no_other_part_does(counts, data):
     assert lists(left, np.arange(parts.total)[remains]) == expected
 
 
+@given(COUNTS, st.data())
+def test_replaced_parts_have_the_elements_of_the_other_array_and_the_others_keep_theirs(
+    counts, data
+):
+    parts = Parts.from_counts(counts)
+    chosen = data.draw(st.lists(st.sampled_from(range(len(counts))), unique=True)) if counts else []
+    other = Parts.from_counts(
+        data.draw(st.lists(st.integers(0, 5), min_size=len(chosen), max_size=len(chosen)))
+    )
+    replaced, elements = parts.replaced(chosen, other)
+    flat = np.concatenate([np.arange(parts.total), 100 + np.arange(other.total)])
+    expected = lists(parts, flat)
+    for part, elements_of_other in zip(chosen, lists(other, flat[parts.total :])):
+        expected[part] = elements_of_other
+    assert lists(replaced, flat[elements]) == expected
+
+
+@given(COUNTS)
+def test_parts_are_found_again_from_the_owners_of_their_elements(counts):
+    parts = Parts.from_counts(counts)
+    assert np.array_equal(Parts.from_owners(parts.owner, len(parts)).offsets, parts.offsets)
+
+
+@given(COUNTS, st.data())
+def test_selecting_twice_is_selecting_once(counts, data):
+    parts = Parts.from_counts(counts)
+    rows = st.lists(st.sampled_from(range(len(counts)))) if counts else st.just([])
+    first = np.array(data.draw(rows), dtype=np.int64)
+    second = data.draw(st.lists(st.sampled_from(range(len(first))))) if len(first) else []
+    once, elements = parts.select(first)
+    twice, of_these = once.select(second)
+    both, directly = parts.select(first[second])
+    assert np.array_equal(twice.offsets, both.offsets)
+    assert np.array_equal(elements[of_these], directly)
+
+
+@given(COUNTS)
+def test_selecting_all_parts_changes_nothing_and_emptying_all_leaves_nothing(counts):
+    parts = Parts.from_counts(counts)
+    same, elements = parts.select(np.arange(len(parts)))
+    assert np.array_equal(same.offsets, parts.offsets)
+    assert np.array_equal(elements, np.arange(parts.total))
+    empty, remains = parts.without(np.ones(len(parts), dtype=bool))
+    assert len(empty) == len(parts) and empty.total == 0 and not remains.any()
+
+
+@given(COUNTS, COUNTS)
+def test_parts_of_joined_arrays_are_selected_apart_again(one, two):
+    joined = Parts.concatenate([Parts.from_counts(one), Parts.from_counts(two)])
+    first, elements = joined.select(np.arange(len(one)))
+    assert first.counts.tolist() == one and np.array_equal(elements, np.arange(sum(one)))
+    second, elements = joined.select(len(one) + np.arange(len(two)))
+    assert second.counts.tolist() == two
+    assert np.array_equal(elements, sum(one) + np.arange(sum(two)))
+
+
 @given(st.lists(COUNTS, max_size=4))
 def test_concatenated_parts_are_those_of_the_joined_arrays(many):
     joined = Parts.concatenate([Parts.from_counts(counts) for counts in many])

@@ -10,7 +10,8 @@ import numpy as np
 from numba import njit
 
 from fiber_core.array_types import Bools, Floats, Rows
-from fiber_core.clearance import Neighbours, Profiles, most_neighbours, posed_gap
+from fiber_core.clearance import Neighbours, most_neighbours, posed_gap
+from fiber_core.motion import MotionArrays
 
 __all__ = ["FINEST_RAD", "corridor_walls", "free_intervals"]
 
@@ -25,7 +26,7 @@ def corridor_walls(
     table: Floats,
     levers: Floats,
     limits: Floats,
-    profiles: Profiles,
+    motion: MotionArrays,
     neighbours: Neighbours,
     required: Floats,
     rows: Rows,
@@ -46,7 +47,7 @@ def corridor_walls(
         table: outlines, from bodies_of.
         levers: farthest point of a robot from the axis of each joint [mm], shape (n, 2).
         limits: joint limits [rad], shape (n, 2, 2).
-        profiles: motion of all other robots, from profiles_of.
+        motion: the arrays of the motion of all robots.
         neighbours: from neighbours_of.
         required: gap that each pair must keep [mm], shape (p,).
         rows: the robots, shape (m,).
@@ -78,7 +79,7 @@ def corridor_walls(
         for k in range(t):
             # Begin at the desired angle, after a diversion at the free angle before.
             begin = begin if diverted and k < t - 1 else desired[r, joint, k]
-            _pose_bodies(profiles, bodies, times[r, k], poses)
+            _pose_bodies(motion, bodies, times[r, k], poses)
             passing = side if 0 < k < t - 1 else 0
             begin, low[r, k], high[r, k] = _free_interval(
                 scene, axis, desired[r, 1 - joint, k], begin, passing
@@ -93,7 +94,7 @@ def corridor_walls(
                 low[r, back] > high[r, back - 1] or high[r, back] < low[r, back - 1]
             ):
                 back -= 1
-                _pose_bodies(profiles, bodies, times[r, back], poses)
+                _pose_bodies(motion, bodies, times[r, back], poses)
                 begin_back, low[r, back], high[r, back] = _free_interval(
                     scene, axis, desired[r, 1 - joint, back], begin_back, side
                 )
@@ -110,7 +111,7 @@ def free_intervals(
     table: Floats,
     levers: Floats,
     limits: Floats,
-    profiles: Profiles,
+    motion: MotionArrays,
     neighbours: Neighbours,
     required: Floats,
     joint: int,
@@ -126,7 +127,7 @@ def free_intervals(
         table: outlines, from bodies_of.
         levers: farthest point of a robot from the axis of each joint [mm], shape (n, 2).
         limits: joint limits [rad], shape (n, 2, 2).
-        profiles: motion of all robots, from profiles_of.
+        motion: the arrays of the motion of all robots.
         neighbours: from neighbours_of.
         required: gap that each pair must keep [mm], shape (p,).
         joint: the joint that turns, 0 theta, 1 phi.
@@ -150,7 +151,7 @@ def free_intervals(
             joint, levers[i, joint], limits[i, joint, 0], limits[i, joint, 1], reach, _ALL_STEPS,
         )  # fmt: skip
         for k in range(t):
-            _pose_bodies(profiles, bodies, times[i, k], poses)
+            _pose_bodies(motion, bodies, times[i, k], poses)
             _, low[i, k], high[i, k] = _free_interval(
                 scene, axis, angles[i, 1 - joint, k], angles[i, joint, k], 0
             )
@@ -228,18 +229,22 @@ def _approach(scene, axis, angles, free, way):
 
 
 @njit(cache=True)
-def _pose_bodies(profiles, bodies, time, poses):
+def _pose_bodies(motion, bodies, time, poses):
     # cosine and sine of theta, then of theta + phi, of some bodies at a time
+    start, offsets, duration, velocity = motion
     for q in range(len(bodies)):
         body, angle = bodies[q], 0.0
         for j in range(2):
-            if body < len(profiles.start):
-                turned = profiles.start[body, j]
-                for k in range(profiles.first[body, j], profiles.stop[body, j]):
-                    if profiles.begins_s[k] > time:
+            if body < len(start):
+                turned = at_begin = start[body, j]
+                begins = 0.0
+                for k in range(offsets[2 * body + j], offsets[2 * body + j + 1]):
+                    if begins > time:
                         break
-                    passed = min(time, profiles.ends_s[k]) - profiles.begins_s[k]
-                    turned = profiles.angle[k] + passed * profiles.velocity[k]
+                    ends = begins + duration[k]
+                    turned = at_begin + (min(time, ends) - begins) * velocity[k]
+                    at_begin += velocity[k] * duration[k]
+                    begins = ends
                 angle += turned
             poses[q, 2 * j], poses[q, 2 * j + 1] = math.cos(angle), math.sin(angle)
 

@@ -9,7 +9,6 @@ from fiber_core.clearance import (
     certified_pairs,
     levers_of,
     neighbours_of,
-    profiles_of,
 )
 from fiber_core.corridor import JointCorridors
 from fiber_core.focal_plane import FocalPlane
@@ -44,11 +43,11 @@ def joint_corridors(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
     pairs = certified_pairs(plane, motion, safety)
     required = safety.required_mm(plane, motion, pairs) - _TOLERANCE_MM
     table, levers = bodies_of(plane).table, levers_of(plane)
-    neighbours, profiles = neighbours_of(plane.n, pairs), profiles_of(motion)
+    neighbours = neighbours_of(plane.n, pairs)
     walls = np.empty((2, plane.n, 2, _INSTANTS))
     for joint in (0, 1):
         walls[:, :, joint] = free_intervals(
-            table, levers, plane.limits, profiles, neighbours, required,
+            table, levers, plane.limits, motion.arrays, neighbours, required,
             joint, times, sent, _REACH_RAD,
         )  # fmt: skip
     # a robot that stands beyond its limits is inside its own corridor

@@ -95,7 +95,7 @@ class Segments:
         source[np.asarray(rows, dtype=np.int64)] = others
         first, counts = source.T
         parts, pick = Parts.gather(first, counts)
-        ticks = np.concatenate([self.ticks, other.ticks])[pick]
+        ticks = np.concatenate([self.ticks, other.ticks]).take(pick)
         return Segments(parts.offsets, ticks, np.concatenate([self.velocity, other.velocity])[pick])
 
     def without(self, rows: ArrayLike) -> "Segments":

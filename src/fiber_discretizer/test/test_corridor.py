@@ -10,7 +10,6 @@ from fiber_core.clearance import (
     levers_of,
     neighbour_pairs,
     neighbours_of,
-    profiles_of,
     sampled_gaps,
 )
 from fiber_core.motion import SegmentMotion
@@ -40,7 +39,7 @@ def scene_of(plane, motion):
         bodies_of(plane).table,
         levers_of(plane),
         plane.limits,
-        profiles_of(motion),
+        motion.arrays,
         neighbours_of(plane.n, pairs),
         np.full(len(pairs), REQUIRED_MM),
     )

@@ -9,7 +9,6 @@ from fiber_core.clearance import (
     certify,
     neighbour_pairs,
     point_speeds,
-    profiles_of,
     sampled_gaps,
     unproven,
 )
@@ -107,9 +106,9 @@ def test_a_segment_plan_has_the_unsafe_pairs_that_the_certificate_finds(plane_at
         for row in order:  # assigned one by one, in any order
             plan.assign(np.array([row]), segments.rows([2 * row, 2 * row + 1]))
         required = SAFETY.required_at(
-            point_speeds(plan.levers_mm, plan.profiles.fastest), 3.0, plan.pairs
+            point_speeds(plan.levers_mm, plan.motion.fastest), 3.0, plan.pairs
         )
-        every = unproven(plan.bodies, profiles_of(plan.motion), plan.pairs, required)
+        every = unproven(plan.bodies, plan.motion, plan.pairs, required)
         np.testing.assert_array_equal(plan.unsafe, every)
         again = plan.unproven(np.arange(len(plan.pairs)), np.arange(3), segments)
         np.testing.assert_array_equal(again, every)

@@ -16,14 +16,12 @@ from fiber_core.clearance.neighbours import (
     neighbour_pairs,
     neighbours_of,
 )
-from fiber_core.clearance.piecewise import Profiles, profiles_of
 from fiber_core.clearance.safety import Safety, levers_of, point_speeds
 
 __all__ = [
     "Bodies",
     "Certificate",
     "Neighbours",
-    "Profiles",
     "Safety",
     "bodies_of",
     "certified_pairs",
@@ -38,7 +36,6 @@ __all__ = [
     "pair_gap_below",
     "point_speeds",
     "posed_gap",
-    "profiles_of",
     "sampled_gaps",
     "smallest_gaps",
     "unproven",

@@ -9,7 +9,6 @@ from fiber_core.array_types import Floats, Gaps, Mask, Pairs, Rows, Times
 from fiber_core.clearance.collision_bodies import Bodies, bodies_of
 from fiber_core.clearance.minimum_distance import FINEST_MM, Minima, minimum_gaps
 from fiber_core.clearance.neighbours import neighbour_pairs
-from fiber_core.clearance.piecewise import Profiles, profiles_of
 from fiber_core.clearance.safety import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -103,31 +102,36 @@ def certify(
     if pairs is None:
         pairs = certified_pairs(plane, motion, safety)
     pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
-    bodies, profiles = bodies_of(plane), profiles_of(motion)
+    bodies = bodies_of(plane)
     required = safety.required_mm(plane, motion, pairs)
     minima = Minima.unknown(len(pairs))
     every = np.arange(len(pairs))
-    minimum_gaps(bodies, profiles, pairs, every, required, tolerance_mm, True, minima)
-    return certificate_of(plane, bodies, profiles, pairs, required, minima, tolerance_mm)
+    minimum_gaps(
+        bodies, motion.arrays, np.zeros(motion.n, dtype=bool), pairs, every,
+        required, tolerance_mm, True, minima,
+    )  # fmt: skip
+    return certificate_of(plane, motion, pairs, required, minima, tolerance_mm)
 
 
-def unproven(bodies: Bodies, profiles: Profiles, pairs: ArrayLike, required_mm: ArrayLike) -> Mask:
+def unproven(
+    bodies: Bodies, motion: SegmentMotion, pairs: ArrayLike, required_mm: ArrayLike
+) -> Mask:
     """Return which pairs are not proven to keep their gap at every instant, shape (p,).
 
     A certificate without figures: the search on a pair ends as soon as it is decided.
 
     Args:
         bodies: outlines, from bodies_of.
-        profiles: the motion, from profiles_of.
+        motion: joint profiles of all robots.
         pairs: rows a, b of bodies, shape (p, 2).
         required_mm: gap that each pair must keep [mm], shape (p,).
     """
     required = np.asarray(required_mm, dtype=float)
-    return _lower_bounds(bodies, profiles, pairs, required, False) < required
+    return _lower_bounds(bodies, motion, pairs, required, False) < required
 
 
 def smallest_gaps(
-    bodies: Bodies, profiles: Profiles, pairs: ArrayLike, level_mm: ArrayLike
+    bodies: Bodies, motion: SegmentMotion, pairs: ArrayLike, level_mm: ArrayLike
 ) -> Gaps:
     """Return a lower bound of the smallest gap of each pair in a motion [mm], shape (p,).
 
@@ -135,19 +139,22 @@ def smallest_gaps(
 
     Args:
         bodies: outlines, from bodies_of.
-        profiles: the motion, from profiles_of.
+        motion: joint profiles of all robots.
         pairs: rows a, b of bodies, shape (p, 2).
         level_mm: gap of each pair above which no better bound is needed [mm], shape (p,).
     """
-    return _lower_bounds(bodies, profiles, pairs, np.asarray(level_mm, dtype=float), True)
+    return _lower_bounds(bodies, motion, pairs, np.asarray(level_mm, dtype=float), True)
 
 
 def _lower_bounds(
-    bodies: Bodies, profiles: Profiles, pairs: ArrayLike, level: Floats, resolve: bool
+    bodies: Bodies, motion: SegmentMotion, pairs: ArrayLike, level: Floats, resolve: bool
 ) -> Gaps:
     pairs = np.asarray(pairs, dtype=np.int32).reshape(-1, 2)
     minima, rows = Minima.unknown(len(pairs)), np.arange(len(pairs))
-    minimum_gaps(bodies, profiles, pairs, rows, level, _TOLERANCE_MM, resolve, minima)
+    minimum_gaps(
+        bodies, motion.arrays, np.zeros(motion.n, dtype=bool), pairs, rows,
+        level, _TOLERANCE_MM, resolve, minima,
+    )  # fmt: skip
     return minima.lower
 
 
@@ -160,8 +167,7 @@ def certified_pairs(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
 
 def certificate_of(
     plane: FocalPlane,
-    bodies: Bodies,
-    profiles: Profiles,
+    motion: SegmentMotion,
     pairs: Pairs,
     required: Gaps,
     minima: Minima,
@@ -171,46 +177,46 @@ def certificate_of(
 
     Args:
         plane: the focal plane.
-        bodies: outlines, from bodies_of.
-        profiles: the motion, from profiles_of.
+        motion: joint profiles of all robots.
         pairs: rows a, b of bodies, shape (p, 2).
         required: gap that each pair must keep [mm], shape (p,).
         minima: the smallest gaps as far as they are known; updated.
         tolerance_mm: resolution of the smallest gap [mm].
     """
-    _resolve_smallest(bodies, profiles, pairs, required, minima, tolerance_mm)
+    _resolve_smallest(bodies_of(plane), motion, pairs, required, minima, tolerance_mm)
     return Certificate(
         pairs=pairs,
         required_mm=required,
         gap_mm=minima.lower,
         time_s=minima.time_s,
         unsafe=minima.lower < required,
-        limits_broken=limits_broken(plane, profiles),
-        moved_disabled=moved_disabled(plane, profiles),
+        limits_broken=limits_broken(plane, motion),
+        moved_disabled=moved_disabled(plane, motion),
     )
 
 
-def limits_broken(plane: FocalPlane, profiles: Profiles) -> Mask:
+def limits_broken(plane: FocalPlane, motion: SegmentMotion) -> Mask:
     """Return the robots that move a joint outside its limits or too fast, shape (n,)."""
     low, high = np.moveaxis(plane.limits, -1, 0)
-    outside = (profiles.low < low - 1e-9) | (profiles.high > high + 1e-9)
-    too_fast = profiles.fastest > plane.speeds * (1 + 1e-9)
-    return np.any((profiles.fastest > 0.0) & outside | too_fast, axis=1)
+    outside = (motion.lowest < low - 1e-9) | (motion.highest > high + 1e-9)
+    too_fast = motion.fastest > plane.speeds * (1 + 1e-9)
+    return np.any((motion.fastest > 0.0) & outside | too_fast, axis=1)
 
 
-def moved_disabled(plane: FocalPlane, profiles: Profiles) -> Mask:
+def moved_disabled(plane: FocalPlane, motion: SegmentMotion) -> Mask:
     """Return the disabled robots that move, shape (n,)."""
-    return ~plane.enabled & (profiles.fastest > 0.0).any(axis=1)
+    return ~plane.enabled & (motion.fastest > 0.0).any(axis=1)
 
 
 def _resolve_smallest(
     bodies: Bodies,
-    profiles: Profiles,
+    motion: SegmentMotion,
     pairs: Pairs,
     required: Gaps,
     minima: Minima,
     tolerance_mm: float,
 ) -> None:
+    resting = np.zeros(motion.n, dtype=bool)
     tolerance_mm = max(tolerance_mm, FINEST_MM)
     smallest = minima.best.min(initial=np.inf)
     level = required.copy()
@@ -225,5 +231,5 @@ def _resolve_smallest(
             return
         nearest = rows[np.argmin(minima.best[rows])]
         only = np.array([nearest])
-        minimum_gaps(bodies, profiles, pairs, only, level, tolerance_mm, True, minima)
+        minimum_gaps(bodies, motion.arrays, resting, pairs, only, level, tolerance_mm, True, minima)
         smallest = min(smallest, minima.best[nearest])

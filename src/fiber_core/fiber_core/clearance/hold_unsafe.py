@@ -13,7 +13,7 @@ from fiber_core.clearance.certificate import (
 )
 from fiber_core.clearance.collision_bodies import bodies_of
 from fiber_core.clearance.minimum_distance import Minima, minimum_gaps
-from fiber_core.clearance.piecewise import profiles_of
+from fiber_core.clearance.neighbours import neighbours_of
 from fiber_core.clearance.safety import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -51,7 +51,7 @@ def hold_until_safe(
     if pairs is None:
         pairs = certified_pairs(plane, motion, safety)
     search = _Search(plane, motion, safety, pairs, tolerance_mm)
-    faulty = limits_broken(plane, search.profiles) | moved_disabled(plane, search.profiles)
+    faulty = limits_broken(plane, motion) | moved_disabled(plane, motion)
     search.hold(faulty)
     search.hold_until_covered()
     if not search.unsafe.any():
@@ -76,8 +76,7 @@ class _Search:
         self.plane, self.wished, self.safety = plane, motion, safety
         self.tolerance_mm = tolerance_mm
         self.pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
-        self.bodies, self.profiles = bodies_of(plane), profiles_of(motion)
-        self.stop = self.profiles.stop.copy()
+        self.bodies, self.neighbours = bodies_of(plane), neighbours_of(plane.n, self.pairs)
         self.held: Mask = np.zeros(plane.n, dtype=np.bool_)
         self.minima = Minima.unknown(len(self.pairs))
         self.update()
@@ -98,7 +97,8 @@ class _Search:
         # improve the bounds of some pairs until each is proven safe or found unsafe
         minimum_gaps(
             self.bodies,
-            self.profiles,
+            self.wished.arrays,
+            self.held,
             self.pairs,
             rows,
             self.required,
@@ -110,7 +110,6 @@ class _Search:
     def hold(self, robots: Mask) -> None:
         # the robots, shape (n,), rest from now on; nothing is known about their pairs
         self.held |= robots
-        self.profiles.stop[robots] = self.profiles.first[robots]
         touched = self._of_bodies(robots)[self.pairs].any(axis=1)
         self.minima.lower[touched], self.minima.best[touched] = -np.inf, np.inf
         self.update()
@@ -121,7 +120,7 @@ class _Search:
 
     def _cover(self) -> Mask:
         # greedy vertex cover of the unsafe pairs by robots that move
-        movable = self._of_bodies(self.profiles.fastest.any(axis=1) & ~self.held)
+        movable = self._of_bodies(self.wished.fastest.any(axis=1) & ~self.held)
         chosen = np.zeros(self.plane.n, dtype=np.bool_)
         uncovered = self.pairs[self.unsafe & movable[self.pairs].any(axis=1)]
         while len(uncovered):
@@ -137,17 +136,15 @@ class _Search:
         held_before = self.held.copy()
         # No motion with robots held requires larger gaps than the wished motion.
         self.required = self.safety.required_mm(self.plane, self.wished, self.pairs)
-        order = np.argsort(self.pairs, axis=None, kind="stable")
-        begin = np.searchsorted(self.pairs.ravel()[order], np.arange(self.plane.n + 1))
-        for robot in np.flatnonzero(self.held & allowed):
-            own = order[begin[robot] : begin[robot + 1]] // 2
+        near = self.neighbours
+        for robot in np.flatnonzero(self.held & allowed).tolist():
+            own = near.pair[near.parts.slice(robot)]
             before = [column[own] for column in self.minima]
-            self.profiles.stop[robot] = self.stop[robot]
+            self.held[robot] = False
             self.prove(own)
             if (self.minima.lower[own] >= self.required[own]).all():
-                self.held[robot] = False
                 continue
-            self.profiles.stop[robot] = self.profiles.first[robot]
+            self.held[robot] = True
             for column, known in zip(self.minima, before):
                 column[own] = known
         self.update()
@@ -163,8 +160,7 @@ class _Search:
     def certificate(self) -> Certificate:
         return certificate_of(
             self.plane,
-            self.bodies,
-            profiles_of(self.motion),
+            self.motion,
             self.pairs,
             self.required,
             self.minima,

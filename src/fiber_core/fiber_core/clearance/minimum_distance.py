@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from fiber_core.array_types import Angles, Floats, Gaps, Ints, Pairs, Rows, Times
+from fiber_core.array_types import Angles, Floats, Gaps, Mask, Offsets, Pairs, Rows, Times
 from fiber_core.clearance.collision_bodies import Bodies
 from fiber_core.clearance.distance import table_gap
-from fiber_core.clearance.piecewise import Profiles
+from fiber_core.motion import MotionArrays
 
 __all__ = ["FINEST_MM", "Minima", "minimum_gaps"]
 
@@ -57,41 +57,46 @@ def _lower_bound(g0: float, g1: float, way: float) -> float:
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _most_segments(first: Ints, stop: Ints) -> int:
+def _most_segments(offsets: Offsets) -> int:
     # number of segments of the joint that has most of them
     most = 0
-    for i in range(len(first)):
-        for joint in range(2):
-            most = max(most, stop[i, joint] - first[i, joint])
+    for profile in range(len(offsets) - 1):
+        most = max(most, offsets[profile + 1] - offsets[profile])
     return most
 
 
 @nb.njit(cache=True, error_model="numpy")
 def _cut(
     start: Angles,
-    first: Ints,
-    stop: Ints,
-    begins: Times,
-    ends: Times,
-    angle: Floats,
+    offsets: Offsets,
+    duration: Floats,
     velocity: Floats,
+    resting: Mask,
     a: int,
     b: int,
     t: Times,
     q: Floats,
     w: Floats,
+    now: Floats,
 ) -> int:
     # Cut the motion of bodies a and b into pieces on which all four joint speeds are
     # constant: begin t[k], angles q[k] there, speeds w[k]. Returns their number; one row
     # more holds the end. An obstacle has no joints: its row is beyond those of the robots.
+    # The rows of `now` are, for the present segment of each joint, when it begins, when it ends,
+    # and the angle at its begin.
     robots = len(start)
     cursor, last = np.zeros(4, dtype=np.int64), np.zeros(4, dtype=np.int64)
+    begins, ends, angle = now[0], now[1], now[2]
     q[0] = 0.0
     for j in range(4):
         body, joint = (a, j) if j < 2 else (b, j - 2)
         if body < robots:
             q[0, j] = start[body, joint]
-            cursor[j], last[j] = first[body, joint], stop[body, joint]
+            if not resting[body]:
+                cursor[j] = offsets[2 * body + joint]
+                last[j] = offsets[2 * body + joint + 1]
+            if cursor[j] < last[j]:
+                begins[j], ends[j], angle[j] = 0.0, duration[cursor[j]], q[0, j]
     t[0] = 0.0
     k = 0
     while (cursor < last).any():
@@ -100,14 +105,17 @@ def _cut(
             w[k, j] = 0.0
             if cursor[j] < last[j]:
                 w[k, j] = velocity[cursor[j]]
-                t[k + 1] = min(t[k + 1], ends[cursor[j]])
+                t[k + 1] = min(t[k + 1], ends[j])
         for j in range(4):
             q[k + 1, j] = q[k, j]
             if cursor[j] < last[j]:
-                m = cursor[j]
-                q[k + 1, j] = angle[m] + w[k, j] * (t[k + 1] - begins[m])
-                if ends[m] <= t[k + 1]:
+                q[k + 1, j] = angle[j] + w[k, j] * (t[k + 1] - begins[j])
+                if ends[j] <= t[k + 1]:
+                    angle[j] += w[k, j] * duration[cursor[j]]
+                    begins[j] = ends[j]
                     cursor[j] += 1
+                    if cursor[j] < last[j]:
+                        ends[j] += duration[cursor[j]]
         k += 1
     return k
 
@@ -115,7 +123,8 @@ def _cut(
 @nb.njit(cache=True, error_model="numpy", nogil=True)  # the longest loop of all
 def minimum_gaps(
     bodies: Bodies,
-    profiles: Profiles,
+    motion: MotionArrays,
+    resting: Mask,
     pairs: Pairs,
     rows: Rows,
     level: Gaps,
@@ -130,7 +139,8 @@ def minimum_gaps(
 
     Args:
         bodies: outlines, from bodies_of.
-        profiles: the motion, from profiles_of.
+        motion: the arrays of a SegmentMotion.
+        resting: robots that stay at their start instead, shape (n,).
         pairs: rows a, b of bodies, shape (p, 2).
         rows: pairs to work on, shape (r,).
         level: gap of each pair above which no better bound is needed [mm], shape (p,).
@@ -141,20 +151,19 @@ def minimum_gaps(
     # Fields are read once: each reading of a tuple's array costs two atomic operations.
     table, arm1 = bodies.table, bodies.arm1
     phi_reach, theta_reach = bodies.phi_reach, bodies.theta_reach
-    start, first, stop = profiles.start, profiles.first, profiles.stop
-    begins, ends = profiles.begins_s, profiles.ends_s
-    angle, velocity = profiles.angle, profiles.velocity
+    start, offsets, duration, velocity = motion
     tolerance = max(tolerance, FINEST_MM)
-    longest = _most_segments(first, stop)
+    longest = _most_segments(offsets)
     piece_t = np.empty(4 * longest + 1)
     piece_q, piece_w = np.empty((4 * longest + 1, 4)), np.empty((4 * longest + 1, 4))
+    now = np.empty((3, 4))
     row: int
     a: int
     b: int
     for row in rows:
         a, b = pairs[row]
         pieces = _cut(
-            start, first, stop, begins, ends, angle, velocity, a, b, piece_t, piece_q, piece_w
+            start, offsets, duration, velocity, resting, a, b, piece_t, piece_q, piece_w, now
         )
         q = piece_q[0]
         gap = table_gap(table, a, b, q[0], q[1], q[2], q[3], np.inf)

@@ -71,10 +71,7 @@ class Safety:
             motion: the nominal motion.
             pairs: rows a, b as from neighbour_pairs, shape (p, 2).
         """
-        fastest = np.zeros(2 * plane.n)
-        np.maximum.at(fastest, motion.parts.owner, np.abs(motion.velocity_rad_s))
-        fastest = fastest.reshape(-1, 2)
-        return self.required_from(plane, motion.start, fastest, motion.makespan_s, pairs)
+        return self.required_from(plane, motion.start, motion.fastest, motion.makespan_s, pairs)
 
     def required_from(
         self,

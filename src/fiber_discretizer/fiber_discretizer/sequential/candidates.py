@@ -3,8 +3,7 @@
 import numpy as np
 
 from fiber_core.array_types import Bools, Floats, Ints, Mask, Rows
-from fiber_core.clearance import Profiles
-from fiber_core.motion import SampledMotion
+from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.ragged import Parts
 from fiber_discretizer.corridor import corridor_walls
 from fiber_discretizer.fit.linearize import Polylines, linearize
@@ -75,7 +74,7 @@ class Candidates:
     def bent(
         self,
         rows: Rows,
-        profiles: Profiles,
+        motion: SegmentMotion,
         required_mm: Floats,
         joint: int,
         side: int,
@@ -85,7 +84,7 @@ class Candidates:
 
         Args:
             rows: the robots, shape (m,).
-            profiles: the motion of all other robots, from profiles_of.
+            motion: the motion of all other robots.
             required_mm: gap each pair must keep [mm], shape (p,).
             joint: the joint that bends, 0 theta or 1 phi.
             side: whether it passes at higher (+1) or at lower angles (-1).
@@ -98,18 +97,18 @@ class Candidates:
         lines = [self._line(rows, j, windows[:, j]) for j in (0, 1)]
         times = windows[:, :, 1].max(axis=1)[:, None] * _SHARES
         desired = np.stack([line.at(times) for line in lines], axis=1)
-        walls = self._walls(rows, profiles, required_mm, joint, times, desired, side)
+        walls = self._walls(rows, motion, required_mm, joint, times, desired, side)
         lines[joint], found = self._path(rows, joint, times, desired, walls)
         return self._rounded(rows, lines), found
 
     def along_trajectory(
-        self, rows: Rows, profiles: Profiles, required_mm: Floats, first_joint: int
+        self, rows: Rows, motion: SegmentMotion, required_mm: Floats, first_joint: int
     ) -> tuple[Segments, Mask]:
         """Return motions around the trajectory: in the corridor of one joint, then of the other.
 
         Args:
             rows: the robots, shape (m,).
-            profiles: the motion of all other robots, from profiles_of.
+            motion: the motion of all other robots.
             required_mm: gap each pair must keep [mm], shape (p,).
             first_joint: the joint that is fitted first.
 
@@ -122,7 +121,7 @@ class Candidates:
         lines: dict[int, Polylines] = {}
         found = np.ones(len(rows), dtype=bool)
         for joint in (first_joint, 1 - first_joint):
-            walls = self._walls(rows, profiles, required_mm, joint, times, desired, 0)
+            walls = self._walls(rows, motion, required_mm, joint, times, desired, 0)
             lines[joint], possible = self._path(rows, joint, times, desired, walls)
             found &= possible
             desired[:, joint] = lines[joint].at(times)
@@ -186,7 +185,7 @@ class Candidates:
     def _walls(
         self,
         rows: Rows,
-        profiles: Profiles,
+        motion: SegmentMotion,
         required_mm: Floats,
         joint: int,
         times: Floats,
@@ -195,7 +194,7 @@ class Candidates:
     ) -> tuple[Floats, Floats, Bools]:
         plan = self._plan
         return corridor_walls(
-            plan.bodies.table, plan.levers_mm, plan.plane.limits, profiles, plan.neighbours,
+            plan.bodies.table, plan.levers_mm, plan.plane.limits, motion.arrays, plan.neighbours,
             required_mm, rows, joint, times, desired, side, self._options.reach_rad,
         )  # fmt: skip
 

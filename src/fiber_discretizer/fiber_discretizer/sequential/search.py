@@ -225,11 +225,11 @@ class _Search:
         for joint in (1, 0):
             for side in _SIDES:
                 if len(which := selection.longer_than(one_more)):
-                    bent = candidates.bent(rows[which], plan.profiles, required_mm, joint, side)
+                    bent = candidates.bent(rows[which], plan.motion, required_mm, joint, side)
                     selection.evaluate(which, *bent)
         for joint in (options.first_joint, 1 - options.first_joint):
             if len(which := selection.longer_than(one_more)):
-                along = candidates.along_trajectory(rows[which], plan.profiles, required_mm, joint)
+                along = candidates.along_trajectory(rows[which], plan.motion, required_mm, joint)
                 selection.evaluate(which, *along)
         if len(selection.longer_than(self.enough[rows])):
             self._evaluate_timings(selection)
@@ -258,6 +258,6 @@ class _Search:
                     windows = spans[which][:, :, _SLOW].copy()
                     windows[:, 1 - joint] = spans[which][:, 1 - joint, timing]
                     bent = candidates.bent(
-                        rows[which], plan.profiles, selection.required_mm, joint, side, windows
+                        rows[which], plan.motion, selection.required_mm, joint, side, windows
                     )
                     selection.evaluate(which, *bent)

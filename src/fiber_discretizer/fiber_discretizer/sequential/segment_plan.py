@@ -6,7 +6,6 @@ import numpy as np
 
 from fiber_core.array_types import Bools, Counts, Ints, Mask, Rows
 from fiber_core.clearance import (
-    Profiles,
     Safety,
     bodies_of,
     gaps,
@@ -14,7 +13,6 @@ from fiber_core.clearance import (
     neighbour_pairs,
     neighbours_of,
     point_speeds,
-    profiles_of,
     unproven,
 )
 from fiber_core.focal_plane import FocalPlane
@@ -22,7 +20,7 @@ from fiber_core.motion import SegmentMotion, profile_rows
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer.segments import Segments
 
-__all__ = ["SegmentPlan", "profiles_with"]
+__all__ = ["SegmentPlan"]
 
 
 class Snapshot(NamedTuple):
@@ -77,19 +75,14 @@ class SegmentPlan:
         self.segments = Segments.none(2 * plane.n)
         self.is_rounded = np.ones(plane.n, dtype=bool)
         self.unsafe = np.zeros(len(self.pairs), dtype=bool)
-        self._profiles: Profiles | None = None
+        self._motion: SegmentMotion | None = None
 
     @property
     def motion(self) -> SegmentMotion:
         """The motion that the segments make."""
-        return self.motion_of(np.arange(self.plane.n), self.segments)
-
-    @property
-    def profiles(self) -> Profiles:
-        """The same motion, as from profiles_of."""
-        if self._profiles is None:
-            self._profiles = profiles_of(self.motion)
-        return self._profiles
+        if self._motion is None:
+            self._motion = self.motion_of(np.arange(self.plane.n), self.segments)
+        return self._motion
 
     @property
     def in_conflict(self) -> Mask:
@@ -140,15 +133,14 @@ class SegmentPlan:
             rows: robots that would have other segments, shape (m,); none by default.
             segments: these segments, of 2 m profiles.
         """
-        profiles = self.profiles
+        motion = self.motion
         if rows is not None and segments is not None:
-            changed = profiles_of(self.motion_of(rows, segments))
-            profiles = profiles_with(profiles, rows, changed)
-        speeds = point_speeds(self.levers_mm, profiles.fastest)
+            motion = motion.with_robots(rows, self.motion_of(rows, segments))
+        speeds = point_speeds(self.levers_mm, motion.fastest)
         required = self._safety.required_at(
             speeds, self._makespan_s, self.pairs[pairs], self._at_start_mm[pairs]
         )
-        return unproven(self.bodies, profiles, self.pairs[pairs], required)
+        return unproven(self.bodies, motion, self.pairs[pairs], required)
 
     def assign(self, rows: Rows, segments: Segments, is_rounded: bool = True) -> None:
         """Replace the segments of some robots.
@@ -160,7 +152,7 @@ class SegmentPlan:
         """
         self.segments = self.segments.replaced(profile_rows(rows), segments)
         self.is_rounded[rows] = is_rounded
-        self._profiles = None
+        self._motion = None
         affected = self.pairs_of(rows)
         self.unsafe[affected] = self.unproven(affected)
 
@@ -171,36 +163,9 @@ class SegmentPlan:
     def restore(self, snapshot: Snapshot) -> None:
         """Undo all that was assigned since a snapshot."""
         self.segments, self.is_rounded, self.unsafe = snapshot
-        self._profiles = None
+        self._motion = None
 
     def rest(self, robots: Mask) -> None:
         """Let some robots, shape (n,), stay where they are."""
         rows = np.flatnonzero(robots)
         self.assign(rows, Segments.none(2 * len(rows)))
-
-
-def profiles_with(profiles: Profiles, rows: Rows, changed: Profiles) -> Profiles:
-    """Return profiles with those of some robots replaced; start, low and high stay.
-
-    Args:
-        profiles: profiles of all robots.
-        rows: the robots, shape (m,).
-        changed: their new profiles, of m robots.
-    """
-    segments = len(profiles.begins_s)
-    first, stop = profiles.first.copy(), profiles.stop.copy()
-    first[rows], stop[rows] = changed.first + segments, changed.stop + segments
-    fastest = profiles.fastest.copy()
-    fastest[rows] = changed.fastest
-    return Profiles(
-        start=profiles.start,
-        first=first,
-        stop=stop,
-        begins_s=np.concatenate([profiles.begins_s, changed.begins_s]),
-        ends_s=np.concatenate([profiles.ends_s, changed.ends_s]),
-        angle=np.concatenate([profiles.angle, changed.angle]),
-        velocity=np.concatenate([profiles.velocity, changed.velocity]),
-        low=profiles.low,
-        high=profiles.high,
-        fastest=fastest,
-    )

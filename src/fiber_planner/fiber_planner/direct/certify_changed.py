@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from fiber_core.array_types import Bools, Floats
-from fiber_core.clearance import gaps, profiles_of, smallest_gaps, unproven
+from fiber_core.clearance import gaps, smallest_gaps, unproven
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.pieces import pieces_of
@@ -67,18 +67,17 @@ def _shortfall(
     involved = np.zeros(len(plan.q), dtype=bool)
     involved[pairs] = True
     pieces = pieces_of(grid.time_s[first:], plan.q[: plane.n, :, first:], involved)
-    profiles = profiles_of(pieces)
-    start, fastest = pieces.start, profiles.fastest
+    start, fastest = pieces.start, pieces.fastest
     lasts_s = grid.time_s[-1] - grid.time_s[first]  # the motion of all robots, not of these alone
     more = replace(safety, margin_mm=safety.margin_mm + 0.5 * parameters.allowance_mm)
     required = more.required_from(plane, start, fastest, lasts_s, pairs)
-    doubtful = np.flatnonzero(unproven(scene.bodies, profiles, pairs, required))
+    doubtful = np.flatnonzero(unproven(scene.bodies, pieces, pairs, required))
     shortfall = np.zeros(len(pairs))
     if len(doubtful):
         pairs, required = pairs[doubtful], required[doubtful]
         at_ends = np.minimum(gaps(plane, pairs, start), gaps(plane, pairs, pieces.end))
         wanted = np.minimum(required, at_ends - _MEASURED_MM)
         least = safety.required_from(plane, start, fastest, lasts_s, pairs)
-        gap = smallest_gaps(scene.bodies, profiles, pairs, required)
+        gap = smallest_gaps(scene.bodies, pieces, pairs, required)
         shortfall[doubtful] = np.maximum(np.maximum(wanted, least) - gap, 0.0)
     return shortfall
