@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import bounds
-from fiber_core.array_types import Angles, Floats, Ints, Offsets, Times, Velocities
+from fiber_core.array_types import Angles, Floats, Offsets, Times, Velocities
 from fiber_core.errors import MotionError
 from fiber_core.joint_segments import JointSegments, profile_rows
 from fiber_core.ragged import Parts
@@ -189,24 +189,14 @@ class SegmentMotion(JointSegments):
         return self._extremes[2]
 
     @cached_property
-    def _profile(self) -> Ints:
-        # the profile to which each segment belongs, shape (m,)
-        return self.parts.owner
-
-    def _sum_by_profile(self, values: Floats) -> Floats:
-        # Each profile is summed by itself, in order: no robot's last digit depends on another.
-        sums = np.bincount(self._profile, values, minlength=2 * self.n)
-        return np.asarray(sums, dtype=np.float64).reshape(-1, 2)
-
-    @cached_property
     def durations(self) -> Floats:
         """Time that each joint takes [s], shape (n, 2)."""
-        return self._sum_by_profile(self.duration_s)
+        return self._sums(self.duration_s)
 
     @cached_property
     def end(self) -> Angles:
         """Joint angles after the motion [rad], shape (n, 2)."""
-        return self.start + self._sum_by_profile(self.duration_s * self.velocity_rad_s)
+        return self.start + self._sums(self.duration_s * self.velocity_rad_s)
 
     @property
     def makespan_s(self) -> float:
@@ -214,33 +204,22 @@ class SegmentMotion(JointSegments):
         return float(self.durations.max(initial=0.0))
 
     @cached_property
-    def _begin_s(self) -> Times:
-        return _begins(self.offsets, self.duration_s)
+    def begins_s(self) -> Times:
+        """When each segment begins: exactly when the segment before it ends [s], shape (m,)."""
+        return self.parts.before(self.duration_s)
 
     def __call__(self, t: float) -> Angles:
         """Return the joint angles at time t [s]: [rad], shape (n, 2)."""
-        elapsed = np.clip(t - self._begin_s, 0.0, self.duration_s)
-        return self.start + self._sum_by_profile(elapsed * self.velocity_rad_s)
+        elapsed = np.clip(t - self.begins_s, 0.0, self.duration_s)
+        return self.start + self._sums(elapsed * self.velocity_rad_s)
 
     def velocity(self, t: float) -> Velocities:
         """Return the joint velocities at time t [s]: [rad/s], shape (n, 2).
 
         Between two segments, they are those of the segment that begins there.
         """
-        active = (self._begin_s <= t) & (t < self._begin_s + self.duration_s)
-        return self._sum_by_profile(np.where(active, self.velocity_rad_s, 0.0))
-
-
-@nb.njit(cache=True)
-def _begins(offsets: Offsets, duration_s: Floats) -> Times:
-    # When each segment begins: exactly the number at which the segment before it ends.
-    begin_s = np.empty(len(duration_s))
-    for profile in range(len(offsets) - 1):
-        t = 0.0
-        for k in range(offsets[profile], offsets[profile + 1]):
-            begin_s[k] = t
-            t += duration_s[k]
-    return begin_s
+        active = (self.begins_s <= t) & (t < self.begins_s + self.duration_s)
+        return self._sums(np.where(active, self.velocity_rad_s, 0.0))
 
 
 @nb.njit(cache=True)

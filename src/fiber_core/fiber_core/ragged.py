@@ -7,14 +7,17 @@ Compiled loops take the offsets themselves.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numba as nb
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from fiber_core.array_types import Bools, Ints, Offsets
+from fiber_core.array_types import Bools, Floats, Ints, Offsets
 
 __all__ = ["Parts"]
+
+_Numbers = TypeVar("_Numbers", Floats, Ints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +127,36 @@ class Parts:
         gathered = cls.from_counts(counts)
         return gathered, _elements(gathered.offsets, np.asarray(first, dtype=np.int64))
 
+    def sums(self, values: _Numbers) -> _Numbers:
+        """Return the sum of the values of each part, added in their order, shape (p,).
+
+        Args:
+            values: a flat array, shape (m,).
+        """
+        return _running(self.offsets, values)[self.offsets[1:] + np.arange(len(self))]
+
+    def before(self, values: _Numbers) -> _Numbers:
+        """Return the sum of the values before each element in its part, shape (m,).
+
+        It is exactly the sum up to the end of the element before it.
+
+        Args:
+            values: a flat array, shape (m,).
+        """
+        return _running(self.offsets, values)[np.arange(self.total) + self.owner]
+
+    def knots(self, *values: _Numbers) -> tuple["Parts", *tuple[_Numbers, ...]]:
+        """Return the running sums of values of each part: 0 first, its whole sum last.
+
+        Args:
+            values: flat arrays, shape (m,).
+
+        Returns:
+            The parts of the sums, each with one element more than the part; and the sums.
+        """
+        sums = (_running(self.offsets, each) for each in values)
+        return Parts(self.offsets + np.arange(len(self.offsets))), *sums
+
     def replaced(self, parts: ArrayLike, by: "Parts") -> tuple["Parts", Ints]:
         """Return the same number of parts, some of them taken from another flat array.
 
@@ -161,3 +194,17 @@ def _elements(offsets: Offsets, first: Ints) -> Ints:
         for k in range(offsets[part], offsets[part + 1]):
             elements[k] = first[part] + (k - offsets[part])
     return elements
+
+
+@nb.njit(cache=True)
+def _running(offsets: Offsets, values: NDArray[Any]) -> NDArray[Any]:
+    # the sums of the values of each part up to each element: one element more than the part
+    sums = np.empty(len(values) + len(offsets) - 1, dtype=values.dtype)
+    for part in range(len(offsets) - 1):
+        at = offsets[part] + part
+        total = values.dtype.type(0)
+        sums[at] = total
+        for k in range(offsets[part], offsets[part + 1]):
+            total += values[k]
+            sums[k + part + 1] = total
+    return sums

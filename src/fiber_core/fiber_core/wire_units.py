@@ -239,11 +239,39 @@ class WireMotion(JointSegments):
     @property
     def end(self) -> Counts:
         """Joint positions after the motion [quanta], shape (n, 2)."""
-        running = np.concatenate([[0], np.cumsum(self.ticks * self.velocity)])
-        return self.start + (running[self.offsets[1:]] - running[self.offsets[:-1]]).reshape(-1, 2)
+        return self.start + self._sums(self.ticks * self.velocity)
+
+    def knots(self) -> tuple[Parts, Ints, Ints]:
+        """Return where each joint is when a segment begins or ends, in whole units.
+
+        Returns:
+            The knots of each profile, one more than its segments; their instants [ticks] and the
+            joint positions at them [quanta], shape (m + 2 n,).
+        """
+        parts, ticks, travel = self.parts.knots(self.ticks, self.ticks * self.velocity)
+        return parts, ticks, travel + self.start.ravel()[parts.owner]
 
     def _shared(self) -> Mapping[str, object]:
         return {"units": self.units}
+
+    @classmethod
+    def nearest(cls, motion: SegmentMotion, units: WireUnits) -> "WireMotion":
+        """Return a motion with every number rounded to whole units.
+
+        Args:
+            motion: a motion; one that was decoded from whole units comes back unchanged.
+            units: size of tick and quantum.
+
+        Raises:
+            MotionError: a number does not fit its field.
+        """
+        return cls(
+            units,
+            units.to_counts(motion.start),
+            motion.offsets,
+            np.rint(motion.duration_s / units.tick_s).astype(np.int64),
+            np.rint(motion.velocity_rad_s / units.velocity_rad_s).astype(np.int64),
+        )
 
     def decoded(self) -> SegmentMotion:
         """Return the motion that a perfect positioner makes from these numbers."""

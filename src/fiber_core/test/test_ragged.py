@@ -65,6 +65,20 @@ def test_replaced_parts_have_the_elements_of_the_other_array_and_the_others_keep
     assert lists(replaced, flat[elements]) == expected
 
 
+@given(COUNTS, st.booleans(), st.integers(0, 2**32 - 1))
+def test_sums_and_running_sums_are_those_of_each_part_alone(counts, whole, seed):
+    parts = Parts.from_counts(counts)
+    rng = np.random.default_rng(seed)
+    values = rng.integers(-9, 9, parts.total) if whole else rng.normal(size=parts.total)
+    knots, running, twice = parts.knots(values, 2 * values)
+    expected = [[0, *np.cumsum(values[parts.slice(k)]).tolist()] for k in range(len(parts))]
+    assert lists(knots, running) == expected and np.array_equal(twice, 2 * running)
+    assert parts.sums(values).tolist() == [part[-1] for part in expected]
+    assert lists(parts, parts.before(values)) == [part[:-1] for part in expected]
+    for result in (running, parts.sums(values), parts.before(values)):
+        assert result.dtype == values.dtype
+
+
 @given(COUNTS)
 def test_parts_are_found_again_from_the_owners_of_their_elements(counts):
     parts = Parts.from_counts(counts)

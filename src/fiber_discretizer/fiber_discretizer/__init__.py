@@ -8,7 +8,6 @@ from fiber_discretizer.joint_corridors import joint_corridors
 from fiber_discretizer.makarem2014 import joint_shares, lever_arms_mm, tip_distances_mm
 from fiber_discretizer.options import RULES, SHARINGS, DiscretizeOptions
 from fiber_discretizer.quantize import Rounding, quantize
-from fiber_discretizer.segments import Segments
 
 __all__ = [
     "LINEARIZERS",
@@ -19,7 +18,6 @@ __all__ = [
     "DiscretizeStageResult",
     "Polylines",
     "Rounding",
-    "Segments",
     "UnknownOption",
     "discretize",
     "discretize_trajectory",

@@ -56,13 +56,10 @@ def joint_corridors(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
 
 def _angles_at(motion: SegmentMotion, times: Floats) -> Floats:
     # joint angles of each robot at its own times, shape (n, 2, t)
-    duration_s, velocity = motion.duration_s, motion.velocity_rad_s
-    profile = motion.parts.owner
-    ends_s = np.cumsum(duration_s)
-    begin_s = ends_s - duration_s - np.concatenate([[0.0], ends_s])[motion.offsets[:-1]][profile]
+    robot = motion.parts.owner // 2
     angles = np.empty((motion.n, 2, times.shape[1]))
     for k, instant in enumerate(times.T):
-        turned = np.clip(instant[profile // 2] - begin_s, 0.0, duration_s) * velocity
-        total = np.bincount(profile, turned, minlength=2 * motion.n)
-        angles[:, :, k] = motion.start + total.reshape(-1, 2)
+        passed = np.clip(instant[robot] - motion.begins_s, 0.0, motion.duration_s)
+        turned = motion.parts.sums(passed * motion.velocity_rad_s)
+        angles[:, :, k] = motion.start + turned.reshape(-1, 2)
     return angles

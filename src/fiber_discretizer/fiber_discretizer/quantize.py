@@ -6,11 +6,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
+from fiber_core.array_types import Counts
 from fiber_core.bounds import check_number
-from fiber_core.wire_units import WireUnits
+from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer.errors import OptionError
 from fiber_discretizer.fit.linearize import Polylines
-from fiber_discretizer.segments import Segments
 
 __all__ = ["Rounding", "quantize"]
 
@@ -53,7 +53,7 @@ class Rounding:
 
 def quantize(
     paths: Polylines,
-    start: ArrayLike,
+    start: Counts,
     goal: ArrayLike,
     range_counts: ArrayLike,
     speed_rad_s: ArrayLike,
@@ -61,7 +61,7 @@ def quantize(
     units: WireUnits,
     rounding: Rounding = Rounding(),
     latest_s: float = np.inf,
-) -> Segments:
+) -> WireMotion:
     """Return the whole-number motion nearest to piecewise-linear profiles.
 
     Break times are rounded to ticks and the profile is evaluated there, so no segment
@@ -72,38 +72,38 @@ def quantize(
     best is kept. Where a profile is faster than the speed limit, its motion takes longer.
 
     Args:
-        paths: p profiles, the first knot at time >= 0; before it a profile rests.
-        start: encoder count of each joint at the start [quanta], shape (p,).
-        goal: encoder count at the end [quanta], shape (p,).
-        range_counts: lowest and highest count allowed [quanta], shape (p, 2); a joint
+        paths: profiles of theta and phi of n robots in turn, the first knot at time >= 0; before
+            it a profile rests.
+        start: encoder count of each joint at the start [quanta], shape (n, 2).
+        goal: encoder count at the end [quanta], shape (n, 2).
+        range_counts: lowest and highest count allowed [quanta], shape (n, 2, 2); a joint
             that starts outside may come back in, but not go farther out.
-        speed_rad_s: speed limits [rad/s], shape (p,); velocities are cut below them.
-        slack_rad: how far each profile may be shifted by the search [rad], shape (p,).
+        speed_rad_s: speed limits [rad/s], shape (n, 2); velocities are cut below them.
+        slack_rad: how far each profile may be shifted by the search [rad], shape (n, 2).
         units: size of tick and quantum, and the widths of the fields.
         rounding: limits of the search.
         latest_s: end of the whole motion [s]; the search lets no profile end later, a profile
             that ends then takes one segment more.
 
     Returns:
-        Segments; a segment longer than its duration field holds is split, and segments that
+        The motion; a segment longer than its duration field holds is split, and segments that
         rest at the end of a profile, or last no time, are left out.
     """
-    fastest = np.floor(np.asarray(speed_rad_s) / units.velocity_rad_s)
-    return Segments(
-        *_quantize(
-            paths.offsets,
-            paths.time_s / units.tick_s,
-            paths.angles / units.quantum_rad,
-            np.asarray(start, dtype=np.int64),
-            np.asarray(goal, dtype=np.int64),
-            np.asarray(range_counts, dtype=np.int64),
-            np.minimum(fastest, units.max_velocity).astype(np.int64),
-            np.asarray(slack_rad) / units.quantum_rad,
-            units.max_ticks,
-            astuple(rounding),
-            min(np.ceil(latest_s / units.tick_s - 1e-6), float(_ENDLESS)),
-        )
+    fastest = np.floor(np.ravel(speed_rad_s) / units.velocity_rad_s)
+    segments = _quantize(
+        paths.offsets,
+        paths.time_s / units.tick_s,
+        paths.angles / units.quantum_rad,
+        np.array(start, dtype=np.int64).ravel(),
+        np.array(goal, dtype=np.int64).ravel(),
+        np.array(range_counts, dtype=np.int64).reshape(-1, 2),
+        np.minimum(fastest, units.max_velocity).astype(np.int64),
+        np.ravel(slack_rad) / units.quantum_rad,
+        units.max_ticks,
+        astuple(rounding),
+        min(np.ceil(latest_s / units.tick_s - 1e-6), float(_ENDLESS)),
     )
+    return WireMotion(units, start, *segments)
 
 
 @njit(cache=True)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiber_core.ragged import Parts
-from fiber_core.wire_units import WireMotion, WireUnits
-from fiber_discretizer import Polylines, Rounding, Segments, quantize
+from fiber_core.wire_units import WireUnits
+from fiber_discretizer import Polylines, Rounding, quantize
+from fiber_discretizer.fit.linearize import polylines_of
 
 UNITS = WireUnits()
 SPEED = np.pi
@@ -15,7 +15,7 @@ ANYWHERE = 10**9
 
 
 def random_paths(seed, profiles, pieces, fastest=1.0):
-    """Piecewise-linear profiles of `pieces` lines, no faster than `fastest` of the limit."""
+    """An even number of profiles of `pieces` lines, no faster than `fastest` of the limit."""
     rng = np.random.default_rng(seed)
     steps = rng.uniform(0.05, 1.2, (profiles, pieces))
     speeds = fastest * SPEED * rng.uniform(-1.0, 1.0, (profiles, pieces))
@@ -34,31 +34,27 @@ def rounded(
     latest_s=np.inf,
     **rounding,
 ):
-    p = len(paths.counts)
-    start = np.broadcast_to(start, (p,))
-    goal = np.clip(start + units.to_counts(paths.angles[paths.offsets[1:] - 1]), *limits)
+    n = len(paths.parts) // 2
+    start = np.broadcast_to(start, (n, 2))
+    ends = paths.angles[paths.offsets[1:] - 1].reshape(n, 2)
+    goal = np.clip(start + units.to_counts(ends), *limits)
     return goal, quantize(
         paths,
         start,
         goal,
-        np.tile(limits, (p, 1)),
-        np.full(p, SPEED),
-        np.full(p, slack),
+        np.tile(limits, (n, 2, 1)),
+        np.full((n, 2), SPEED),
+        np.full((n, 2), slack),
         units,
         Rounding(**rounding),
         latest_s,
     )
 
 
-def travel(segments):
-    running = np.concatenate([[0], np.cumsum(segments.ticks * segments.velocity)])
-    return running[segments.offsets[1:]] - running[segments.offsets[:-1]]
-
-
 def check_fields(segments, units=UNITS):
     assert np.all((segments.ticks >= 1) & (segments.ticks <= units.max_ticks))
     assert np.all(np.abs(segments.velocity) * units.velocity_rad_s <= SPEED)
-    ends = segments.offsets[1:][segments.counts > 0] - 1
+    ends = segments.offsets[1:][segments.parts.counts > 0] - 1
     assert np.all(segments.velocity[ends] != 0)  # no rest at the end is sent
 
 
@@ -67,7 +63,7 @@ def test_end_error_of_thousands_of_profiles(pieces):
     paths = random_paths(pieces, 4000, pieces)
     goal, segments = rounded(paths)
     check_fields(segments)
-    error_um = (travel(segments) - goal) * UNITS.quantum_rad * 6e3  # at a 6 mm arm
+    error_um = (segments.end - goal) * UNITS.quantum_rad * 6e3  # at a 6 mm arm
     assert np.abs(error_um).max() <= 1.2
     assert np.sqrt(np.mean(error_um**2)) <= 0.1
     assert segments.counts.mean() <= pieces + 0.05
@@ -83,12 +79,9 @@ def test_no_profile_makes_the_motion_longer_to_meet_its_end(intervals):
     _, segments = rounded(paths, slack=0.25, latest_s=latest_s)
     check_fields(segments)
 
-    def longest(segments):
-        return np.add.reduceat(segments.ticks, segments.offsets[:-1]).max()
-
-    assert longest(free) > np.ceil(intervals) + 4
-    assert longest(segments) == np.ceil(intervals)
-    error_um = (travel(segments) - goal) * UNITS.quantum_rad * 6e3  # at a 6 mm arm
+    assert free.parts.sums(free.ticks).max() > np.ceil(intervals) + 4
+    assert segments.parts.sums(segments.ticks).max() == np.ceil(intervals)
+    error_um = (segments.end - goal) * UNITS.quantum_rad * 6e3  # at a 6 mm arm
     assert np.abs(error_um).max() <= 1.2
     assert np.sqrt(np.mean(error_um**2)) <= 0.1
     assert segments.counts.mean() <= 1.03
@@ -96,10 +89,10 @@ def test_no_profile_makes_the_motion_longer_to_meet_its_end(intervals):
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
 def test_motion_stays_beside_its_profile(seed, pieces):
-    paths = random_paths(seed, 5, pieces)
+    paths = random_paths(seed, 6, pieces)
     slack = 0.01
     _, segments = rounded(paths, slack=slack)
-    drawn = segments.polylines(np.zeros(5, dtype=int), UNITS)
+    drawn = polylines_of(segments)
     times = np.linspace(0.0, paths.time_s.max() + 0.1, 500)
     # break times move by half a tick and the end by up to one; velocities by half a unit;
     # the search may shift the last segment by the slack, twice
@@ -116,9 +109,8 @@ def test_profile_at_exactly_the_speed_limit_takes_longer_and_arrives():
     )
     goal, segments = rounded(paths)
     check_fields(segments)
-    assert np.abs(travel(segments) - goal).max() * UNITS.quantum_rad * 6e3 <= 1.2
-    last = segments.polylines(np.zeros(500, dtype=int), UNITS)
-    lasts = last.time_s[last.offsets[1:] - 1]
+    assert np.abs(segments.end - goal).max() * UNITS.quantum_rad * 6e3 <= 1.2
+    lasts = segments.parts.sums(segments.ticks) * UNITS.tick_s
     assert np.all(lasts >= seconds - 1e-9)
     assert np.all(lasts <= seconds + 12 * UNITS.tick_s)
 
@@ -127,7 +119,7 @@ def test_too_fast_profiles_are_slowed_down_not_cut_short():
     paths = random_paths(5, 500, 4, fastest=1.5)
     goal, segments = rounded(paths)
     check_fields(segments)
-    assert np.abs(travel(segments) - goal).max() * UNITS.quantum_rad * 6e3 <= 1.2
+    assert np.abs(segments.end - goal).max() * UNITS.quantum_rad * 6e3 <= 1.2
 
 
 @pytest.mark.parametrize("duration_bits", [3, 5, 10])
@@ -138,52 +130,51 @@ def test_segments_longer_than_their_field_are_split(duration_bits):
     goal, segments = rounded(long, units)
     check_fields(segments, units)
     assert segments.counts.max() > 2
-    assert np.abs(travel(segments) - goal).max() * units.quantum_rad * 6e3 <= 1.2
+    assert np.abs(segments.end - goal).max() * units.quantum_rad * 6e3 <= 1.2
 
 
 def test_limits_are_never_left_even_by_rounding():
     time_s, angles = [0.0, 1.003, 1.707, 2.5], [0.1, 1.0, 0.3, 1.0]
     limit = UNITS.to_counts(1.0)
-    starts = UNITS.to_counts(0.1) + np.arange(300)
+    starts = UNITS.to_counts(0.1) + np.arange(300).reshape(150, 2)
     paths = Polylines(np.arange(301) * 4, np.tile(time_s, 300), np.tile(angles, 300))
     segments = quantize(
         paths,
         starts,
-        np.full(300, limit),
-        np.tile([0, limit], (300, 1)),
-        np.full(300, SPEED),
-        np.full(300, 0.05),
+        np.full((150, 2), limit),
+        np.tile([0, limit], (150, 2, 1)),
+        np.full((150, 2), SPEED),
+        np.full((150, 2), 0.05),
         UNITS,
     )
-    highest = segments.polylines(starts, UNITS).angles.max()
-    assert highest <= UNITS.to_angles(limit)
-    assert np.abs(starts + travel(segments) - limit).max() <= 130
+    assert segments.knots()[2].max() <= limit
+    assert np.abs(segments.end - limit).max() <= 130
 
 
 def test_rests_at_the_begin_are_sent_and_rests_at_the_end_are_not():
-    first_rest = Polylines([0, 3], [0.0, 0.4, 0.8], [0.0, 0.0, 0.1])
+    first_rest = Polylines([0, 3, 4], [0.0, 0.4, 0.8, 0.0], [0.0, 0.0, 0.1, 0.0])
     _, segments = rounded(first_rest)
     np.testing.assert_array_equal(segments.velocity == 0, [True, False])
     assert segments.ticks[0] == 100
-    begins_late = Polylines([0, 2], [0.4, 0.8], [0.0, 0.1])
+    begins_late = Polylines([0, 2, 3], [0.4, 0.8, 0.0], [0.0, 0.1, 0.0])
     _, same = rounded(begins_late)
     np.testing.assert_array_equal(same.ticks, segments.ticks)
     last_rest = Polylines([0, 3, 4], [0.0, 0.4, 0.8, 0.0], [0.0, 0.1, 0.1, 0.0])
     _, segments = rounded(last_rest)
-    np.testing.assert_array_equal(segments.counts, [1, 0])
+    np.testing.assert_array_equal(segments.counts, [[1, 0]])
 
 
 def test_breaks_within_one_tick_leave_no_empty_segments():
-    time_s = np.array([0.0, 0.0005, 0.001, 0.0015, 0.5])
-    paths = Polylines([0, 5], time_s, [0.0, 0.0003, -0.0002, 0.0004, 0.2])
+    time_s = np.array([0.0, 0.0005, 0.001, 0.0015, 0.5, 0.0])
+    paths = Polylines([0, 5, 6], time_s, [0.0, 0.0003, -0.0002, 0.0004, 0.2, 0.0])
     goal, segments = rounded(paths)
     check_fields(segments)
-    assert segments.counts[0] == 1
-    assert abs(travel(segments)[0] - goal[0]) <= 60
+    assert segments.counts[0, 0] == 1
+    assert abs(segments.end - goal)[0, 0] <= 60
 
 
 def test_tiny_moves_arrive():
-    sizes = np.arange(1, 400)
+    sizes = np.arange(1, 401)
     ends = UNITS.to_angles(sizes)
     paths = Polylines(
         np.arange(len(sizes) + 1) * 2,
@@ -191,37 +182,12 @@ def test_tiny_moves_arrive():
         np.stack([0 * ends, ends], axis=1).ravel(),
     )
     goal, segments = rounded(paths, sooner_ticks=2000)
-    assert np.abs(travel(segments) - goal).max() <= 6
+    assert np.abs(segments.end - goal).max() <= 6
 
 
 def test_polylines_decode_the_same_motion_as_the_wire():
     paths = random_paths(11, 10, 3)
     _, segments = rounded(paths, start=1234)
-    start = np.full((5, 2), 1234)
-    wire = WireMotion(UNITS, start, segments.offsets, segments.ticks, segments.velocity)
-    np.testing.assert_array_equal(wire.end.ravel(), 1234 + travel(segments))
-    lines, motion = segments.polylines(start.ravel(), UNITS), wire.decoded()
+    lines, motion = polylines_of(segments), segments.decoded()
     for t in (0.0, 0.333, 1.0, 2.2, 9.0):
         np.testing.assert_allclose(lines([t])[:, 0], motion(t).ravel(), rtol=0, atol=1e-12)
-
-
-@given(st.data())
-def test_replacing_profiles_changes_them_and_no_others(data):
-    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
-
-    def some(count):
-        offsets = Parts.from_counts(rng.integers(0, 4, count)).offsets
-        values = rng.integers(1, 99, (2, offsets[-1]))
-        return Segments(offsets, *values)
-
-    def rows_of(segments):
-        cut = segments.offsets[1:-1]
-        return [x.tolist() for x in np.split(segments.ticks * 100 + segments.velocity, cut)]
-
-    segments, rows = some(7), np.flatnonzero(rng.random(7) < 0.5)
-    other = some(len(rows))
-    expected = rows_of(segments)
-    for row, profile in zip(rows, rows_of(other)):
-        expected[row] = profile
-    assert rows_of(segments.replaced(rows, other)) == expected
-    assert all(rows_of(segments.without(rows))[row] == [] for row in rows)

@@ -15,7 +15,7 @@ from fiber_core.clearance import (
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer import DiscretizeOptions, Segments, discretize
+from fiber_discretizer import DiscretizeOptions, discretize
 from fiber_discretizer.sequential.segment_plan import SegmentPlan
 from fiber_discretizer.sequential.selection import Selection
 
@@ -89,11 +89,12 @@ def plan_of(plane, start):
     return SegmentPlan(plane, UNITS, UNITS.to_counts(start), SAFETY, 3.0)
 
 
-def turning(plane, start, goal, seconds=2.0):
-    """Segments of one line for each joint, in float units."""
-    ticks = np.full(2 * plane.n, seconds / UNITS.tick_s)
-    quanta = ((goal - start) / UNITS.quantum_rad).ravel()
-    return Segments(np.arange(2 * plane.n + 1), ticks, quanta / ticks)
+def turning(start, goal, seconds=2.0):
+    """One straight line for each joint."""
+    lasts_s = np.full(2 * len(start), seconds)
+    return SegmentMotion(
+        start, np.arange(len(lasts_s) + 1), lasts_s, (goal - start).ravel() / seconds
+    )
 
 
 def test_a_segment_plan_has_the_unsafe_pairs_that_the_certificate_finds(plane_at):
@@ -101,19 +102,19 @@ def test_a_segment_plan_has_the_unsafe_pairs_that_the_certificate_finds(plane_at
     for seed in range(8):
         plane, start, goal = three_robots(plane_at, seed)
         plan = plan_of(plane, start)
-        segments = turning(plane, start, goal)
+        motion = turning(start, goal)
         order = rng.permutation(3)
         for row in order:  # assigned one by one, in any order
-            plan.assign(np.array([row]), segments.rows([2 * row, 2 * row + 1]))
+            plan.assign(np.array([row]), motion.of_robots([row]))
         required = SAFETY.required_at(
             point_speeds(plan.levers_mm, plan.motion.fastest), 3.0, plan.pairs
         )
         every = unproven(plan.bodies, plan.motion, plan.pairs, required)
         np.testing.assert_array_equal(plan.unsafe, every)
-        again = plan.unproven(np.arange(len(plan.pairs)), np.arange(3), segments)
+        again = plan.unproven(np.arange(len(plan.pairs)), np.arange(3), motion)
         np.testing.assert_array_equal(again, every)
         plan.rest(np.ones(3, dtype=bool))
-        assert not plan.unsafe.any() and not plan.counts().any()
+        assert not plan.unsafe.any() and not plan.motion.moves.any()
 
 
 def test_the_shortest_safe_motion_is_selected_and_never_an_unsafe_one(plane_at):
@@ -121,10 +122,8 @@ def test_the_shortest_safe_motion_is_selected_and_never_an_unsafe_one(plane_at):
     start = np.array([[-1.2, 0.0], [np.pi, 0.0]])
     plan = plan_of(plane, start)
     rows, idle = np.array([0]), np.array([True])
-    through = turning(plane, start, start + [[2.4, 0.0], [0.0, 0.0]]).rows([0, 1])
-    short = turning(plane, start, start + [[-0.5, 0.0], [0.0, 0.0]]).rows([0, 1])
-    columns = ([0, 2, 3], [200.0, 100.0, 5.0], [-500.0, -400.0, 0.0])
-    twice = Segments(*map(np.array, columns))
+    through, short = (turning(start[:1], start[:1] + [turn, 0.0]) for turn in (2.4, -0.5))
+    twice = SegmentMotion(start[:1], [0, 2, 3], [0.8, 0.4, 0.02], [-0.2, -0.15, 0.0])
     selection = Selection(plan, rows, idle, 0.0, 15)
     selection.evaluate(np.array([0]), through)
     assert len(selection.unsolved()) == 1  # robot 1 stands in the way
@@ -133,7 +132,7 @@ def test_the_shortest_safe_motion_is_selected_and_never_an_unsafe_one(plane_at):
     selection.evaluate(np.array([0]), short, np.array([False]))
     selection.evaluate(np.array([0]), short)
     np.testing.assert_array_equal(selection.commit(), [0])
-    np.testing.assert_array_equal(plan.segments.velocity, short.velocity)
+    np.testing.assert_array_equal(plan.motion.velocity_rad_s, short.velocity_rad_s)
     assert not plan.unsafe.any()
     second = Selection(plan, rows, np.array([False]), 0.0, 15)
     second.evaluate(np.array([0]), twice)
@@ -144,7 +143,7 @@ def test_a_motion_with_too_many_segments_is_not_selected(plane_at):
     plane = plane_at([[0.0, 0.0]])
     plan = plan_of(plane, np.array([[0.0, 0.0]]))
     selection = Selection(plan, np.array([0]), np.array([True]), 0.0, 2)
-    three = Segments(*map(np.array, ([0, 3, 3], [10.0, 10.0, 10.0], [5.0, 6.0, 7.0])))
+    three = SegmentMotion([[0.0, 0.0]], [0, 3, 3], [0.04, 0.04, 0.04], [2e-3, 2.4e-3, 2.8e-3])
     selection.evaluate(np.array([0]), three)
     assert len(selection.unsolved()) == 1
 

@@ -9,12 +9,13 @@ from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Floats, Ints, Offsets, Times
 from fiber_core.ragged import Parts
+from fiber_core.wire_units import WireMotion
 from fiber_discretizer.errors import UnknownOption
 from fiber_discretizer.fit.douglas_peucker import bisection_knots
 from fiber_discretizer.fit.greedy import greedy_knots
 from fiber_discretizer.fit.min_link import min_link_paths, relaxed_paths
 
-__all__ = ["LINEARIZERS", "Polylines", "linearize"]
+__all__ = ["LINEARIZERS", "Polylines", "linearize", "polylines_of"]
 
 _NOISE_RAD = 1e-9  # a point this close to a wall is inside: 1/1000 of a typical wire quantum
 
@@ -39,10 +40,42 @@ class Polylines:
             value.setflags(write=False)
             object.__setattr__(self, name, value)
 
+    @classmethod
+    def of_joints(cls, theta: "Polylines", phi: "Polylines") -> "Polylines":
+        """Return profiles of theta and phi in turn, as the segments of a motion are.
+
+        Args:
+            theta: the profiles of theta of n robots.
+            phi: those of phi.
+        """
+        n = len(theta.parts)
+        both = Parts.concatenate([theta.parts, phi.parts])
+        parts, knots = both.select(np.arange(2 * n).reshape(2, n).T.ravel())
+        times = np.concatenate([theta.time_s, phi.time_s])
+        angles = np.concatenate([theta.angles, phi.angles])
+        return cls(parts.offsets, times[knots], angles[knots])
+
+    @property
+    def parts(self) -> Parts:
+        """The knots of each profile, as parts of the flat arrays."""
+        return Parts(self.offsets)
+
     @property
     def counts(self) -> Ints:
-        """Number of straight lines of each profile, shape (p,)."""
-        return Parts(self.offsets).counts - 1
+        """Number of straight lines of each profile, shape (p,); -1 without knots."""
+        return self.parts.counts - 1
+
+    def with_profiles(self, rows: ArrayLike, other: "Polylines") -> "Polylines":
+        """Return these profiles with some of them replaced.
+
+        Args:
+            rows: the profiles that are replaced, shape (r,).
+            other: r other profiles.
+        """
+        parts, knots = self.parts.replaced(rows, other.parts)
+        times = np.concatenate([self.time_s, other.time_s])
+        angles = np.concatenate([self.angles, other.angles])
+        return Polylines(parts.offsets, times[knots], angles[knots])
 
     def __call__(self, time_s: ArrayLike) -> Floats:
         """Return the joint angles at increasing times [rad], shape (p, t).
@@ -62,6 +95,13 @@ class Polylines:
             times_s: the times of each profile [s], shape (p, t).
         """
         return _evaluate(self.offsets, self.time_s, self.angles, times_s)
+
+
+def polylines_of(motion: WireMotion) -> Polylines:
+    """Return the profiles that a motion makes, exact to the last digit at every knot."""
+    parts, ticks, counts = motion.knots()
+    units = motion.units
+    return Polylines(parts.offsets, ticks * units.tick_s, units.to_angles(counts))
 
 
 def linearize(

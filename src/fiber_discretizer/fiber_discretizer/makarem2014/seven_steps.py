@@ -15,13 +15,12 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
-from fiber_discretizer.fit.linearize import Polylines, linearize
+from fiber_discretizer.fit.linearize import Polylines, linearize, polylines_of
 from fiber_discretizer.makarem2014.free_space import FreeSpace
 from fiber_discretizer.makarem2014.hold_on_samples import hold_on_samples
 from fiber_discretizer.makarem2014.share import joint_shares, tip_distances_mm
 from fiber_discretizer.options import DiscretizeOptions, ProgressCallback
 from fiber_discretizer.quantize import quantize
-from fiber_discretizer.segments import Segments
 from fiber_discretizer.validate import peak_speeds
 
 __all__ = ["discretize_makarem2014"]
@@ -77,7 +76,7 @@ def discretize_makarem2014(
 
 
 class _SevenSteps:
-    """The segments of all joints so far; at first all robots rest.
+    """The orders of all robots so far; at first all rest.
 
     Args:
         plane: the focal plane.
@@ -88,6 +87,7 @@ class _SevenSteps:
         options: options of the discretizer.
 
     Attributes:
+        wire: the orders so far.
         free_space: free space along the present motion of each robot: its segments where it
             has some, else its trajectory.
     """
@@ -104,7 +104,7 @@ class _SevenSteps:
         self.plane, self.units, self.safety, self.options = plane, units, safety, options
         self._time_s, self._planned = trajectory.time_s, trajectory.angles.copy()
         self._start, self._ranges = start_counts, units.range_counts(plane)
-        self._segments = Segments.none(2 * plane.n)
+        self.wire = WireMotion.at_rest(units, start_counts)
         pairs, required_mm = _requirements(plane, trajectory, safety)
         self.free_space = FreeSpace(plane, pairs, required_mm, self._planned)
 
@@ -113,17 +113,12 @@ class _SevenSteps:
         """Robots that are to move, shape (n,)."""
         return np.any(self._planned != self._planned[:, :, :1], axis=(1, 2))
 
-    @property
-    def wire(self) -> WireMotion:
-        """The orders so far."""
-        return self._segments.to_wire(self._start, self.units)
-
     def rest(self, robots: Mask) -> None:
         """Let some robots, shape (n,), stay where they are."""
         start = self.units.to_angles(self._start[robots])[:, :, None]
         self._planned[robots] = start
         self.free_space.move(robots, start)
-        self._segments = self._segments.without(np.flatnonzero(np.repeat(robots, 2)))
+        self.wire = self.wire.without(robots)
 
     def discretize(self, robots: Mask, part: Floats) -> Mask:
         """Replace the segments of some robots, all others as they are.
@@ -135,27 +130,22 @@ class _SevenSteps:
         Returns:
             Those of the robots that need more segments than an order carries, shape (n,).
         """
-        options = self.options
+        options, rows = self.options, np.flatnonzero(robots)
         angles = self._planned[robots]
         self.free_space.move(robots, angles)
         paths: dict[int, Polylines] = {}
-        slack: dict[int, Floats] = {}
+        slack = np.empty((len(rows), 2))
         for joint in (options.first_joint, 1 - options.first_joint):
             shares = part[robots, None] * self._shares(joint, robots)
-            slack[joint] = np.clip(shares.min(axis=1), _LEAST_SLACK_RAD, _MOST_SLACK_RAD)
+            slack[:, joint] = np.clip(shares.min(axis=1), _LEAST_SLACK_RAD, _MOST_SLACK_RAD)
             low, high = angles[:, joint] - shares, angles[:, joint] + shares
             paths[joint] = linearize(self._time_s, angles[:, joint], low, high, options.method)
             angles[:, joint] = paths[joint](self._time_s)
             self.free_space.move(robots, angles)
-        for joint in (0, 1):
-            rows = np.flatnonzero(robots)
-            rounded = self._rounded(rows, joint, paths[joint], slack[joint])
-            self._segments = self._segments.replaced(2 * rows + joint, rounded)
-            start = self._start[robots, joint]
-            angles[:, joint] = rounded.polylines(start, self.units)(self._time_s)
-        self.free_space.move(robots, angles)
-        too_many = self._segments.counts.reshape(-1, 2).max(axis=1) > options.max_segments
-        return robots & too_many
+        rounded = self._rounded(rows, Polylines.of_joints(paths[0], paths[1]), slack)
+        self.wire = self.wire.with_robots(rows, rounded)
+        self.free_space.move(robots, polylines_of(rounded)(self._time_s).reshape(angles.shape))
+        return robots & (self.wire.counts.max(axis=1) > options.max_segments)
 
     def unsafe(self, robots: Mask) -> Mask:
         """Return the robots of pairs with one of `robots` that cannot be certified, shape (n,)."""
@@ -171,15 +161,15 @@ class _SevenSteps:
             free = tip_distances_mm(self.plane, pairs, angles)
         return joint_shares(self.plane, joint, pairs, free, angles[:, 1], robots, _CAP_RAD)
 
-    def _rounded(self, rows: Rows, joint: int, paths: Polylines, slack: Floats) -> Segments:
-        ranges = self._ranges[rows, joint]
-        goal = self.units.to_counts(self._planned[rows, joint, -1])
+    def _rounded(self, rows: Rows, paths: Polylines, slack: Floats) -> WireMotion:
+        ranges = self._ranges[rows]
+        goal = self.units.to_counts(self._planned[rows, :, -1])
         return quantize(
             paths,
-            self._start[rows, joint],
-            np.clip(goal, ranges[:, 0], ranges[:, 1]),
+            self._start[rows],
+            np.clip(goal, ranges[..., 0], ranges[..., 1]),
             ranges,
-            self.plane.speeds[rows, joint],
+            self.plane.speeds[rows],
             slack,
             self.units,
             self.options.rounding,

@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from fiber_core.array_types import Bools, Floats, Ints, Mask, Rows
+from fiber_core.array_types import Bools, Counts, Floats, Ints, Mask, Rows
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.ragged import Parts
 from fiber_discretizer.corridor import corridor_walls
 from fiber_discretizer.fit.linearize import Polylines, linearize
 from fiber_discretizer.options import DiscretizeOptions
 from fiber_discretizer.quantize import quantize
-from fiber_discretizer.segments import Segments
 from fiber_discretizer.sequential.segment_plan import SegmentPlan
 
 __all__ = ["Candidates"]
@@ -27,6 +26,7 @@ class Candidates:
 
     Args:
         plan: segments of all robots; gives units, outlines and neighbours.
+        start: encoder counts at the start [quanta], shape (n, 2).
         trajectory: joint profiles of all its robots, from time zero.
         options: options of the discretizer.
 
@@ -39,14 +39,20 @@ class Candidates:
         fastest_s: shortest time that each joint needs [s], shape (n, 2).
     """
 
-    def __init__(self, plan: SegmentPlan, trajectory: SampledMotion, options: DiscretizeOptions):
+    def __init__(
+        self,
+        plan: SegmentPlan,
+        start: Counts,
+        trajectory: SampledMotion,
+        options: DiscretizeOptions,
+    ):
         plane, units = plan.plane, plan.units
         self._plan, self._options = plan, options
         self.time_s, self._planned = trajectory.time_s, trajectory.angles
         self._ranges = units.range_counts(plane)
         still = trajectory.angles == trajectory.angles[:, :, -1:]
         goal = np.clip(units.to_counts(trajectory.end), *np.moveaxis(self._ranges, -1, 0))
-        self.start = plan.start
+        self.start = start
         self.goal = np.where(still.all(axis=2), self.start, goal)
         self.moving_joints: Ints = (self.start != self.goal).sum(axis=1)
         self.moves: Mask = ~still.all(axis=(1, 2))
@@ -59,7 +65,7 @@ class Candidates:
         self._speeds = np.maximum(_SPEED * np.minimum(plane.speeds, most), 1e-9)
         self.fastest_s = travel / self._speeds
 
-    def straight(self, rows: Rows, windows: Floats | None = None) -> Segments:
+    def straight(self, rows: Rows, windows: Floats | None = None) -> SegmentMotion:
         """Return motions of one line for each joint, after a rest where its window begins late.
 
         Args:
@@ -79,7 +85,7 @@ class Candidates:
         joint: int,
         side: int,
         windows: Floats | None = None,
-    ) -> tuple[Segments, Mask]:
+    ) -> tuple[SegmentMotion, Mask]:
         """Return motions with one joint straight and the other around what is in its way.
 
         Args:
@@ -91,7 +97,7 @@ class Candidates:
             windows: as for straight.
 
         Returns:
-            Segments of 2 m profiles, and which of the robots have such a motion, shape (m,).
+            The motions, and which of the robots have one, shape (m,).
         """
         windows = self.planned_windows(rows) if windows is None else windows
         lines = [self._line(rows, j, windows[:, j]) for j in (0, 1)]
@@ -103,7 +109,7 @@ class Candidates:
 
     def along_trajectory(
         self, rows: Rows, motion: SegmentMotion, required_mm: Floats, first_joint: int
-    ) -> tuple[Segments, Mask]:
+    ) -> tuple[SegmentMotion, Mask]:
         """Return motions around the trajectory: in the corridor of one joint, then of the other.
 
         Args:
@@ -113,7 +119,7 @@ class Candidates:
             first_joint: the joint that is fitted first.
 
         Returns:
-            Segments of 2 m profiles, and which of the robots have such a motion, shape (m,).
+            The motions, and which of the robots have one, shape (m,).
         """
         times = self.arrival_s[rows].max(axis=1)[:, None] * _SHARES
         desired = self._planned_at(rows, times)
@@ -127,15 +133,19 @@ class Candidates:
             desired[:, joint] = lines[joint].at(times)
         return self._rounded(rows, [lines[0], lines[1]]), found
 
-    def traced(self, rows: Rows, width_mm: float) -> Segments:
+    def traced(self, rows: Rows, width_mm: float) -> SegmentMotion:
         """Return the trajectory itself, within a width [mm], not rounded."""
-        return Segments.along(self._trace(rows, width_mm)[0], self._plan.units)
+        paths = self._trace(rows, width_mm)[0]
+        times, angles = (values[1:] - values[:-1] for values in (paths.time_s, paths.angles))
+        lines = np.flatnonzero(paths.parts.owner[1:] == paths.parts.owner[:-1])
+        offsets = Parts.from_counts(paths.counts).offsets
+        return SegmentMotion(
+            self._plan.motion.start[rows], offsets, times[lines], angles[lines] / times[lines]
+        )
 
-    def traced_rounded(self, rows: Rows, width_mm: float) -> Segments:
+    def traced_rounded(self, rows: Rows, width_mm: float) -> SegmentMotion:
         """Return the trajectory itself, within a width [mm], in whole units."""
-        lines, width_rad = self._trace(rows, width_mm)
-        joints = np.tile([0, 1], len(rows))
-        return self._quantized(lines, np.repeat(rows, 2), joints, width_rad)
+        return self._quantized(rows, *self._trace(rows, width_mm))
 
     def too_many_segments(self, rows: Rows) -> Rows:
         """Return those of some robots at rest that could move with more segments.
@@ -144,7 +154,7 @@ class Candidates:
             rows: the robots, shape (m,).
         """
         finest = self.traced_rounded(rows, _FINEST_MM)
-        too_many = finest.counts.reshape(-1, 2).max(axis=1) > self._options.max_segments
+        too_many = finest.counts.max(axis=1) > self._options.max_segments
         pairs = self._plan.pairs_of(rows)
         unsafe = self._plan.robots_in(pairs[self._plan.unproven(pairs, rows, finest)])
         return rows[too_many & ~unsafe[rows]]
@@ -161,8 +171,8 @@ class Candidates:
     def _trace(self, rows: Rows, width_mm: float) -> tuple[Polylines, Floats]:
         # the trajectory as lines within a width, half for each joint, and that in angles
         profiles = self._planned[rows].reshape(2 * len(rows), len(self.time_s))
-        width_rad = 0.5 * width_mm / self._plan.levers_mm[rows].ravel()
-        low, high = profiles - width_rad[:, None], profiles + width_rad[:, None]
+        width_rad = 0.5 * width_mm / self._plan.levers_mm[rows]
+        low, high = profiles - width_rad.reshape(-1, 1), profiles + width_rad.reshape(-1, 1)
         return linearize(self.time_s, profiles, low, high, "greedy"), width_rad
 
     def _line(self, rows: Rows, joint: int, window: Floats) -> Polylines:
@@ -220,37 +230,29 @@ class Candidates:
         path = linearize(_SHARES, center, low, high, self._options.method, speed, last)
         found = found & (path.counts >= 0)
         if not found.all():  # a robot without a path gets one that the caller drops
-            straight = linearize(_SHARES, center, -np.inf, np.inf, "minimal", np.inf, last)
-            path = _merged(found, path, straight)
-        time_s = path.time_s * duration[Parts(path.offsets).owner]
+            others = np.flatnonzero(~found)
+            straight = linearize(
+                _SHARES, center[others], -np.inf, np.inf, "minimal", np.inf, last[others]
+            )
+            path = path.with_profiles(others, straight)
+        time_s = path.time_s * duration[path.parts.owner]
         return Polylines(path.offsets, time_s, path.angles), found
 
-    def _rounded(self, rows: Rows, lines: list[Polylines], slack: float | None = None) -> Segments:
-        slack_rad = np.full(len(rows), self._options.slack_rad if slack is None else slack)
-        both = Segments.none(2 * len(rows))
-        for joint in (0, 1):
-            one = self._quantized(lines[joint], rows, np.full(len(rows), joint), slack_rad)
-            both = both.replaced(2 * np.arange(len(rows)) + joint, one)
-        return both
+    def _rounded(
+        self, rows: Rows, lines: list[Polylines], slack: float | None = None
+    ) -> SegmentMotion:
+        slack_rad = np.full((len(rows), 2), self._options.slack_rad if slack is None else slack)
+        return self._quantized(rows, Polylines.of_joints(lines[0], lines[1]), slack_rad)
 
-    def _quantized(self, lines: Polylines, rows: Rows, joints: Ints, slack: Floats) -> Segments:
+    def _quantized(self, rows: Rows, lines: Polylines, slack_rad: Floats) -> SegmentMotion:
         return quantize(
             lines,
-            self.start[rows, joints],
-            self.goal[rows, joints],
-            self._ranges[rows, joints],
-            self._plan.plane.speeds[rows, joints],
-            slack,
+            self.start[rows],
+            self.goal[rows],
+            self._ranges[rows],
+            self._plan.plane.speeds[rows],
+            slack_rad,
             self._plan.units,
             self._options.rounding,
             self._latest_s,
-        )
-
-
-def _merged(first: Mask, one: Polylines, other: Polylines) -> Polylines:
-    # the paths of `one` where `first`, else those of `other`
-    counts = np.where(first, one.counts, other.counts) + 1
-    begin = np.where(first, one.offsets[:-1], other.offsets[:-1] + len(one.time_s))
-    parts, pick = Parts.gather(begin, counts)
-    times = np.concatenate([one.time_s, other.time_s])[pick]
-    return Polylines(parts.offsets, times, np.concatenate([one.angles, other.angles])[pick])
+        ).decoded()

@@ -64,12 +64,12 @@ def discretize_sequentially(
     reason = reason.copy()
     makespan_s = trajectory.time_s[-1] + _LATER_TICKS * units.tick_s
     plan = SegmentPlan(plane, units, start_counts, safety, makespan_s)
-    candidates = Candidates(plan, trajectory, options)
+    candidates = Candidates(plan, start_counts, trajectory, options)
     rounds = _fill(plan, candidates, safety, options, progress)
-    idle = np.flatnonzero(candidates.moving_joints.astype(bool) & ~plan.counts().any(axis=1))
+    idle = np.flatnonzero(candidates.moving_joints.astype(bool) & ~plan.motion.moves)
     reason[idle] = Reason.UNSAFE
     reason[candidates.too_many_segments(idle)] = Reason.TOO_MANY_SEGMENTS
-    return plan.segments.to_wire(start_counts, units), reason, rounds
+    return WireMotion.nearest(plan.motion, units), reason, rounds
 
 
 def _fill(
@@ -106,7 +106,7 @@ def _fill(
             break
     search.begin_step(0.8, 0.8, "shortening the orders")
     search.follow_trajectories()
-    search.improve(plan.counts().max(axis=1) > _MANY)
+    search.improve(plan.motion.counts.max(axis=1) > _MANY)
     search.shorten_longest()
     return rounds
 
@@ -133,7 +133,7 @@ class _Search:
     @property
     def idle(self) -> Mask:
         """Robots that rest though they are to move, shape (n,)."""
-        return (self.moving_joints > 0) & ~self.plan.counts().any(axis=1)
+        return (self.moving_joints > 0) & ~self.plan.motion.moves
 
     def begin_step(self, begin: float, end: float, text: str) -> None:
         """Begin a step that lasts from one fraction of the work to another; report it."""
@@ -189,7 +189,7 @@ class _Search:
                 traces = candidates.traced_rounded(conflicting, _TRACES_MM[0])
                 plan.assign(conflicting, traces)
                 conflicting = np.flatnonzero(plan.in_conflict & candidates.moves & ~following)
-            too_many = plan.counts()[following].max() > self.options.max_segments
+            too_many = plan.motion.counts[following].max() > self.options.max_segments
             if too_many or (plan.unsafe & ~before.unsafe).any():
                 plan.restore(before)
             else:
@@ -200,7 +200,7 @@ class _Search:
         # its way select anew. Where one of them gets many segments or is in conflict, the
         # plan is restored.
         plan, candidates = self.plan, self.candidates
-        for row in np.flatnonzero(plan.counts().max(axis=1) > _MANY):
+        for row in np.flatnonzero(plan.motion.counts.max(axis=1) > _MANY):
             trace = candidates.traced_rounded(np.array([row]), _TRACES_MM[0])
             if trace.counts.max() > _MANY:
                 continue
@@ -209,7 +209,7 @@ class _Search:
             conflicting = plan.in_conflict & candidates.moves
             conflicting[row] = False
             self.improve(conflicting)
-            too_many = plan.counts()[conflicting].max(initial=0) > _MANY
+            too_many = plan.motion.counts[conflicting].max(initial=0) > _MANY
             if too_many or (plan.unsafe & ~before.unsafe).any():
                 plan.restore(before)
 

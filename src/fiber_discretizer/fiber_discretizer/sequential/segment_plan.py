@@ -1,4 +1,4 @@
-"""The segments of all joints while they are made, and the pairs that are not proven safe."""
+"""The motion of all robots while it is made, and the pairs that are not proven safe."""
 
 from typing import NamedTuple
 
@@ -16,9 +16,8 @@ from fiber_core.clearance import (
     unproven,
 )
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.motion import SegmentMotion, profile_rows
+from fiber_core.motion import SegmentMotion
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer.segments import Segments
 
 __all__ = ["SegmentPlan"]
 
@@ -26,13 +25,13 @@ __all__ = ["SegmentPlan"]
 class Snapshot(NamedTuple):
     """The state of a SegmentPlan at some moment; fields as its attributes."""
 
-    segments: Segments
+    motion: SegmentMotion
     is_rounded: Mask
     unsafe: Bools
 
 
 class SegmentPlan:
-    """The segments of all joints so far; at first all robots rest.
+    """The motion of all robots so far; at first all rest.
 
     Args:
         plane: the focal plane.
@@ -42,8 +41,8 @@ class SegmentPlan:
         makespan_s: how long any motion may last [s].
 
     Attributes:
-        segments: segments of profiles 2 i + j, robot i, joint j.
-        is_rounded: robots with segments in whole units, shape (n,).
+        motion: the motion of all robots.
+        is_rounded: robots with segments of whole units, shape (n,).
         unsafe: pairs that are not proven to keep their gap, shape (p,).
         pairs: pairs that can come too close, rows a, b as from neighbour_pairs, shape (p, 2).
         most_required_mm: gap each of these must keep at full speed [mm], shape (p,).
@@ -60,53 +59,26 @@ class SegmentPlan:
         safety: Safety,
         makespan_s: float,
     ):
-        self.plane, self.units, self.start = plane, units, start
+        self.plane, self.units = plane, units
+        self.motion = SegmentMotion.at_rest(units.to_angles(start))
         self._safety, self._makespan_s = safety, makespan_s
         self.levers_mm = levers_of(plane)
         speeds = point_speeds(self.levers_mm, plane.speeds * plane.enabled[:, None])
         two = np.repeat(np.argsort(speeds)[-1:], 2)  # the fastest robot, twice
         most = safety.required_at(speeds, makespan_s, two).max(initial=0.0)
         self.pairs = neighbour_pairs(plane, max(1.0, most))
-        self._at_start_mm = gaps(plane, self.pairs, units.to_angles(start))
+        self._at_start_mm = gaps(plane, self.pairs, self.motion.start)
         self.most_required_mm = safety.required_at(
             speeds, makespan_s, self.pairs, self._at_start_mm
         )
         self.bodies, self.neighbours = bodies_of(plane), neighbours_of(plane.n, self.pairs)
-        self.segments = Segments.none(2 * plane.n)
         self.is_rounded = np.ones(plane.n, dtype=bool)
         self.unsafe = np.zeros(len(self.pairs), dtype=bool)
-        self._motion: SegmentMotion | None = None
-
-    @property
-    def motion(self) -> SegmentMotion:
-        """The motion that the segments make."""
-        if self._motion is None:
-            self._motion = self.motion_of(np.arange(self.plane.n), self.segments)
-        return self._motion
 
     @property
     def in_conflict(self) -> Mask:
         """Robots in an unsafe pair, shape (n,)."""
         return self.robots_in(np.flatnonzero(self.unsafe))
-
-    def motion_of(self, rows: Rows, segments: Segments) -> SegmentMotion:
-        """Return the motion of some robots along segments of their own.
-
-        Args:
-            rows: the robots, shape (m,).
-            segments: their segments, of 2 m profiles.
-        """
-        units = self.units
-        return SegmentMotion(
-            units.to_angles(self.start[rows]),
-            segments.offsets,
-            segments.ticks * units.tick_s,
-            segments.velocity * units.velocity_rad_s,
-        )
-
-    def counts(self) -> Ints:
-        """Return the number of segments of each joint, shape (n, 2)."""
-        return self.segments.counts.reshape(-1, 2)
 
     def pairs_of(self, rows: Rows) -> Ints:
         """Return the pairs with at least one of some robots, increasing, shape (k,)."""
@@ -124,48 +96,46 @@ class SegmentPlan:
         return found[: self.plane.n]
 
     def unproven(
-        self, pairs: Ints, rows: Rows | None = None, segments: Segments | None = None
+        self, pairs: Ints, rows: Rows | None = None, changed: SegmentMotion | None = None
     ) -> Bools:
-        """Return whether pairs would be unsafe with other segments of some robots, shape (k,).
+        """Return whether pairs would be unsafe with another motion of some robots, shape (k,).
 
         Args:
             pairs: the pairs that are checked, shape (k,).
-            rows: robots that would have other segments, shape (m,); none by default.
-            segments: these segments, of 2 m profiles.
+            rows: robots that would move in another way, shape (m,); none by default.
+            changed: their motion, of m robots.
         """
         motion = self.motion
-        if rows is not None and segments is not None:
-            motion = motion.with_robots(rows, self.motion_of(rows, segments))
+        if rows is not None and changed is not None:
+            motion = motion.with_robots(rows, changed)
         speeds = point_speeds(self.levers_mm, motion.fastest)
         required = self._safety.required_at(
             speeds, self._makespan_s, self.pairs[pairs], self._at_start_mm[pairs]
         )
         return unproven(self.bodies, motion, self.pairs[pairs], required)
 
-    def assign(self, rows: Rows, segments: Segments, is_rounded: bool = True) -> None:
-        """Replace the segments of some robots.
+    def assign(self, rows: Rows, motion: SegmentMotion, is_rounded: bool = True) -> None:
+        """Replace the motion of some robots.
 
         Args:
             rows: the robots, shape (m,).
-            segments: their segments, of 2 m profiles.
-            is_rounded: whether the segments are in whole units.
+            motion: their motion, of m robots.
+            is_rounded: whether its segments are of whole units.
         """
-        self.segments = self.segments.replaced(profile_rows(rows), segments)
+        self.motion = self.motion.with_robots(rows, motion)
         self.is_rounded[rows] = is_rounded
-        self._motion = None
         affected = self.pairs_of(rows)
         self.unsafe[affected] = self.unproven(affected)
 
     def snapshot(self) -> Snapshot:
         """Return the present state, for `restore`."""
-        return Snapshot(self.segments, self.is_rounded.copy(), self.unsafe.copy())
+        return Snapshot(self.motion, self.is_rounded.copy(), self.unsafe.copy())
 
     def restore(self, snapshot: Snapshot) -> None:
         """Undo all that was assigned since a snapshot."""
-        self.segments, self.is_rounded, self.unsafe = snapshot
-        self._motion = None
+        self.motion, self.is_rounded, self.unsafe = snapshot
 
     def rest(self, robots: Mask) -> None:
         """Let some robots, shape (n,), stay where they are."""
         rows = np.flatnonzero(robots)
-        self.assign(rows, Segments.none(2 * len(rows)))
+        self.assign(rows, SegmentMotion.at_rest(self.motion.start[rows]))

@@ -4,8 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Floats, Ints, Mask, Rows
-from fiber_core.motion import profile_rows
-from fiber_discretizer.segments import Segments
+from fiber_core.motion import SegmentMotion
 from fiber_discretizer.sequential.segment_plan import SegmentPlan
 
 __all__ = ["Selection"]
@@ -43,10 +42,10 @@ class Selection:
             self._ignored, _UNCONSTRAINED_MM, plan.most_required_mm + allowance_mm
         )
         acceptable = plan.is_rounded[rows] & ~in_conflict[rows] & ~idle
-        self._present_cost = self._cost(plan.counts()[rows])
+        self._present_cost = self._cost(plan.motion.counts[rows])
         self._present_cost[~acceptable] = np.inf
         self._best_cost = self._present_cost.copy()
-        self._best = Segments.none(2 * len(rows))
+        self._best = SegmentMotion.at_rest(plan.motion.start[rows])
 
     def unsolved(self) -> Ints:
         """Return the robots without a safe motion, as places in `rows`, shape (k,)."""
@@ -63,28 +62,28 @@ class Selection:
         """
         return np.flatnonzero(self._best_cost >= np.asarray(segments) + 1)
 
-    def evaluate(self, which: Ints, segments: Segments, possible: Mask | None = None) -> None:
+    def evaluate(self, which: Ints, motion: SegmentMotion, possible: Mask | None = None) -> None:
         """Keep the motions that are shorter than the best so far and safe.
 
         Args:
             which: the robots, as places in `rows`, shape (k,).
-            segments: their motions, of 2 k profiles.
+            motion: their motions, of k robots.
             possible: which of them are motions at all, shape (k,); all by default.
         """
-        cost = self._cost(segments.counts.reshape(-1, 2))
+        cost = self._cost(motion.counts)
         shorter: Mask = cost < self._best_cost[which]
         promising = np.flatnonzero(shorter if possible is None else possible & shorter)
         if len(promising) == 0:
             return
         which, cost = which[promising], cost[promising]
-        segments = segments.rows(profile_rows(promising))
+        motion = motion.of_robots(promising)
         plan, rows = self.plan, self.rows[which]
         pairs = plan.pairs_of(rows)
         pairs = pairs[~self._ignored[pairs]]
-        unsafe = plan.robots_in(pairs[plan.unproven(pairs, rows, segments)])[rows]
+        unsafe = plan.robots_in(pairs[plan.unproven(pairs, rows, motion)])[rows]
         which, safe = which[~unsafe], np.flatnonzero(~unsafe)
         self._best_cost[which] = cost[safe]
-        self._best = self._best.replaced(profile_rows(which), segments, profile_rows(safe))
+        self._best = self._best.with_robots(which, motion.of_robots(safe))
 
     def commit(self) -> Ints:
         """Assign each robot its best motion where that is an improvement.
@@ -94,7 +93,7 @@ class Selection:
         """
         better = np.flatnonzero(self._best_cost < self._present_cost)
         if len(better):
-            self.plan.assign(self.rows[better], self._best.rows(profile_rows(better)))
+            self.plan.assign(self.rows[better], self._best.of_robots(better))
         return better
 
     def _cost(self, counts: Ints) -> Floats:
