@@ -73,7 +73,7 @@ def test_three_processes_take_a_plane_to_new_targets(executable, problem_file, t
         assert result["buses"]["retries"] == 0 and result["alerts"] == []
         assert "planner" in run.stderr and "100 %" in run.stderr
 
-        # a file with a robot that does not exist is refused by the planner, by name
+        # a file with a robot that does not exist is refused by the bridge, by name
         table = tmp_path / "targets.csv"
         table.write_text("id,x_mm,y_mm\n1,0.5,0.5\n999,1.0,2.0\n")
         run = subprocess.run([*command, str(table)], capture_output=True, text=True, check=False)
@@ -82,7 +82,7 @@ def test_three_processes_take_a_plane_to_new_targets(executable, problem_file, t
         mapped = set().union(*map(shared_memory, pids)) - left_by_others
         assert mapped, "the nodes share no memory, so this test shows nothing"
         assert nodes.end() == {"bridge": 0, "planner": 0, "discretizer": 0}
-    assert "robot 999" in (tmp_path / "planner.log").read_text()
+    assert "robot 999" in (tmp_path / "bridge.log").read_text()
     assert not [path for path in mapped if Path(path).exists()]
 
 

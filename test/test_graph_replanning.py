@@ -11,7 +11,7 @@ from fiber_client.disable import DisabledRobots
 from fiber_core.clearance import Safety, certify
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
-from fiber_msgs_py import FRAME_ID, PlanStamp, progress, targets, topics
+from fiber_msgs_py import FRAME_ID, PlanStamp, progress, session_of, targets, topics
 from fiber_recording import load_recording
 from fiber_recording.node import recording_name
 from fiber_recording.replay import replay
@@ -29,6 +29,11 @@ DERIVED = (
 STAMPED = (
     *DERIVED, topics.LAYOUT, topics.JOINT_STATES, topics.OUTCOME, topics.DIAGNOSTICS,
     topics.VIEW_ARMS, topics.VIEW_PLANE, topics.VIEW_TARGETS,
+)  # fmt: skip
+
+IN_SESSION = (
+    topics.LAYOUT, topics.JOINT_STATES, topics.TARGETS, topics.TRAJECTORY, topics.SEGMENTS,
+    topics.OUTCOME,
 )  # fmt: skip
 
 
@@ -122,7 +127,9 @@ def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tm
     client.wait_for(lambda: all(received.values()), WAIT_S, "messages on all topics")
     assert [PlanStamp.of(message) for message in received[topics.OUTCOME.name]] == [stamp]
     announced = {progress.decode(message).attempt for message in reports}
-    assert set(attempts) <= announced
+    names = {(each.stamp, each.plan, each.number) for each in announced}
+    assert {(each.stamp, each.plan, each.number) for each in attempts} <= names
+    assert {session_of(m) for t in IN_SESSION for m in received[t.name]} == {client.session}
     # a filter of a bag by frame finds every message, and the frame is that of tf and RViz
     for name, messages in received.items():
         assert {message.header.frame_id for message in messages} == {FRAME_ID}, name

@@ -8,8 +8,8 @@ from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import joint_corridors
-from fiber_msgs_py import PlanStamp, joint_states, layout, outcome, topics
-from fiber_node import RosClient
+from fiber_msgs_py import PlanStamp, joint_states, layout, outcome, progress, topics
+from fiber_node import BRIDGE, Claim, RosClient
 from fiber_recording import EventKind
 from fiber_recording.node import RecorderNode, recording_name
 
@@ -117,21 +117,32 @@ def test_a_plan_that_was_replaced_is_recorded_as_one_that_did_not_run(run):
     assert replaced.load.frames.sum() == 0 and len(replaced.events.kind) == 0
 
 
-def test_a_plan_that_ended_before_the_recorder_began_keeps_the_recording_it_may_have(tmp_path):
+def test_a_plan_that_the_recorder_missed_is_named_and_keeps_the_recording_it_may_have(tmp_path):
     plane = preset("desi", 7)
     still, held = np.zeros((7, 2)), np.full(7, Outcome.HELD)
     columns = held, np.full(7, Reason.NO_TARGET), np.full(7, np.nan)
     with RosClient("bridge") as peer:
         now_ns = peer.node.get_clock().now().nanoseconds
+        session = Claim(peer.node, BRIDGE).id
         ended = topics.OUTCOME.publisher(peer.node)
         layouts = topics.LAYOUT.publisher(peer.node)
         states = topics.JOINT_STATES.publisher(peer.node)
-        layouts.publish(layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(now_ns)))
-        states.publish(joint_states.encode(plane.ids, still + 3.0, still, now_ns))
+        reports = peer.collect(topics.PROGRESS)
+        units = WireUnits.for_plane(plane)
+        layouts.publish(layout.encode(plane, units, PlanStamp(now_ns), session))
+        states.publish(joint_states.encode(plane.ids, still + 3.0, still, now_ns, session))
         before, after = PlanStamp(now_ns), PlanStamp(now_ns + 3600 * 10**9)
         for stamp in (before, after):
-            ended.publish(outcome.encode(plane.ids, *columns, stamp))
+            ended.publish(outcome.encode(plane.ids, *columns, stamp, session))
         peer.add_node(RecorderNode, folder=str(tmp_path))
         later = tmp_path / recording_name(after)
         peer.wait_for(later.exists, 60.0, "the recording of a plan that ended later")
         assert [path.name for path in tmp_path.iterdir()] == [later.name]
+
+        def refusals():
+            return [each for each in map(progress.decode, reports) if each.refused]
+
+        peer.wait_for(refusals, 60.0, "the plan that was not recorded")
+        refused = refusals()
+        assert [each.attempt.plan for each in refused] == [before]
+        assert "not recorded: this recorder began after it" in refused[0].text

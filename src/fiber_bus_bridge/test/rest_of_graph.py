@@ -1,8 +1,10 @@
 """A bridge node, and a test in place of the other nodes of the graph."""
 
 import numpy as np
+from rclpy.parameter import Parameter
 
 from fiber_bus_bridge.node import BridgeNode
+from fiber_core.kinematics import forward
 from fiber_core.presets import preset
 from fiber_core.problem import Problem, save_problem
 from fiber_core.wire_units import WireMotion, WireUnits
@@ -11,10 +13,13 @@ from fiber_msgs_py import (
     diagnostics,
     joint_states,
     outcome,
+    progress,
     segments,
+    session_of,
     targets,
     topics,
 )
+from fiber_node import DISCRETIZER, PLANNER, Claim
 
 __all__ = [
     "COUNTS",
@@ -53,7 +58,10 @@ def problem_file(folder, start=START) -> str:
 
 
 class Rest:
-    """The other nodes of the graph: publishes their messages, keeps those of the bridge."""
+    """The other nodes of the graph: publishes their messages, keeps those of the bridge.
+
+    Its messages are of `session`, at first that of the bridge.
+    """
 
     def __init__(self, peer, path, **parameters):
         self.peer = peer
@@ -72,6 +80,7 @@ class Rest:
         self.segments = topics.SEGMENTS.publisher(peer.node)
         self.targets = topics.TARGETS.publisher(peer.node)
         self.held = topics.HELD_BY_PLANNER.publisher(peer.node)
+        self.stages = {role: Claim(peer.node, role) for role in (PLANNER, DISCRETIZER)}
         self.bridge = peer.add_node(BridgeNode, problem=path, **{"time_scale": 0.0} | parameters)
         self.until(
             lambda: (
@@ -79,6 +88,8 @@ class Rest:
             )
         )
         self.until(lambda: self.segments.get_subscription_count() == 1)
+        self.until(lambda: self.received[topics.LAYOUT.name])
+        self.session = session_of(self.received[topics.LAYOUT.name][-1])
 
     def until(self, condition):
         self.peer.wait_for(condition, WAIT_S)
@@ -92,9 +103,10 @@ class Rest:
         return UNITS.to_counts(angles)
 
     def order(self, ns, motion=None, ids=PLANE.ids, attempt=1):
+        """Send orders; return those of the progress that come after."""
         self.received[topics.PROGRESS.name].clear()
         stamp = self.stamp_of(ns, attempt)
-        self.segments.publish(segments.encode(ids, motion or turning(), stamp))
+        self.segments.publish(segments.encode(ids, motion or turning(), stamp, self.session))
 
     def stamp_of(self, ns, attempt):
         """The stamp of an attempt of a plan, from the targets of the attempt."""
@@ -103,12 +115,36 @@ class Rest:
         return later[0] if attempt > 1 else PlanStamp(ns)
 
     def ask(self, ns, ids, xy_mm):
-        self.targets.publish(targets.encode(ids, xy_mm, PlanStamp(ns)))
-        self.until(self.targets.wait_for_all_acked)
+        """Send targets; wait until the bridge has accepted or refused them."""
+        self.targets.publish(targets.encode(ids, xy_mm, PlanStamp(ns), self.session))
+        return self.answer(ns)
+
+    def answer(self, ns):
+        """Wait for progress of a plan; return the first."""
+        self.until(lambda: self.answers(ns))
+        return self.answers(ns)[0]
+
+    def answers(self, ns):
+        decoded = map(progress.decode, self.received[topics.PROGRESS.name])
+        return [each for each in decoded if each.attempt.plan.ns == ns]
+
+    def ask_ends(self, ns, motion=None):
+        """Send the ends of orders as targets of the robots that move, or a target in vain."""
+        motion = motion or turning()
+        moves = motion.moves if motion.moves.any() else np.ones(7, dtype=bool)
+        ends_mm = forward(PLANE, UNITS.to_angles(motion.end))[1]
+        return self.ask(ns, PLANE.ids[moves], ends_mm[moves])
 
     def ready(self, ns, motion=None):
+        """Send orders and wait until they are ready; first their ends, if there are no targets."""
+        asked = [PlanStamp.of(m).ns for m in self.received[topics.TARGETS.name]]
+        if ns not in asked:
+            self.ask_ends(ns, motion)
         self.order(ns, motion)
-        self.until(lambda: self.received[topics.PROGRESS.name])
+        self.until(lambda: any(each.fraction == 1.0 for each in self.answers(ns)))
+
+    def name_plan(self, plan):
+        self.bridge.set_parameters([Parameter("start_plan", value=plan)])
 
     def call(self, service):
         client = service.client(self.peer.node)

@@ -1,7 +1,11 @@
 """The bridge node by itself: the tests send orders and call services."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rest_of_graph import COUNTS, PLANE, UNITS, WAIT_S, Rest, problem_file, turning
 
 from fiber_bus_bridge import BridgeError
@@ -11,14 +15,18 @@ from fiber_core.outcomes import Outcome, Reason
 from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import (
     PlanStamp,
+    Progress,
     Stage,
     frames,
     held,
     layout,
+    progress,
+    session_of,
     targets,
     topics,
 )
-from fiber_node import RosClient
+from fiber_msgs_py.table import encode_table
+from fiber_node import DISCRETIZER, PLANNER, RosClient
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -66,7 +74,7 @@ def test_a_capture_is_written_of_each_plan(tmp_path):
 
 def test_the_first_reason_received_for_a_robot_is_kept(rest):
     tips = PLANE.centers + [2.0, 0.0]
-    rest.targets.publish(targets.encode(PLANE.ids, tips, PlanStamp(9)))
+    rest.ask(9, PLANE.ids, tips)
     reasons = [Reason.GOAL_BLOCKED, Reason.UNREACHABLE]
     rest.held.publish(held.encode([2, 5], reasons, Stage.PLANNER, PlanStamp(9)))
     rest.until(lambda: rest.held.wait_for_all_acked())
@@ -79,8 +87,7 @@ def test_the_first_reason_received_for_a_robot_is_kept(rest):
 
 
 def test_a_robot_with_a_target_and_without_orders_is_held_as_not_planned(rest):
-    rest.targets.publish(targets.encode([6], [PLANE.centers[6] + 3.0], PlanStamp(9)))
-    rest.until(lambda: rest.targets.wait_for_all_acked())
+    rest.ask(9, [6], [PLANE.centers[6] + 3.0])
     nothing = WireMotion(UNITS, COUNTS, np.zeros(15), [], [])
     rest.ready(9, nothing)
     assert rest.call(topics.START).success
@@ -106,25 +113,38 @@ def test_services_answer_according_to_the_state(rest, state, allowed, service):
 
 
 def test_orders_for_an_unknown_robot_are_refused_with_its_id(rest):
+    rest.ask_ends(9)
     rest.order(9, ids=PLANE.ids + 90)
     rest.until(lambda: "robot 90" in rest.status().text)
     assert not rest.call(topics.START).success
     assert np.array_equal(rest.counts(), COUNTS)
 
 
-def test_older_orders_are_dropped_with_a_message(rest):
+def test_orders_that_come_again_or_without_targets_are_dropped_with_a_message(rest):
     rest.ready(20)
+    rest.order(20, turning(ticks=10))
+    rest.until(lambda: "the plan has orders already, or has ended" in rest.status().text)
     rest.order(19)
-    rest.until(lambda: f"{PlanStamp(19)} dropped" in rest.status().text)
+    rest.until(lambda: "no targets with this stamp were accepted" in rest.status().text)
+    assert rest.call(topics.START).success
+    rest.end(20)
+    rest.until(lambda: np.array_equal(rest.counts(), turning().end))
 
 
 def test_newer_orders_replace_those_that_wait(rest):
-    rest.targets.publish(targets.encode(PLANE.ids, PLANE.centers + 3.0, PlanStamp(20)))
-    rest.until(lambda: rest.targets.wait_for_all_acked())
+    rest.ask(20, PLANE.ids, PLANE.centers + 3.0)
     rest.ready(20)
     rest.ready(21, turning(ticks=10))
     result, reason, _ = rest.end(20)
     assert np.all(result == Outcome.HELD) and np.all(reason == Reason.STOPPED)
+    # which plan is meant is not known any more
+    answer = rest.call(topics.START)
+    assert not answer.success and "have taken the place of plan 0.000000020" in answer.message
+    assert np.array_equal(rest.counts(), COUNTS)
+    rest.name_plan("0.000000020")
+    answer = rest.call(topics.START)
+    assert not answer.success and "the orders of plan 0.000000021 wait" in answer.message
+    rest.name_plan("0.000000021")
     assert rest.call(topics.START).success
     rest.end(21)
     rest.until(lambda: np.array_equal(rest.counts(), turning(ticks=10).end))
@@ -160,3 +180,172 @@ def test_impossible_parameters_end_the_bridge(tmp_path):
             peer.add_node(BridgeNode, problem=path, attempts=0)
         with pytest.raises(BridgeError, match="robots is -4"):
             peer.add_node(BridgeNode, robots=-4)
+
+
+STAMP_S = 1_000_000_000
+
+
+def refusal(rest, ns):
+    """The text with which the bridge refuses a plan, which ends with an outcome of every robot."""
+
+    def refusals():
+        return [p for p in rest.answers(ns) if p.refused and p.stage == "bridge"]
+
+    rest.until(refusals)
+    refused = refusals()[0]
+    assert refused.session == rest.session
+    result, reason, _ = rest.end(ns)
+    assert np.all(result == Outcome.HELD)
+    assert set(reason.tolist()) <= {Reason.PLAN_REFUSED, Reason.NO_TARGET, Reason.NOT_PLANNED}
+    return refused.text
+
+
+def test_accepted_targets_are_answered_with_joint_states_that_are_as_new(rest):
+    answer = rest.ask_ends(9)
+    assert not answer.refused and answer.session == rest.session
+    attempt = answer.attempt
+    rest.until(
+        lambda: PlanStamp.of(rest.received[topics.JOINT_STATES.name][-1]).ns >= attempt.since_ns
+    )
+    assert PlanStamp.of(rest.received[topics.LAYOUT.name][-1]).ns == attempt.layout_ns
+    of_bridge = (topics.LAYOUT, topics.JOINT_STATES)
+    assert {session_of(m) for t in of_bridge for m in rest.received[t.name]} == {rest.session}
+
+
+BAD_TARGETS = {
+    "unknown": ([1, 99], [[0.0, 0.0], [1.0, 2.0]], r"robot 99: no such robot, target \[1.0, 2.0\]"),
+    "not finite": ([1, 3], [[0.0, 0.0], [1.0, np.nan]], "robot 3: y nan is not finite"),
+    "twice": ([3, 3], [[0.0, 0.0], [1.0, 1.0]], "robot 3: id 3 appears twice"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_TARGETS)
+def test_a_plan_with_refused_targets_has_an_outcome_and_takes_no_stamp(rest, name):
+    ids, xy_mm, words = BAD_TARGETS[name]
+    rows = np.zeros(len(ids), dtype=[("id", "<u4"), ("x", "<f8"), ("y", "<f8")])
+    rows["id"], (rows["x"], rows["y"]) = ids, np.transpose(xy_mm) * 1e-3
+    rest.targets.publish(encode_table(rows, PlanStamp(20), rest.session))
+    assert re.search(words, refusal(rest, 20))
+    rest.ready(19)
+    assert rest.call(topics.START).success
+    rest.end(19)
+
+
+def test_targets_sent_while_stopped_end_at_once(rest):
+    assert rest.call(topics.STOP).success
+    assert rest.ask(9, PLANE.ids, PLANE.centers + 3.0).refused
+    assert "no plan is accepted while STOPPED: clear first" in refusal(rest, 9)
+    result, reason, error_mm = rest.end(9)
+    assert np.all(reason == Reason.PLAN_REFUSED) and np.all(error_mm > 1)
+
+
+def test_a_stamp_of_the_future_is_refused_and_forgotten(rest):
+    now_ns = rest.bridge.get_clock().now().nanoseconds
+    assert rest.ask_ends(now_ns + 3600 * STAMP_S).refused
+    assert "its stamp is 3600 s ahead of the bridge's clock" in refusal(
+        rest, now_ns + 3600 * STAMP_S
+    )
+    # a clock that is not more than a minute ahead is believed
+    assert not rest.ask_ends(now_ns + 50 * STAMP_S).refused
+    assert rest.ask_ends(now_ns).refused
+    assert "is not older; after a change of the clock call clear" in refusal(rest, now_ns)
+    assert rest.call(topics.CLEAR).success
+    assert not rest.ask_ends(now_ns + 1).refused
+
+
+def test_the_stamp_zero_means_now(rest):
+    before_ns = rest.bridge.get_clock().now().nanoseconds
+    sent = rest.received[topics.TARGETS.name]
+    message = targets.encode(PLANE.ids, PLANE.centers + 3.0, PlanStamp(0), rest.session)
+    rest.targets.publish(message)
+    rest.until(lambda: len(sent) == 2)
+    ns = max(PlanStamp.of(m).ns for m in sent)
+    assert ns >= before_ns and not rest.answer(ns).refused
+    rest.ready(ns)
+    assert rest.call(topics.START).success
+    assert np.all(rest.end(ns)[1] == Reason.OFF_TARGET)
+
+
+def test_targets_and_orders_of_another_session_or_of_none_are_refused_by_name(rest):
+    session, other = rest.session, "session_" + 24 * "0"
+    for rest.session, words in ((other, f"of {other}, the"), (None, "of no session, the")):
+        answer = rest.ask_ends(9)
+        assert answer.refused and f"{words} bridge has opened {session}" in answer.text
+        rest.received[topics.PROGRESS.name].clear()
+        rest.bridge._attempts._accepted._foreign_s = 0.0  # the next is answered, too
+    rest.session = session
+    rest.ask_ends(10)
+    for rest.session in (other, None):
+        rest.order(10)
+        of = rest.session or "no session"
+        rest.until(lambda of=of: f"segments: of {of}, the bridge" in rest.status().text)
+    assert not rest.received[topics.OUTCOME.name]
+    rest.session = session
+    rest.ready(10)
+    assert rest.call(topics.START).success
+    assert np.all(rest.end(10)[0] == Outcome.REACHED)
+
+
+def test_orders_that_begin_elsewhere_are_refused_and_their_plan_ends(rest):
+    rest.ask_ends(9)
+    start = COUNTS + [1000, 0]
+    motion = turning()
+    rest.order(9, WireMotion(UNITS, start, motion.offsets, motion.ticks, motion.velocity))
+    assert "robot 0: orders begin at" in refusal(rest, 9)
+    assert np.array_equal(rest.counts(), COUNTS)
+
+
+@pytest.mark.parametrize("service", ["HOME", "CONFIGURE", "CLEAR", "STOP"])
+def test_a_plan_without_orders_hinders_no_service_and_ends_with_it(rest, service):
+    rest.ask_ends(9)
+    assert rest.call(getattr(topics, service)).success
+    result, reason, _ = rest.end(9)
+    expected = Reason.STOPPED if service == "STOP" else Reason.NOT_PLANNED
+    assert np.all(result == Outcome.HELD) and np.all(reason == expected)
+    rest.order(9)  # late
+    rest.until(lambda: "has ended" in rest.status().text)
+
+
+@pytest.mark.parametrize("role", [PLANNER, DISCRETIZER])
+def test_a_plan_ends_when_a_stage_refuses_it_or_leaves_the_graph(rest, role):
+    answer = rest.ask_ends(9)
+    reports = topics.PROGRESS.publisher(rest.peer.node)
+    refused = Progress(role, 1.0, "in vain", answer.attempt, rest.session, refused=True)
+    rest.until(reports.get_subscription_count)
+    reports.publish(progress.encode(replace(refused, session="session_" + 24 * "0")))
+    reports.publish(progress.encode(refused))
+    assert f"plan {PlanStamp(9)} ended without orders: {role}: in vain" in refusal(rest, 9)
+    rest.ask_ends(10)
+    rest.peer.node.destroy_subscription(rest.stages[role]._subscription)
+    rest.until(lambda: any(each.refused for each in rest.answers(10)))
+    assert f"the {role} is not in the graph" in refusal(rest, 10)
+
+
+def test_a_second_bridge_of_the_plane_refuses_and_the_first_goes_on(rest, tmp_path):
+    with pytest.raises(BridgeError, match=f"in the graph already, of {rest.session}: end it first"):
+        BridgeNode(
+            context=rest.peer.node.context,
+            parameter_overrides=[Parameter("problem", value=problem_file(tmp_path))],
+        )
+    rest.ready(9)
+    assert rest.call(topics.START).success
+    assert np.all(rest.end(9)[0] == Outcome.REACHED)
+
+
+def test_a_restarted_bridge_takes_no_orders_of_an_earlier_one(rest, tmp_path):
+    rest.ready(9)
+    first = rest.session
+    rest.peer.remove_node(rest.bridge)
+    rest.received[topics.OUTCOME.name].clear()
+    rest.received[topics.LAYOUT.name].clear()
+    rest.bridge = rest.peer.add_node(BridgeNode, problem=problem_file(tmp_path), time_scale=0.0)
+    rest.until(lambda: rest.received[topics.LAYOUT.name])
+    assert session_of(rest.received[topics.LAYOUT.name][-1]) != first
+    # the orders are latched: the new bridge receives them
+    rest.until(lambda: f"segments: of {first}" in rest.status().text)
+    answer = rest.call(topics.START)
+    assert not answer.success and "cannot start while IDLE" in answer.message
+    assert rest.call(topics.CONFIGURE).success
+    assert rest.call(topics.HOME).success
+    rest.until(lambda: rest.received[topics.OUTCOME.name])
+    assert np.array_equal(rest.counts()[:, 0], COUNTS[:, 0])

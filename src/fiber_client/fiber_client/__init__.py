@@ -2,7 +2,14 @@
 
 from fiber_client.client import PlaneClient
 from fiber_client.disable import DisabledRobots
-from fiber_client.errors import PlaneError, PlaneRefusal
+from fiber_client.errors import NodeLost, PlaneError, PlaneRefusal
 from fiber_client.terminal import ProgressDisplay
 
-__all__ = ["DisabledRobots", "PlaneClient", "PlaneError", "PlaneRefusal", "ProgressDisplay"]
+__all__ = [
+    "DisabledRobots",
+    "NodeLost",
+    "PlaneClient",
+    "PlaneError",
+    "PlaneRefusal",
+    "ProgressDisplay",
+]

@@ -7,17 +7,21 @@ from functools import partial
 from typing import Any
 
 from numpy.typing import ArrayLike
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import PointCloud2
 
-from fiber_client.errors import PlaneError, PlaneRefusal
+from fiber_client.errors import NodeLost, PlaneError, PlaneRefusal
 from fiber_client.monitor import STAGES, PlaneMonitor
 from fiber_core.outcomes import PlanOutcome
-from fiber_msgs_py import PlanStamp, Progress, Service, Topic, diagnostics, targets, topics
-from fiber_node import RosClient
+from fiber_msgs_py import PlanStamp, Progress, Service, Status, Topic, diagnostics, targets, topics
+from fiber_node import BRIDGE, RosClient, claims
 
 __all__ = ["PlaneClient"]
 
-_TARGET_RECEIVERS = ("planner", "discretizer", "bridge")
+_TARGET_RECEIVERS = ("planner", "bridge")
+_PLANS_KEPT = 8
+_PRESENT_PERIOD_S = 0.2  # time between two looks at the nodes of the graph
 
 
 class PlaneClient(PlaneMonitor):
@@ -25,8 +29,8 @@ class PlaneClient(PlaneMonitor):
 
     One plan takes four calls: `send_targets`, `wait_until_ready`, `start`, `wait_for_outcome`.
     The client receives messages while it waits, and only then. Every wait ends: with what it
-    waits for, with a PlaneRefusal when a node refuses the plan, or with a WaitError after its
-    time-out.
+    waits for, with a PlaneRefusal when a node refuses the plan, with a NodeLost when a node that
+    the plan needs leaves the graph, or with a WaitError after its time-out.
 
     What it receives is there as attributes, such as `plane`, `angles` and `outcomes`: see
     PlaneMonitor.
@@ -53,6 +57,10 @@ class PlaneClient(PlaneMonitor):
         self._ros = RosClient("plane_client", domain, guard, clock)
         super().__init__(self._ros.node, on_progress, on_status, clock)
         self._targets = topics.TARGETS.publisher(self.node)
+        self._stages: dict[PlanStamp, dict[str, str]] = {}  # claims when targets were sent
+        self._looked_s = -1.0
+        self._ready: PlanStamp | None = None
+        self._parameters = AsyncParameterClient(self.node, BRIDGE)
         self._services = {
             service: service.client(self.node)
             for service in (
@@ -99,12 +107,21 @@ class PlaneClient(PlaneMonitor):
             MessageError: the table is malformed and was not sent; names robot and value.
         """
         now = PlanStamp(self.node.get_clock().now().nanoseconds)
-        return self.send_message(targets.encode(ids, xy_mm, now))
+        return self.send_message(targets.encode(ids, xy_mm, now, self.session))
 
     def send_message(self, message: PointCloud2) -> PlanStamp:
-        """Send a targets message as it is; return its stamp, which names the plan."""
+        """Send a targets message as it is; return its stamp, which names the plan.
+
+        A message with the stamp 0 gets that of the present time.
+        """
+        if PlanStamp.of(message).ns == 0:
+            message.header.stamp = self.node.get_clock().now().to_msg()
         stamp = PlanStamp.of(message)
-        self._forget_refusals()
+        self._stages[stamp] = {
+            role: found[0] for role in STAGES if (found := claims(self.node, role))
+        }
+        for old in list(self._stages)[:-_PLANS_KEPT]:
+            del self._stages[old]
         self._times_of(stamp)["sent"] = self._clock()
         self._targets.publish(message)
         return stamp
@@ -117,25 +134,42 @@ class PlaneClient(PlaneMonitor):
             timeout_s: time-out [s].
 
         Raises:
-            PlaneRefusal: a node refused the plan; gives its reason.
+            PlaneRefusal: a node refused the plan, or it was ended; gives the reason.
+            NodeLost: a node that works on the plan has left the graph.
             WaitError: no orders came.
         """
         times = self._times_of(stamp)
 
         def ready() -> bool:
-            if self._refusals:
-                raise self._refusals[0]
+            for refusal in self.refusals.get(stamp, []):
+                if refusal.stage in STAGES:
+                    raise refusal
+            if "bridge" not in times:
+                self._check_present(stamp, STAGES, f"orders of plan {stamp}")
             return "bridge" in times
 
         self.wait_for(ready, timeout_s, f"orders of plan {stamp}")
+        self._ready = stamp
 
-    def start(self, timeout_s: float) -> str:
-        """Start the plan that is ready: load, verify, go. Return the answer of the bridge.
+    def start(self, timeout_s: float, plan: PlanStamp | None = None) -> str:
+        """Start a plan that is ready: load, verify, go. Return the answer of the bridge.
+
+        Args:
+            timeout_s: time-out of the answer [s].
+            plan: the plan; by default the one that this client has waited for. When other orders
+                have taken its place the bridge refuses.
 
         Raises:
             PlaneRefusal: the bridge refused; gives its reason.
+            NodeLost: the bridge has left the graph.
             WaitError: no answer.
         """
+        plan = self._ready if plan is None else plan
+        if plan is not None:
+            named = Parameter("start_plan", Parameter.Type.STRING, str(plan))
+            self._wait_for_bridge(self._parameters.services_are_ready, timeout_s, "parameters")
+            future = self._parameters.set_parameters([named])
+            self._wait_for_bridge(future.done, timeout_s, "answer to start_plan")
         return self.call_service(topics.START, timeout_s)
 
     def wait_for_outcome(self, stamp: PlanStamp, timeout_s: float) -> PlanOutcome:
@@ -149,13 +183,16 @@ class PlaneClient(PlaneMonitor):
             The outcome of every robot.
 
         Raises:
+            NodeLost: the bridge has left the graph.
             WaitError: the plan did not end.
         """
-        self.wait_for(
-            lambda: stamp in self.outcomes and not self._has_unannounced_frames(stamp),
-            timeout_s,
-            f"outcome of plan {stamp}",
-        )
+
+        def ended() -> bool:
+            if stamp not in self.outcomes:
+                self._check_present(stamp, (BRIDGE,), f"outcome of plan {stamp}")
+            return stamp in self.outcomes and not self._has_unannounced_frames(stamp)
+
+        self.wait_for(ended, timeout_s, f"outcome of plan {stamp}")
         return self.outcomes[stamp]
 
     def reconfigure(self, ids: ArrayLike, xy_mm: ArrayLike, timeout_s: float) -> PlanOutcome:
@@ -170,8 +207,8 @@ class PlaneClient(PlaneMonitor):
             The outcome of every robot.
 
         Raises:
-            MessageError, PlaneRefusal, WaitError: as in the four steps. Robots that may have
-            started are stopped before.
+            MessageError, PlaneRefusal, NodeLost, WaitError: as in the four steps. Robots that may
+            have started are stopped before.
         """
         stamp = self.send_targets(ids, xy_mm)
         self.wait_until_ready(stamp, timeout_s)
@@ -215,9 +252,9 @@ class PlaneClient(PlaneMonitor):
         times = self._times_of(stamp)
 
         def written() -> bool:
-            status = self._statuses.get("recorder")
-            if status is not None and status.level is diagnostics.Level.ERROR:
-                raise PlaneRefusal("recorder", status.text)
+            for refusal in self.refusals.get(stamp, []):
+                if refusal.stage == "recorder":
+                    raise refusal
             return "recorder" in times
 
         self.wait_for(written, timeout_s, f"recording of plan {stamp}")
@@ -231,22 +268,27 @@ class PlaneClient(PlaneMonitor):
             PlaneRefusal: the bridge refused; gives its reason.
             WaitError: no answer, or the motion did not end.
         """
-        before = set(self.outcomes)
-        self.call_service(topics.HOME, timeout_s)
-        self.wait_for(lambda: set(self.outcomes) - before, timeout_s, "outcome of home")
-        return self.outcomes[max(set(self.outcomes) - before)]
+        answer = self.call_service(topics.HOME, timeout_s)
+        plan = answer.removeprefix("plan ").partition(":")[0]
+
+        def ended() -> list[PlanOutcome]:
+            return [each for stamp, each in self.outcomes.items() if str(stamp) == plan]
+
+        self._wait_for_bridge(ended, timeout_s, f"outcome of home, plan {plan}")
+        return ended()[0]
 
     def call_service(self, service: Service, timeout_s: float) -> str:
         """Call a service of the bridge, such as `fiber_msgs_py.topics.STOP`; return its answer.
 
         Raises:
             PlaneRefusal: the bridge refused; gives its reason.
+            NodeLost: the bridge has left the graph.
             WaitError: no answer.
         """
         client = self._services[service]
-        self.wait_for(client.service_is_ready, timeout_s, f"service {service.name}")
+        self._wait_for_bridge(client.service_is_ready, timeout_s, f"service {service.name}")
         future = client.call_async(service.type.Request())
-        self.wait_for(future.done, timeout_s, f"answer of {service.name}")
+        self._wait_for_bridge(future.done, timeout_s, f"answer of {service.name}")
         answer = future.result()
         if answer is None:
             raise PlaneError(f"service {service.name} gave no answer")
@@ -278,8 +320,39 @@ class PlaneClient(PlaneMonitor):
         """
         self._ros.wait_for(condition, timeout_s, what)
 
+    def _wait_for_bridge(
+        self, condition: Callable[[], object], timeout_s: float, what: str
+    ) -> None:
+        """Wait for an answer of the bridge, as long as the bridge that is known is there."""
+        known = set(claims(self.node, BRIDGE)) or ({self.session} - {None})
+
+        def held() -> bool:
+            if condition():
+                return True
+            if known and self._clock() > self._looked_s + _PRESENT_PERIOD_S:
+                self._looked_s = self._clock()
+                if not known & set(claims(self.node, BRIDGE)):
+                    raise NodeLost(BRIDGE, what)
+            return False
+
+        self.wait_for(held, timeout_s, what)
+
+    def _check_present(self, stamp: PlanStamp, stages: Sequence[str], what: str) -> None:
+        """Raise NodeLost if a node that was there when targets were sent has left the graph."""
+        if self._clock() < self._looked_s + _PRESENT_PERIOD_S:
+            return
+        self._looked_s = self._clock()
+        for role in stages:
+            claim = self._stages.get(stamp, {}).get(role)
+            if claim is not None and claim not in claims(self.node, role):
+                raise NodeLost(role, what)
+
     def _missing(self, also: Sequence[str]) -> list[str]:
         return list(self._iterate_missing(also))
+
+    def _knows_plane(self, status: Status) -> bool:
+        known = status.values.get("robots"), status.values.get("session")
+        return known == (str(self.plane.n), self.session)
 
     def _iterate_missing(self, also: Sequence[str]) -> Iterator[str]:
         for service, client in self._services.items():
@@ -288,14 +361,18 @@ class PlaneClient(PlaneMonitor):
         if self._states_of_layout() is None:
             yield "layout" if self._layout is None else "joint_states"
             return
+        if self.session not in claims(self.node, BRIDGE):
+            yield "a bridge"
+            return
+        statuses = self.statuses
         for stage in STAGES:
-            status = self._statuses.get(stage)
+            status = statuses.get(stage)
             if status is None:
                 yield f"diagnostics of {stage}"
-            elif stage != "bridge" and status.values.get("robots") != str(self.plane.n):
+            elif stage != BRIDGE and not self._knows_plane(status):
                 yield f"{stage} to know the plane"
         for name in also:
-            if name not in self._statuses:
+            if name not in statuses:
                 yield f"diagnostics of {name}"
         # other nodes may subscribe too, so a count alone would not tell that these do
         found = self.node.get_subscriptions_info_by_topic(self._targets.topic_name)

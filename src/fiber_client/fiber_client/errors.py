@@ -2,7 +2,7 @@
 
 from fiber_core.errors import FiberError
 
-__all__ = ["PlaneError", "PlaneRefusal"]
+__all__ = ["NodeLost", "PlaneError", "PlaneRefusal"]
 
 
 class PlaneError(FiberError):
@@ -20,3 +20,16 @@ class PlaneRefusal(PlaneError):
     def __init__(self, stage: str, text: str):
         super().__init__(f"{stage}: {text}")
         self.stage, self.text = stage, text
+
+
+class NodeLost(PlaneError):
+    """A node that a plan needs has left the graph: it was ended, or its machine was.
+
+    Args:
+        stage: name of the node.
+        what: what cannot come any more.
+    """
+
+    def __init__(self, stage: str, what: str):
+        super().__init__(f"{stage}: the node has left the graph, no {what} will come")
+        self.stage, self.what = stage, what

@@ -28,9 +28,11 @@ from fiber_msgs_py import (
     layout,
     outcome,
     progress,
+    session_of,
     targets,
     topics,
 )
+from fiber_node import SessionGate
 
 __all__ = ["STAGES", "PlaneMonitor"]
 
@@ -44,7 +46,8 @@ _Entry = TypeVar("_Entry")
 class PlaneMonitor:
     """Receives the topics of the graph and keeps the newest state; it sends nothing.
 
-    The newest eight entries of these tables are kept, by stamp:
+    Of all messages that belong to a session, only those of the bridge that is in the graph count.
+    The last eight entries of these tables are kept, by stamp:
 
     - `outcomes`: the outcome of each plan.
     - `times`: when each stage was done with a plan, by name of the stage [s of the clock];
@@ -53,7 +56,10 @@ class PlaneMonitor:
     - `counts_before`: the encoders before the first frame of each attempt [quanta], shape (n, 2).
     - `held`: the robots that the stages hold, of each attempt: ids, Reason and Stage.
 
-    `moving` tells whether any robot moves, `node` is the ROS node that receives.
+    - `refusals`: the refusals of each plan and attempt, by any node.
+
+    `moving` tells whether any robot moves, `session` is the session of the layout, `node` is
+    the ROS node that receives.
 
     Args:
         node: the ROS node that receives.
@@ -80,20 +86,25 @@ class PlaneMonitor:
         self.moving = False
         self._layout: tuple[FocalPlane, WireUnits] | None = None
         self._states: tuple[Ids, Angles] | None = None
+        self._states_session: str | None = None
         self._angles_at_rest: Angles | None = None  # when last no robot moved
         self._attempts = AttemptTable()
         self._statuses: dict[str, diagnostics.Status] = {}
-        self._refusals: list[PlaneRefusal] = []  # since targets were last sent
-        self._sent: PlanStamp | None = None  # the time of that
+        self.refusals: dict[PlanStamp, list[PlaneRefusal]] = {}
+        self.session: str | None = None
         self._limit = RateLimit()
+        gate = SessionGate(node, self._warn)
         for topic, callback in (
             (topics.LAYOUT, self._on_layout),
-            (topics.TARGETS, self._on_targets),
             (topics.JOINT_STATES, self._on_joint_states),
+            (topics.OUTCOME, self._on_outcome),
+        ):
+            gate.subscription(topic, self._refusing(topic.name, callback))
+        for topic, callback in (
+            (topics.TARGETS, self._on_targets),
             (topics.HELD_BY_PLANNER, self._on_held),
             (topics.HELD_BY_DISCRETIZER, self._on_held),
             (topics.FRAMES, self._on_frames),
-            (topics.OUTCOME, self._on_outcome),
             (topics.PROGRESS, self._on_progress_message),
             # last: when diagnostics of a node come in, its other topics are connected too
             (topics.DIAGNOSTICS, self._on_diagnostics),
@@ -107,11 +118,14 @@ class PlaneMonitor:
             try:
                 callback(message)
             except FiberError as error:
-                line = self._limit.line(topic, f"{topic}: message refused: {error}")
-                if line is not None:
-                    self.node.get_logger().warning(line)
+                self._warn(topic, f"{topic}: message refused: {error}")
 
         return receive
+
+    def _warn(self, topic: str, text: str) -> None:
+        line = self._limit.line(topic, text)
+        if line is not None:
+            self.node.get_logger().warning(line)
 
     @property
     def plane(self) -> FocalPlane:
@@ -145,8 +159,15 @@ class PlaneMonitor:
 
     @property
     def statuses(self) -> dict[str, diagnostics.Status]:
-        """The newest diagnostics by name."""
-        return dict(self._statuses)
+        """The newest diagnostics by name, of the nodes that are in the graph."""
+        own = self.node.get_namespace()
+        found = self.node.get_node_names_and_namespaces()
+        present = {name for name, namespace in found if namespace == own}
+        return {
+            name: status
+            for name, status in self._statuses.items()
+            if name.partition(":")[0] in present
+        }
 
     def attempts(self, stamp: PlanStamp) -> list[PlanStamp]:
         """Return the stamps of all attempts of a plan in their order; the first is the plan's."""
@@ -159,11 +180,6 @@ class PlaneMonitor:
     def _times_of(self, plan: PlanStamp) -> dict[str, float]:
         return _entry(self.times, plan, dict)
 
-    def _forget_refusals(self) -> None:
-        """Ignore refusals up to now: new targets are about to be sent."""
-        self._refusals.clear()
-        self._sent = PlanStamp(self.node.get_clock().now().nanoseconds)
-
     def _received_layout(self) -> tuple[FocalPlane, WireUnits]:
         if self._layout is None:
             raise PlaneError("no layout received yet: wait for the graph")
@@ -173,6 +189,8 @@ class PlaneMonitor:
         if self._layout is None or self._states is None:
             return None
         ids, angles = self._states
+        if self._states_session != self.session:
+            return None
         return angles if np.array_equal(ids, self._layout[0].ids) else None
 
     def _has_unannounced_frames(self, plan: PlanStamp) -> bool:
@@ -181,6 +199,7 @@ class PlaneMonitor:
 
     def _on_layout(self, message: PointCloud2) -> None:
         self._layout = layout.decode(message)
+        self.session = session_of(message)
 
     def _on_targets(self, message: PointCloud2) -> None:
         try:
@@ -191,6 +210,7 @@ class PlaneMonitor:
     def _on_joint_states(self, message: JointState) -> None:
         ids, angles, velocities, _ = joint_states.decode(message)
         self._states, self.moving = (ids, angles), bool(np.any(velocities))
+        self._states_session = session_of(message)
         if not self.moving:
             self._angles_at_rest = angles
 
@@ -213,31 +233,27 @@ class PlaneMonitor:
     def _on_progress_message(self, message: DiagnosticStatus) -> None:
         received = progress.decode(message)
         self._attempts.add(received.attempt)
-        if received.fraction == 1.0 or received.stage == "bridge":
-            times = _entry(self.times, received.attempt.plan, dict)
+        plan = received.attempt.plan
+        if received.refused:
+            refusal = PlaneRefusal(received.stage, received.text)
+            for stamp in {received.attempt.stamp, plan}:
+                _entry(self.refusals, stamp, list).append(refusal)
+        elif received.fraction == 1.0 or (received.stage == "bridge" and received.fraction > 0):
+            times = _entry(self.times, plan, dict)
             times.setdefault(received.stage, self._clock())
         self._on_progress(received)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        # the report of an earlier refusal may come late, after new targets were sent
-        recent = self._sent is not None and PlanStamp.of(message) >= self._sent
         for status in diagnostics.decode(message):
             before = self._statuses.get(status.name)
-            is_new = before is not None and _refused(status) > _refused(before)
-            if recent and is_new and status.name in STAGES:
-                self._refusals.append(PlaneRefusal(status.name, status.text))
             self._statuses[status.name] = status
             self._on_status(status, before)
 
 
 def _entry(table: dict[PlanStamp, _Entry], stamp: PlanStamp, make: Callable[[], _Entry]) -> _Entry:
-    """Return the entry of a stamp, made when there is none; the oldest stamps are forgotten."""
+    """Return the entry of a stamp, made when there is none; the oldest entries are forgotten."""
     if stamp not in table:
         table[stamp] = make()
-        for old in sorted(table)[:-_STAMPS_KEPT]:
+        for old in list(table)[:-_STAMPS_KEPT]:
             del table[old]
-    return table[stamp] if stamp in table else make()
-
-
-def _refused(status: diagnostics.Status) -> int:
-    return status.count("refused") + status.count("dropped")
+    return table[stamp]

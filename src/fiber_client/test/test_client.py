@@ -1,9 +1,11 @@
 """PlaneClient alone: a test publishes what the nodes of the graph would."""
 
+import time
+
 import numpy as np
 import pytest
 
-from fiber_client import PlaneClient, PlaneError, PlaneRefusal
+from fiber_client import NodeLost, PlaneClient, PlaneError, PlaneRefusal
 from fiber_core.frame_log import FrameLog
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
@@ -23,7 +25,7 @@ from fiber_msgs_py import (
     targets,
     topics,
 )
-from fiber_node import RosClient, WaitError
+from fiber_node import BRIDGE, DISCRETIZER, PLANNER, Claim, RosClient, WaitError
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -44,7 +46,9 @@ class Nodes:
     """The nodes of the graph, as the client sees them."""
 
     def __init__(self, ros, client):
-        self.client = client
+        self.client, self.node = client, ros.node
+        self.claims = {role: Claim(ros.node, role) for role in (BRIDGE, PLANNER, DISCRETIZER)}
+        self.session = self.claims[BRIDGE].id
         self.publishers = {topic.name: topic.publisher(ros.node) for topic in TOPICS}
         client.wait_for(
             lambda: all(p.get_subscription_count() for p in self.publishers.values()), WAIT_S
@@ -54,8 +58,10 @@ class Nodes:
         self.publishers[topic.name].publish(message)
 
     def show_plane(self, angles=STILL):
-        self.publish(topics.LAYOUT, layout.encode(PLANE, UNITS, PlanStamp(1)))
-        self.publish(topics.JOINT_STATES, joint_states.encode(PLANE.ids, angles, STILL, 1))
+        self.publish(topics.LAYOUT, layout.encode(PLANE, UNITS, PlanStamp(1), self.session))
+        states = joint_states.encode(PLANE.ids, angles, STILL, 1, self.session)
+        self.publish(topics.JOINT_STATES, states)
+        self.client.wait_for(lambda: _has_angles(self), WAIT_S)
 
     def send_frames(self, attempt):
         self.publish(topics.FRAMES, frames.encode(FRAMES, attempt.stamp))
@@ -67,7 +73,16 @@ class Nodes:
 
     def end(self, attempt):
         reached = np.full(7, Outcome.REACHED), np.full(7, Reason.OK), np.zeros(7)
-        self.publish(topics.OUTCOME, outcome.encode(PLANE.ids, *reached, attempt.plan))
+        self.publish(
+            topics.OUTCOME, outcome.encode(PLANE.ids, *reached, attempt.plan, self.session)
+        )
+
+    def refuse(self, stage, attempt, text="robot 9"):
+        report = Progress(stage, 1.0, text, attempt, self.session, refused=True)
+        self.publish(topics.PROGRESS, progress.encode(report))
+
+    def leave(self, role):
+        self.node.destroy_subscription(self.claims[role]._subscription)
 
 
 FRAMES = FrameLog(
@@ -94,7 +109,6 @@ def test_before_a_layout_the_plane_is_an_error_and_not_none(nodes):
         with pytest.raises(PlaneError, match="received yet: wait for the graph"):
             getattr(nodes.client, name)
     nodes.show_plane()
-    nodes.client.wait_for(lambda: _has_angles(nodes), WAIT_S)
     assert np.array_equal(nodes.client.plane.ids, PLANE.ids)
     assert np.array_equal(nodes.client.angles, STILL)
 
@@ -111,7 +125,6 @@ def test_wait_for_graph_names_what_is_missing(nodes):
 def test_frames_of_a_later_attempt_are_found_though_they_come_before_its_announcement(nodes):
     client = nodes.client
     nodes.show_plane()
-    client.wait_for(lambda: _has_angles(nodes), WAIT_S)
     nodes.publish(topics.TARGETS, targets.encode([1], [[0.0, 0.0]], PLAN.plan))
     nodes.send_frames(PLAN)
     nodes.send_frames(SECOND)
@@ -150,29 +163,76 @@ def test_frames_of_the_next_plan_are_not_taken_for_an_attempt(nodes):
     assert client.last_attempt(PLAN.plan) == PLAN.stamp
 
 
-def test_a_refusal_of_these_targets_ends_the_wait_and_an_earlier_one_does_not(nodes):
+def test_a_refusal_of_this_plan_ends_the_wait_and_no_other_does(nodes):
     client = nodes.client
-    now_ns = client.node.get_clock().now().nanoseconds
-
-    def report(refused, time_ns):
-        status = Status("planner", Level.ERROR, "targets refused: robot 9", {"refused": refused})
-        nodes.publish(topics.DIAGNOSTICS, diagnostics.encode([status], time_ns))
-
-    report(1, now_ns)
-    client.wait_for(lambda: "planner" in client.statuses, WAIT_S)
+    nodes.show_plane()
     plan = client.send_targets([1], [[0.0, 0.0]])
-    report(2, now_ns)  # comes late
+    nodes.refuse("planner", OTHER)
+    nodes.refuse("viewer", Attempt.first(plan))
+    for refused in (1, 2):
+        status = Status("planner", Level.ERROR, "layout refused", {"refused": refused})
+        nodes.publish(topics.DIAGNOSTICS, diagnostics.encode([status], plan.ns + 10**9))
     with pytest.raises(WaitError, match="orders of plan"):
         client.wait_until_ready(plan, 0.3)
-    report(3, plan.ns + 10**9)
+    nodes.refuse("planner", Attempt.first(plan), "targets refused: robot 9")
     with pytest.raises(PlaneRefusal, match="planner: targets refused: robot 9"):
         client.wait_until_ready(plan, WAIT_S)
+
+
+@pytest.mark.parametrize("role", [PLANNER, DISCRETIZER, BRIDGE])
+def test_a_wait_for_orders_ends_when_a_node_leaves_the_graph(nodes, role):
+    client = nodes.client
+    nodes.show_plane()
+    plan = client.send_targets([1], [[0.0, 0.0]])
+    with pytest.raises(WaitError, match="orders of plan"):
+        client.wait_until_ready(plan, 0.5)
+    nodes.leave(role)
+    begin_s = time.monotonic()
+    with pytest.raises(NodeLost, match=f"{role}: the node has left the graph, no orders of plan"):
+        client.wait_until_ready(plan, WAIT_S)
+    assert time.monotonic() < begin_s + 2.0
+
+
+def test_a_wait_for_the_outcome_or_an_answer_ends_when_the_bridge_leaves_the_graph(nodes):
+    client = nodes.client
+    nodes.show_plane()
+    plan = client.send_targets([1], [[0.0, 0.0]])
+    nodes.leave(PLANNER)  # the orders are with the bridge
+    with pytest.raises(WaitError, match="outcome of plan"):
+        client.wait_for_outcome(plan, 0.5)
+    nodes.leave(BRIDGE)
+    with pytest.raises(NodeLost, match="bridge: .* no outcome of plan"):
+        client.wait_for_outcome(plan, WAIT_S)
+    with pytest.raises(NodeLost, match="no service focal_plane/stop will come"):
+        client.call_service(topics.STOP, WAIT_S)
+
+
+def test_outcomes_and_layouts_of_other_sessions_change_nothing(nodes):
+    client = nodes.client
+    nodes.show_plane()
+    session = nodes.session
+    for nodes.session in ("session_" + 24 * "0", None):
+        nodes.end(PLAN)
+        moved = joint_states.encode(PLANE.ids, STILL + 1.0, STILL, 1, nodes.session)
+        nodes.publish(topics.JOINT_STATES, moved)
+    nodes.session = session
+    nodes.end(OTHER)
+    client.wait_for(lambda: client.outcomes, WAIT_S)
+    assert set(client.outcomes) == {OTHER.plan} and np.array_equal(client.angles, STILL)
+
+
+def test_the_last_word_of_a_node_that_is_gone_is_forgotten(nodes):
+    client = nodes.client
+    for name in ("graph", "graph: bus 0", "planner"):  # the node of this test is called graph
+        status = Status(name, Level.OK, "waiting", {})
+        nodes.publish(topics.DIAGNOSTICS, diagnostics.encode([status], 5))
+    client.wait_for(lambda: "planner" in client._statuses, WAIT_S)
+    assert set(client.statuses) == {"graph", "graph: bus 0"}
 
 
 def test_malformed_messages_change_nothing_and_do_not_end_the_client(nodes):
     client = nodes.client
     nodes.show_plane()
-    client.wait_for(lambda: _has_angles(nodes), WAIT_S)
     lost = diagnostics.encode([Status("planner", Level.OK, "?", {"refused": "many"})], 5)
     lost.status[0].level = bytes([77])
     for topic in TOPICS:
@@ -183,7 +243,7 @@ def test_malformed_messages_change_nothing_and_do_not_end_the_client(nodes):
         nodes.publish(topic, message)
     status = Status("planner", Level.OK, "?", {"refused": "many"})
     nodes.publish(topics.DIAGNOSTICS, diagnostics.encode([status], 5))
-    client.wait_for(lambda: "planner" in client.statuses, WAIT_S)
+    client.wait_for(lambda: "planner" in client._statuses, WAIT_S)
     nodes.announce(PLAN)
     client.wait_for(lambda: PLAN.plan in client.times, WAIT_S)
     assert np.array_equal(client.plane.ids, PLANE.ids) and _has_angles(nodes)
@@ -211,14 +271,3 @@ def test_a_failed_stop_does_not_hide_the_error(nodes, capfd):
     with pytest.raises(ValueError, match="the first"), nodes.client.stops_on_error(0.1):
         raise ValueError("the first")
     assert "were not told to stop" in capfd.readouterr().err
-
-
-def test_a_refusal_of_a_node_that_plans_nothing_does_not_end_the_wait(nodes):
-    client = nodes.client
-    plan = client.send_targets([1], [[0.0, 0.0]])
-    for name in ("viewer", "bridge: bus 0"):
-        for refused in (1, 2):
-            status = Status(name, Level.ERROR, "outcome refused", {"refused": refused})
-            nodes.publish(topics.DIAGNOSTICS, diagnostics.encode([status], plan.ns + 10**9))
-    nodes.announce(Attempt.first(plan))
-    client.wait_until_ready(plan, WAIT_S)

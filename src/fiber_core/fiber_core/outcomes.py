@@ -55,6 +55,7 @@ class Reason(IntEnum):
     STOPPED = 64
     OFF_TARGET = 65  # the orders have ended, and the fibre is not within tolerance of its target
     REFUSED = 66  # the robot refused the order
+    PLAN_REFUSED = 67  # the whole plan was refused: its targets, or a stage could not work on it
 
 
 def holds(reason: ArrayLike) -> Mask:

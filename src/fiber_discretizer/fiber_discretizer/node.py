@@ -11,14 +11,36 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_discretizer.discretize_stage import DiscretizeStageResult, discretize_trajectory
 from fiber_discretizer.joint_corridors import joint_corridors
 from fiber_discretizer.options import DiscretizeOptions
-from fiber_msgs_py import Attempt, PlanStamp, Stage, corridors, held, segments, topics, trajectory
-from fiber_node import AttemptListener, PlaneCache, PlaneNode, Reporter, run
+from fiber_msgs_py import (
+    Attempt,
+    PlanStamp,
+    Stage,
+    corridors,
+    held,
+    segments,
+    session_of,
+    topics,
+    trajectory,
+)
+from fiber_node import (
+    DISCRETIZER,
+    AcceptedAttempts,
+    Claim,
+    PlaneCache,
+    PlaneNode,
+    Reporter,
+    SessionGate,
+    run,
+)
 
 __all__ = ["DiscretizerNode", "main"]
 
 
 class DiscretizerNode(PlaneNode):
     """Turns each trajectory, of any planner, into orders that are proven safe.
+
+    It works on the attempts that the bridge has accepted, and stays out while an earlier
+    discretizer is in the graph.
 
     Args:
         options: keyword arguments of rclpy.node.Node.
@@ -29,16 +51,18 @@ class DiscretizerNode(PlaneNode):
         self._options = self.parameters.declare(DiscretizeOptions)
         self._safety = self.parameters.declare(Safety, "safety")
         self.parameters.finish()
-        self._newest: Attempt | None = None
-        self._report = Reporter(self, "discretizer")
-        self._plane_cache = PlaneCache(self, self._report)
-        self._attempts = AttemptListener(self)
+        self._newest: Attempt | None = None  # whose orders were published last
+        self._report = Reporter(self, DISCRETIZER)
+        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
+        self._plane_cache = PlaneCache(gate, self._report)
+        self._accepted = AcceptedAttempts(self, gate)
         self._held = topics.HELD_BY_DISCRETIZER.publisher(self)
         self._segments = topics.SEGMENTS.publisher(self)
         self._corridors = topics.CORRIDORS.publisher(self)
         self._worker = self.worker("discretizing")
         self._worker.follow_stop(self._report, self._is_done)
-        topics.TRAJECTORY.subscription(self, self._on_trajectory)
+        gate.subscription(topics.TRAJECTORY, self._on_trajectory)
+        self._claim = Claim(self, DISCRETIZER)  # last: the node is complete
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         try:
@@ -47,24 +71,31 @@ class DiscretizerNode(PlaneNode):
             self._report.refuse(f"trajectory refused: {error}", "trajectory")
             return
 
-        def discretize_when_current(attempt: Attempt) -> None:
-            work = partial(self._discretize, attempt, message)
-            self._plane_cache.when_current(attempt, lambda: self._worker.submit(attempt, work))
+        def discretize_when_current(attempt: Attempt, session: str) -> None:
+            if session != session_of(message):
+                self._report.refuse(
+                    f"trajectory {attempt} refused: it belongs to {session_of(message)}, the plan "
+                    f"to {session}",
+                    "trajectory",
+                )
+            elif self._claim.earlier():
+                self._report.drop(
+                    f"trajectory {attempt} left to the discretizer that was here before"
+                )
+            else:
+                work = partial(self._discretize, attempt, session, message)
+                self._plane_cache.when_current(
+                    attempt, session, lambda: self._worker.submit(attempt, work)
+                )
 
-        if not self._attempts.when_announced(stamp, discretize_when_current):
-            self._report.waiting(f"trajectory {stamp} waits for targets with its stamp")
+        if not self._accepted.when_accepted(stamp, discretize_when_current):
+            self._report.waiting(f"trajectory {stamp} waits until the bridge accepts its plan")
 
     def _is_done(self, attempt: Attempt) -> bool:
-        return self._newest is not None and attempt.stamp <= self._newest.stamp
+        return attempt == self._newest
 
-    def _discretize(self, attempt: Attempt, message: JointTrajectory) -> None:
+    def _discretize(self, attempt: Attempt, session: str, message: JointTrajectory) -> None:
         try:
-            newest = self._newest
-            if newest is not None and attempt.stamp <= newest.stamp:
-                self._report.drop(
-                    f"trajectory {attempt} dropped: plan {newest} is not older", "trajectory"
-                )
-                return
             ids, motion, velocities = trajectory.decode(message)
             safety, state = self._safety.value, self._plane_cache.state
             result = discretize_trajectory(
@@ -80,12 +111,17 @@ class DiscretizerNode(PlaneNode):
             )
             self._worker.check()
             self._newest = attempt
-            self._publish(result, state.plane, safety, attempt)
+            self._publish(result, state.plane, safety, attempt, session)
         except FiberError as error:
-            self._report.refuse(f"trajectory refused: {error}", "trajectory")
+            self._report.refuse(f"trajectory refused: {error}", "trajectory", attempt)
 
     def _publish(
-        self, result: DiscretizeStageResult, plane: FocalPlane, safety: Safety, attempt: Attempt
+        self,
+        result: DiscretizeStageResult,
+        plane: FocalPlane,
+        safety: Safety,
+        attempt: Attempt,
+        session: str,
     ) -> None:
         # corridors take longer than all the rest, and are computed when the orders are out
         corridors_wanted = self._corridors.get_subscription_count() > 0
@@ -93,7 +129,7 @@ class DiscretizerNode(PlaneNode):
         wire, certificate = result.discretization.wire, result.discretization.certificate
         reason, is_held, stamp = result.reason, result.held, attempt.stamp
         self._held.publish(held.encode(ids[is_held], reason[is_held], Stage.DISCRETIZER, stamp))
-        self._segments.publish(segments.encode(ids, wire, stamp))
+        self._segments.publish(segments.encode(ids, wire, stamp, session))
         if not certificate.ok:
             robots = ids[certificate.unsafe_robots].tolist()
             self.get_logger().warning(

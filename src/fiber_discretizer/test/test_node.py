@@ -10,18 +10,22 @@ from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer.node import DiscretizerNode
 from fiber_msgs_py import (
+    Attempt,
     PlanStamp,
+    Progress,
     Stage,
     corridors,
     diagnostics,
     held,
     joint_states,
     layout,
+    progress,
     segments,
+    session_of,
     topics,
     trajectory,
 )
-from fiber_node import RosClient
+from fiber_node import BRIDGE, DISCRETIZER, Claim, RosClient
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -51,20 +55,38 @@ class Rest:
         self.layout = topics.LAYOUT.publisher(peer.node)
         self.states = topics.JOINT_STATES.publisher(peer.node)
         self.trajectory = topics.TRAJECTORY.publisher(peer.node)
+        self.progress = topics.PROGRESS.publisher(peer.node)
+        self.reports = peer.collect(topics.PROGRESS)
+        self.session = Claim(peer.node, BRIDGE).id
         peer.add_node(DiscretizerNode)
-        peer.wait_for(lambda: self.diagnostics, WAIT_S)
+        peer.wait_for(
+            lambda: self.diagnostics and self.progress.get_subscription_count() > 1, WAIT_S
+        )
 
     def show_plane(self):
-        self.layout.publish(layout.encode(PLANE, UNITS, PlanStamp(1)))
-        self.states.publish(joint_states.encode(PLANE.ids, START, np.zeros((7, 2)), 1))
+        still = np.zeros((7, 2))
+        self.layout.publish(layout.encode(PLANE, UNITS, PlanStamp(1), self.session))
+        self.states.publish(joint_states.encode(PLANE.ids, START, still, 1, self.session))
         self.peer.wait_for(lambda: self.status().values.get("robots") == "7", WAIT_S)
 
     def status(self):
         return diagnostics.decode(self.diagnostics[-1])[0]
 
-    def discretize(self, message):
-        """Send a trajectory; return the held and the motion that come back, all of its stamp."""
+    def send(self, ns, ids=PLANE.ids, motion=None, change=lambda message: None):
+        """Accept a plan as the bridge would, and send its trajectory."""
+        attempt = Attempt(PlanStamp(ns), PlanStamp(ns), 1, 1, 1)
+        answer = Progress(BRIDGE, 0.0, "", attempt, self.session)
+        self.progress.publish(progress.encode(answer))
+        message = trajectory.encode(ids, motion or turning(), PlanStamp(ns), self.session)
+        change(message)
         self.trajectory.publish(message)
+        return message
+
+    def discretize(self, *plan):
+        """Send a trajectory; return the held and the motion that come back, all of its stamp."""
+        return self.answers(self.send(*plan))
+
+    def answers(self, message):
         self.peer.wait_for(lambda: self.segments and self.held, WAIT_S, "segments")
         answers = self.segments + self.held
         assert {PlanStamp.of(m) for m in answers} == {PlanStamp.of(message)}
@@ -72,13 +94,21 @@ class Rest:
         assert np.all(stage == Stage.DISCRETIZER)
         table = segments.decode(self.segments[0])
         assert np.array_equal(table.ids, PLANE.ids)
-        return dict(zip(ids.tolist(), reason.tolist())), table.motion(UNITS, COUNTS)
+        assert np.array_equal(table.start, COUNTS) and session_of(self.segments[0]) == self.session
+        return dict(zip(ids.tolist(), reason.tolist())), table.motion(UNITS)
 
     def wait_refusal(self, word):
         self.peer.wait_for(
             lambda: word in self.status().text, WAIT_S, f"a refusal that says {word}"
         )
         assert not self.held and not self.segments
+        self.peer.wait_for(self.refusals, WAIT_S)
+        assert [(p.stage, p.attempt.plan.ns, p.session) for p in self.refusals()] == [
+            (DISCRETIZER, 9, self.session)
+        ]
+
+    def refusals(self):
+        return [p for p in map(progress.decode, self.reports) if p.refused and p.stage != BRIDGE]
 
 
 @pytest.fixture
@@ -89,7 +119,7 @@ def rest():
 
 def test_a_trajectory_becomes_certified_segments_that_end_where_it_ends(rest):
     rest.show_plane()
-    why, motion = rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(9)))
+    why, motion = rest.discretize(9)
     assert not why
     decoded = motion.decoded()
     np.testing.assert_allclose(decoded.end, turning().end, atol=1e-3)
@@ -99,12 +129,12 @@ def test_a_trajectory_becomes_certified_segments_that_end_where_it_ends(rest):
 
 def test_corridors_are_published_while_there_is_a_subscription(rest):
     rest.show_plane()
-    rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(9)))
+    rest.discretize(9)
     received = rest.peer.collect(topics.CORRIDORS)
     rest.peer.wait_for(lambda: rest.peer.node.count_publishers("focal_plane/corridors"), WAIT_S)
     rest.segments.clear()
     rest.held.clear()
-    _, motion = rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(10)))
+    _, motion = rest.discretize(10)
     rest.peer.wait_for(lambda: received, WAIT_S, "corridors")
     # without a subscription no corridors of the first plan were made
     assert [PlanStamp.of(message) for message in received] == [PlanStamp(10)]
@@ -117,7 +147,7 @@ def test_corridors_are_published_while_there_is_a_subscription(rest):
 def test_robots_that_are_not_in_the_trajectory_rest(rest):
     rest.show_plane()
     some = SampledMotion(turning().time_s, turning().angles[2:4])
-    why, motion = rest.discretize(trajectory.encode(PLANE.ids[2:4], some, PlanStamp(9)))
+    why, motion = rest.discretize(9, PLANE.ids[2:4], some)
     moves = motion.decoded().counts.any(axis=1)
     assert not why and np.array_equal(np.flatnonzero(moves), [2, 3])
 
@@ -126,39 +156,53 @@ def test_a_robot_that_stands_elsewhere_is_held_and_the_others_go(rest):
     rest.show_plane()
     start = START.copy()
     start[4, 0] += 0.2
-    why, motion = rest.discretize(trajectory.encode(PLANE.ids, turning(start), PlanStamp(9)))
+    why, motion = rest.discretize(9, PLANE.ids, turning(start))
     assert why == {4: Reason.BAD_TRAJECTORY}
     assert np.array_equal(motion.decoded().counts.any(axis=1), PLANE.ids != 4)
 
 
 def test_a_trajectory_of_another_plane_is_refused(rest):
     rest.show_plane()
-    other = trajectory.encode(PLANE.ids + 90, turning(), PlanStamp(9))
-    rest.trajectory.publish(other)
+    rest.send(9, PLANE.ids + 90)
     rest.wait_refusal("robot 90 of the trajectory is not in the layout")
 
 
 def test_a_value_that_is_not_finite_is_refused_by_robot(rest):
     rest.show_plane()
-    message = trajectory.encode(PLANE.ids, turning(), PlanStamp(9))
-    message.points[1].positions[2 * 3 + 1] = float("nan")
-    rest.trajectory.publish(message)
+
+    def break_it(message):
+        message.points[1].positions[2 * 3 + 1] = float("nan")
+
+    rest.send(9, change=break_it)
     rest.wait_refusal("robot 3")
     assert "nan is not finite" in rest.status().text
 
 
-def test_a_trajectory_before_the_layout_is_refused_and_comes_through_later(rest):
-    message = trajectory.encode(PLANE.ids, turning(), PlanStamp(9))
-    rest.trajectory.publish(message)
-    rest.wait_refusal("layout: not received yet")
+def test_a_trajectory_that_comes_before_the_layout_waits_for_it(rest):
+    message = rest.send(9)
+    rest.peer.wait_for(lambda: message is not None and rest.status().text, WAIT_S)
     rest.show_plane()
-    why, _ = rest.discretize(message)
+    why, _ = rest.answers(message)
     assert not why
+    assert not rest.refusals()
 
 
-def test_an_older_trajectory_is_dropped_with_a_message(rest):
+def test_a_trajectory_of_another_session_or_of_none_is_refused_by_name(rest):
     rest.show_plane()
-    rest.discretize(trajectory.encode(PLANE.ids, turning(), PlanStamp(20)))
-    rest.trajectory.publish(trajectory.encode(PLANE.ids, turning(), PlanStamp(19)))
-    rest.peer.wait_for(lambda: f"{PlanStamp(19)} dropped" in rest.status().text, WAIT_S)
-    assert len(rest.segments) == len(rest.held) == 1
+    session = rest.session
+    for other in ("session_" + 24 * "0", None):
+        rest.trajectory.publish(trajectory.encode(PLANE.ids, turning(), PlanStamp(8), other))
+        word = "no session" if other is None else f"its bridge, of {other}, is not in the graph"
+        rest.peer.wait_for(lambda word=word: word in rest.status().text, WAIT_S, word)
+    assert rest.session == session and not rest.segments
+
+
+def test_only_trajectories_of_accepted_plans_are_discretized_and_each_once(rest):
+    rest.show_plane()
+    rest.trajectory.publish(trajectory.encode(PLANE.ids, turning(), PlanStamp(7), rest.session))
+    rest.peer.wait_for(lambda: "waits until the bridge accepts" in rest.status().text, WAIT_S)
+    rest.discretize(20)
+    rest.send(20)
+    rest.send(19)  # the bridge alone judges the order of stamps
+    rest.peer.wait_for(lambda: len(rest.segments) == 2 == len(rest.held), WAIT_S)
+    assert [PlanStamp.of(m).ns for m in rest.segments] == [20, 19]

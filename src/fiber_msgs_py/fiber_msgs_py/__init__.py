@@ -28,6 +28,7 @@ from fiber_msgs_py.held import Stage
 from fiber_msgs_py.progress import Progress
 from fiber_msgs_py.rate_limit import RateLimit
 from fiber_msgs_py.segments import SegmentTable
+from fiber_msgs_py.sessions import new_session, session_of
 from fiber_msgs_py.stamps import FRAME_ID, PlanStamp
 from fiber_msgs_py.topics import Service, Topic
 
@@ -52,11 +53,13 @@ __all__ = [
     "held",
     "joint_states",
     "layout",
+    "new_session",
     "outcome",
     "point_clouds",
     "progress",
     "report_failures_to",
     "segments",
+    "session_of",
     "targets",
     "topics",
     "trajectory",

@@ -21,7 +21,8 @@ class Attempt:
         stamp: names the attempt.
         plan: names the plan.
         number: which attempt of the plan, from 1.
-        since_ns: time of the oldest layout and joint states to plan with [ns]; None for any.
+        since_ns: time of the oldest joint states to plan with [ns]; None for any.
+        layout_ns: time of the oldest layout to plan with [ns]; None for that of the joint states.
 
     Raises:
         MessageError: the number is less than 1 or too large for a message, a first attempt has
@@ -32,6 +33,7 @@ class Attempt:
     plan: PlanStamp
     number: int = 1
     since_ns: int | None = None
+    layout_ns: int | None = None
 
     def __post_init__(self):
         if not 1 <= self.number < 2**32:
@@ -65,7 +67,7 @@ class AttemptTable:
 
     Targets and progress announce attempts; other messages carry the stamp of their attempt only.
     Topics overtake each other, so a message may come before its announcement: a receiver keeps
-    such a message under its stamp and asks this table later. The newest 64 attempts are kept.
+    such a message under its stamp and asks this table later. The last 64 attempts are kept.
     """
 
     def __init__(self):
@@ -76,7 +78,7 @@ class AttemptTable:
         if attempt.stamp in self._attempts:
             return False
         self._attempts[attempt.stamp] = attempt
-        for old in sorted(self._attempts)[:-_ATTEMPTS_KEPT]:
+        for old in list(self._attempts)[:-_ATTEMPTS_KEPT]:
             del self._attempts[old]
         return True
 

@@ -10,12 +10,19 @@ from fiber_core.array_types import Angles, Ids, Velocities
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.ids import refuse
 from fiber_msgs_py.joints import joint_columns, joint_names
+from fiber_msgs_py.sessions import checked_session, is_session
 from fiber_msgs_py.stamps import PlanStamp, check_frame, header
 
 __all__ = ["decode", "encode"]
 
 
-def encode(ids: ArrayLike, angles: ArrayLike, velocities: ArrayLike, time_ns: int) -> JointState:
+def encode(
+    ids: ArrayLike,
+    angles: ArrayLike,
+    velocities: ArrayLike,
+    time_ns: int,
+    session: str | None = None,
+) -> JointState:
     """Return encoder readings as a message.
 
     Args:
@@ -23,12 +30,14 @@ def encode(ids: ArrayLike, angles: ArrayLike, velocities: ArrayLike, time_ns: in
         angles: joint angles [rad], shape (n, 2).
         velocities: joint velocities [rad/s], shape (n, 2).
         time_ns: time of the readings [ns].
+        session: id of the session, a name more with the value 0; None for no session.
 
     Raises:
         MessageError: an id is out of range or appears twice, or shapes differ.
     """
     names = joint_names(ids, "joint_states")
-    message = JointState(header=header(PlanStamp(time_ns)), name=names)
+    more = [] if session is None else [checked_session(session)]
+    message = JointState(header=header(PlanStamp(time_ns)), name=names + more)
     for field, values in (("position", angles), ("velocity", velocities)):
         values = np.ascontiguousarray(values, dtype=float)
         if values.shape != (len(names) // 2, 2):
@@ -38,7 +47,7 @@ def encode(ids: ArrayLike, angles: ArrayLike, velocities: ArrayLike, time_ns: in
                 field=f"shape of {field}",
                 value=values.shape,
             )
-        setattr(message, field, array.array("d", values.tobytes()))
+        setattr(message, field, array.array("d", values.tobytes() + bytes(8 * len(more))))
     return message
 
 
@@ -55,15 +64,16 @@ def decode(message: JointState) -> tuple[Ids, Angles, Velocities, int]:
     """
     check_frame(message, "joint_states")
     ids, columns = joint_columns(message.name, "joint_states")
+    joints = columns.size + sum(map(is_session, message.name))
     tables = []
     for field in ("position", "velocity"):
         values = np.asarray(getattr(message, field), dtype=float)
         if field == "velocity" and not len(values):
-            values = np.zeros(columns.size)
-        if len(values) != columns.size:
+            values = np.zeros(joints)
+        if len(values) != joints:
             raise MessageError(
                 "joint_states",
-                f"values for {columns.size} joints",
+                f"values for {joints} joints",
                 field=f"{field} has",
                 value=len(values),
             )

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from fiber_core.array_types import Ids, Ints
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.ids import checked_ids
+from fiber_msgs_py.sessions import is_session
 
 __all__ = ["joint_columns", "joint_names"]
 
@@ -35,7 +36,7 @@ def joint_columns(names: Iterable[str], name: str) -> tuple[Ids, Ints]:
     """Return the robots of some joint names, and the place of each joint among the names.
 
     Args:
-        names: joint names in any order.
+        names: joint names in any order; ids of sessions among them are no joints.
         name: name of the message in an error.
 
     Returns:
@@ -46,6 +47,8 @@ def joint_columns(names: Iterable[str], name: str) -> tuple[Ids, Ints]:
         MessageError: a name is malformed or appears twice, or a robot has only one joint.
     """
     names = list(names)
+    place = [i for i, each in enumerate(names) if not is_session(each)]
+    names = [names[i] for i in place]
     keys = np.empty(len(names), dtype=np.int64)
     for i, joint in enumerate(names):
         match = _PATTERN.fullmatch(joint)
@@ -70,4 +73,4 @@ def joint_columns(names: Iterable[str], name: str) -> tuple[Ids, Ints]:
         problem = f"has no matching {other} joint"
         raise MessageError(name, problem, field="joint", robot=int(ids[at]), value=only)
     checked_ids(ids, name)
-    return ids, order.reshape(-1, 2)
+    return ids, np.array(place, dtype=np.int64)[order].reshape(-1, 2)

@@ -31,13 +31,16 @@ _COLUMNS = (
 _OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8"}
 
 
-def encode(plane: FocalPlane, units: WireUnits, stamp: PlanStamp) -> PointCloud2:
+def encode(
+    plane: FocalPlane, units: WireUnits, stamp: PlanStamp, session: str | None = None
+) -> PointCloud2:
     """Return a focal plane and its wire units as a message, without the name of the plane.
 
     Args:
         plane: the focal plane.
         units: size of tick and quantum, widths of the fields.
         stamp: time of the layout.
+        session: id of the session that the bridge has opened.
 
     Raises:
         MessageError: no robot, or an id, bus, address or unit does not fit its column.
@@ -76,7 +79,7 @@ def encode(plane: FocalPlane, units: WireUnits, stamp: PlanStamp) -> PointCloud2
         if not 0 < value <= np.iinfo(rows[name].dtype).max:
             raise MessageError("layout", "does not fit its column", field=name, value=value)
         rows[name] = value
-    return encode_table(rows, stamp)
+    return encode_table(rows, stamp, session)
 
 
 def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:

@@ -18,7 +18,12 @@ _COLUMNS = {"id": "<u4", "outcome": "<u1", "reason": "<u1", "error": "<f8"}
 
 
 def encode(
-    ids: ArrayLike, outcome: ArrayLike, reason: ArrayLike, error_mm: ArrayLike, stamp: PlanStamp
+    ids: ArrayLike,
+    outcome: ArrayLike,
+    reason: ArrayLike,
+    error_mm: ArrayLike,
+    stamp: PlanStamp,
+    session: str | None = None,
 ) -> PointCloud2:
     """Return the result of a plan as a message.
 
@@ -28,6 +33,7 @@ def encode(
         reason: Reason of each robot, shape (n,).
         error_mm: distance from fibre to target [mm], nan without a target, shape (n,).
         stamp: names the plan.
+        session: id of the session.
 
     Raises:
         MessageError: an id is out of range or appears twice, a code is unknown, an error is
@@ -45,7 +51,7 @@ def encode(
     rows["outcome"] = checked_codes(outcome, Outcome, ids, "outcome", "outcome")
     rows["reason"] = checked_codes(reason, Reason, ids, "outcome", "reason")
     rows["error"] = error_mm / 1e3
-    return encode_table(rows, stamp)
+    return encode_table(rows, stamp, session)
 
 
 def decode(message: PointCloud2) -> tuple[Ids, Codes, Codes, Floats]:

@@ -1,8 +1,9 @@
 """Progress: how far a stage is with an attempt of a plan.
 
-A DiagnosticStatus: stock tools show it as it is. Its values are named: the fraction done, the stamp
-of the attempt [ns], the stamp of the plan [ns], the number of the attempt, and, of a later attempt,
-the time of the oldest layout and joint states it may be planned with [ns].
+A DiagnosticStatus: stock tools show it as it is. Its values are named: the fraction done, the
+stamp of the attempt [ns], the stamp of the plan [ns], the number of the attempt, and, where the
+bridge says so, the times of the oldest layout and joint states it may be planned with [ns]. The
+level ERROR says that the stage refuses the attempt.
 """
 
 import math
@@ -15,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from fiber_msgs_py.attempts import Attempt
 from fiber_msgs_py.diagnostics import Level, Status
 from fiber_msgs_py.errors import MessageError
+from fiber_msgs_py.sessions import checked_session, session_of
 from fiber_msgs_py.stamps import PlanStamp
 
 __all__ = ["Progress", "decode", "encode"]
@@ -31,6 +33,8 @@ class Progress:
         fraction: the part of the work that is done, 0..1.
         text: one line for people.
         attempt: the attempt that the stage works on.
+        session: id of the session of the attempt, None for no session.
+        refused: whether the stage refuses the attempt; the text is its reason.
 
     Raises:
         MessageError: the fraction is not within 0..1.
@@ -40,6 +44,8 @@ class Progress:
     fraction: float
     text: str
     attempt: Attempt
+    session: str | None = None
+    refused: bool = False
 
     def __post_init__(self):
         if not (math.isfinite(self.fraction) and 0 <= self.fraction <= 1):
@@ -57,7 +63,12 @@ def encode(progress: Progress) -> DiagnosticStatus:
     }
     if attempt.since_ns is not None:
         values["since_ns"] = attempt.since_ns
-    return Status(progress.stage, Level.OK, progress.text, values).to_message()
+    if attempt.layout_ns is not None:
+        values["layout_ns"] = attempt.layout_ns
+    if progress.session is not None:
+        values[checked_session(progress.session)] = "session"
+    level = Level.ERROR if progress.refused else Level.OK
+    return Status(progress.stage, level, progress.text, values).to_message()
 
 
 def decode(message: DiagnosticStatus) -> Progress:
@@ -70,9 +81,13 @@ def decode(message: DiagnosticStatus) -> Progress:
     values = {pair.key: pair.value for pair in message.values}
     fraction = _number(values, "fraction", float)
     stamp, plan = (PlanStamp(_number(values, f"{name}_ns", int)) for name in ("stamp", "plan"))
-    since_ns = _number(values, "since_ns", int) if "since_ns" in values else None
-    attempt = Attempt(stamp, plan, _number(values, "attempt", int), since_ns)
-    return Progress(message.name, fraction, message.message, attempt)
+    since_ns, layout_ns = (
+        _number(values, name, int) if name in values else None for name in ("since_ns", "layout_ns")
+    )
+    attempt = Attempt(stamp, plan, _number(values, "attempt", int), since_ns, layout_ns)
+    refused = message.level == bytes([Level.ERROR])
+    session = session_of(message)
+    return Progress(message.name, fraction, message.message, attempt, session, refused)
 
 
 def _number(values: Mapping[str, str], key: str, kind: type[_Kind]) -> _Kind:

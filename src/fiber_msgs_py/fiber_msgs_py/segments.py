@@ -1,4 +1,8 @@
-"""Segments: the orders of a plan in whole wire units, as the bus bridge loads them."""
+"""Segments: the orders of a plan in whole wire units, as the bus bridge loads them.
+
+Each row says where its segment begins, so orders that were made for other positions of the joints
+are found, and a row that is lost or changed is, too.
+"""
 
 from dataclasses import dataclass
 
@@ -16,44 +20,47 @@ from fiber_msgs_py.table import decode_table, encode_table
 
 __all__ = ["SegmentTable", "decode", "encode"]
 
-_COLUMNS = {"id": "<u4", "joint": "<u1", "duration": "<u4", "velocity": "<i4"}
+_COLUMNS = {"id": "<u4", "joint": "<u1", "duration": "<u4", "velocity": "<i4", "start": "<i4"}
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentTable:
-    """The segments of a message; the start angles are those of the encoders.
+    """The segments of a message.
 
     Args:
         ids: robots of the plan, increasing, shape (n,).
         offsets: first segment of each profile, shape (2 n + 1,), as in WireMotion.
         ticks: duration of each segment [ticks], shape (m,).
         velocity: joint speed in each segment [velocity units], shape (m,).
+        start: where each profile begins [quanta], shape (n, 2).
     """
 
     ids: Ids
     offsets: Offsets
     ticks: Ints
     velocity: Ints
+    start: Counts
 
     @property
     def counts(self) -> Ints:
         """Number of segments of each profile, shape (n, 2)."""
         return Parts(self.offsets).counts.reshape(-1, 2)
 
-    def motion(self, units: WireUnits, start: Counts) -> WireMotion:
+    def motion(self, units: WireUnits) -> WireMotion:
         """Return the motion of these segments.
 
         Args:
             units: size of tick and quantum, widths of the fields.
-            start: encoder counts at the start [quanta], shape (n, 2).
 
         Raises:
             MotionError: a number does not fit its field in these units.
         """
-        return WireMotion(units, start, self.offsets, self.ticks, self.velocity)
+        return WireMotion(units, self.start, self.offsets, self.ticks, self.velocity)
 
 
-def encode(ids: ArrayLike, motion: WireMotion, stamp: PlanStamp) -> PointCloud2:
+def encode(
+    ids: ArrayLike, motion: WireMotion, stamp: PlanStamp, session: str | None = None
+) -> PointCloud2:
     """Return a motion as a message: rows by robot, theta before phi, in the order of time.
 
     A joint that rests is one row of duration 0, so that every robot of the plan has rows
@@ -63,10 +70,11 @@ def encode(ids: ArrayLike, motion: WireMotion, stamp: PlanStamp) -> PointCloud2:
         ids: robot ids, increasing, shape (n,).
         motion: their motion, n robots.
         stamp: names the plan.
+        session: id of the session.
 
     Raises:
         MessageError: ids do not increase, are out of range, or differ in number from the
-            robots that move.
+            robots that move, or a position does not fit its column.
     """
     ids = checked_ids(ids, "segments")
     if len(ids) != len(motion.start):
@@ -82,7 +90,12 @@ def encode(ids: ArrayLike, motion: WireMotion, stamp: PlanStamp) -> PointCloud2:
     rows["joint"] = profile % 2
     rows["duration"][place] = motion.ticks
     rows["velocity"][place] = motion.velocity
-    return encode_table(rows, stamp)
+    moved = np.zeros(table.total, dtype=np.int64)
+    moved[place] = motion.ticks * motion.velocity
+    start = _starts(table, motion.start.ravel(), moved)
+    rows["start"] = start
+    refuse(rows["start"] != start, "segments", "start", rows["id"], start, "does not fit")
+    return encode_table(rows, stamp, session)
 
 
 def decode(message: PointCloud2) -> SegmentTable:
@@ -90,7 +103,8 @@ def decode(message: PointCloud2) -> SegmentTable:
 
     Raises:
         MessageError: malformed table, rows out of order, a robot with one joint only, or a
-            rest that is not the only row of its joint; names the robot and the value.
+            rest that is not the only row of its joint, or a segment that begins elsewhere than
+            the one before it ends; names the robot and the value.
     """
     rows = decode_table(message, "segments", _COLUMNS)
     ids = rows["id"].astype(np.int64)
@@ -106,8 +120,17 @@ def decode(message: PointCloud2) -> SegmentTable:
     refuse(rest & (velocity != 0), "segments", "velocity", ids, velocity, "has the duration 0")
     mixed = rest & (lengths[profile] > 1)
     refuse(mixed, "segments", "duration", ids, duration, "is not the only row of its joint")
+    ticks, speed = duration.astype(np.int64), velocity.astype(np.int64)
+    table, begins = Parts.from_counts(lengths), rows["start"].astype(np.int64)
+    start = begins[table.first]
+    apart = begins != _starts(table, start, ticks * speed)
+    refuse(apart, "segments", "start", ids, begins, "is not the end of the segment before")
     counts = np.bincount(profile[~rest], minlength=len(profiles))
     offsets = Parts.from_counts(counts).offsets
-    return SegmentTable(
-        robots, offsets, duration[~rest].astype(np.int64), velocity[~rest].astype(np.int64)
-    )
+    return SegmentTable(robots, offsets, ticks[~rest], speed[~rest], start.reshape(-1, 2))
+
+
+def _starts(table: Parts, start: Ints, moved: Ints) -> Ints:
+    # where each row begins [quanta], from the starts of the profiles and the turn in each row
+    before = np.cumsum(moved) - moved
+    return start[table.owner] + before - before[table.first][table.owner]

@@ -6,6 +6,7 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
 
 from fiber_msgs_py.errors import MessageError
+from fiber_msgs_py.sessions import checked_session
 from fiber_msgs_py.stamps import PlanStamp, check_frame, header
 
 __all__ = ["column_names", "decode_table", "encode_table"]
@@ -28,13 +29,14 @@ _NAMES = {code: dtype.name for dtype, code in _CODES.items()}
 _LONGEST_ROW = 2**24
 
 
-def encode_table(rows: np.ndarray, stamp: PlanStamp) -> PointCloud2:
+def encode_table(rows: np.ndarray, stamp: PlanStamp, session: str | None = None) -> PointCloud2:
     """Return a table as a message.
 
     Args:
         rows: structured array of little-endian columns, shape (n,); a column may hold an
             array in each row, but not an empty one.
         stamp: names the plan.
+        session: id of the session that the table belongs to, a field more; None for no session.
     """
     fields = []
     offsets = {str(name): field[1] for name, field in (rows.dtype.fields or {}).items()}
@@ -48,6 +50,8 @@ def encode_table(rows: np.ndarray, stamp: PlanStamp) -> PointCloud2:
                 count=int(np.prod(dtype.shape, dtype=int)),
             )
         )
+    if session is not None:
+        fields.append(PointField(name=checked_session(session), datatype=PointField.UINT8, count=1))
     return PointCloud2(
         header=header(stamp),
         height=1,

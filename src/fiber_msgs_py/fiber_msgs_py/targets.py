@@ -25,28 +25,34 @@ _SINCE = {"since_sec": "<u4", "since_nanosec": "<u4"}
 _SECOND = 1_000_000_000
 
 
-def encode(ids: ArrayLike, xy_mm: ArrayLike, stamp: PlanStamp) -> PointCloud2:
+def encode(
+    ids: ArrayLike, xy_mm: ArrayLike, stamp: PlanStamp, session: str | None = None
+) -> PointCloud2:
     """Return the targets of a new plan as a message.
 
     Args:
         ids: robot ids, shape (n,).
         xy_mm: targets in the focal plane [mm], shape (n, 2).
         stamp: names the plan.
+        session: id of the session of the layout that the targets are for.
 
     Raises:
         MessageError: an id is out of range or appears twice, a target is not finite, or
             shapes differ.
     """
-    return encode_table(_rows(ids, xy_mm, _COLUMNS), stamp)
+    return encode_table(_rows(ids, xy_mm, _COLUMNS), stamp, session)
 
 
-def encode_attempt(ids: ArrayLike, xy_mm: ArrayLike, attempt: Attempt) -> PointCloud2:
+def encode_attempt(
+    ids: ArrayLike, xy_mm: ArrayLike, attempt: Attempt, session: str | None = None
+) -> PointCloud2:
     """Return the targets of a later attempt of a plan as a message.
 
     Args:
         ids: robot ids, shape (n,), at least one: the rows tell which attempt it is.
         xy_mm: targets in the focal plane [mm], shape (n, 2).
         attempt: the attempt, with the time of the oldest layout and joint states to plan with.
+        session: id of the session.
 
     Raises:
         MessageError: as for encode, or there is no robot.
@@ -59,7 +65,7 @@ def encode_attempt(ids: ArrayLike, xy_mm: ArrayLike, attempt: Attempt) -> PointC
     rows["plan_sec"], rows["plan_nanosec"] = divmod(attempt.plan.ns, _SECOND)
     if attempt.since_ns is not None:
         rows["since_sec"], rows["since_nanosec"] = divmod(attempt.since_ns, _SECOND)
-    return encode_table(rows, attempt.stamp)
+    return encode_table(rows, attempt.stamp, session)
 
 
 def _rows(ids: ArrayLike, xy_mm: ArrayLike, columns: dict[str, str]) -> np.ndarray:

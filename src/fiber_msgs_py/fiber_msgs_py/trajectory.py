@@ -13,6 +13,7 @@ from fiber_core.errors import MotionError
 from fiber_core.motion import SampledMotion
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.joints import joint_columns, joint_names
+from fiber_msgs_py.sessions import checked_session, is_session
 from fiber_msgs_py.stamps import PlanStamp, check_frame, header
 
 __all__ = ["decode", "encode"]
@@ -20,7 +21,9 @@ __all__ = ["decode", "encode"]
 _SECOND = 1_000_000_000
 
 
-def encode(ids: ArrayLike, motion: SampledMotion, stamp: PlanStamp) -> JointTrajectory:
+def encode(
+    ids: ArrayLike, motion: SampledMotion, stamp: PlanStamp, session: str | None = None
+) -> JointTrajectory:
     """Return a sampled motion as a message, times to the nanosecond.
 
     The velocity of a point is the velocity after that point; the last is zero.
@@ -29,6 +32,7 @@ def encode(ids: ArrayLike, motion: SampledMotion, stamp: PlanStamp) -> JointTraj
         ids: robot ids, shape (n,).
         motion: motion of these n robots, from time zero or later.
         stamp: names the plan.
+        session: id of the session, a name more with the value 0; None for no session.
 
     Raises:
         MessageError: an id is out of range or appears twice, ids and motion differ in number,
@@ -42,14 +46,16 @@ def encode(ids: ArrayLike, motion: SampledMotion, stamp: PlanStamp) -> JointTraj
     positions = np.ascontiguousarray(motion.angles.reshape(len(names), len(times_ns)).T)
     velocities = np.zeros_like(positions)
     velocities[:-1] = np.diff(positions, axis=0) / np.diff(motion.time_s)[:, None]
+    more = [] if session is None else [checked_session(session)]
+    zero = bytes(8 * len(more))
     return JointTrajectory(
         header=header(stamp),
-        joint_names=names,
+        joint_names=names + more,
         points=[
             JointTrajectoryPoint(
                 # any other type costs a Python object for each number
-                positions=array.array("d", position.tobytes()),
-                velocities=array.array("d", velocity.tobytes()),
+                positions=array.array("d", position.tobytes() + zero),
+                velocities=array.array("d", velocity.tobytes() + zero),
                 time_from_start=Duration(sec=ns // _SECOND, nanosec=ns % _SECOND),
             )
             for ns, position, velocity in zip(times_ns.tolist(), positions, velocities)
@@ -78,10 +84,11 @@ def decode(message: JointTrajectory) -> tuple[Ids, SampledMotion, Floats | None]
         [p.time_from_start.sec * _SECOND + p.time_from_start.nanosec for p in points]
     )
     _check_times(times_ns)
-    angles = _gather(points, "positions", ids, columns)
+    joints = columns.size + sum(map(is_session, message.joint_names))
+    angles = _gather(points, "positions", ids, columns, joints)
     velocities = None
     if any(len(point.velocities) for point in points):
-        velocities = _gather(points, "velocities", ids, columns)
+        velocities = _gather(points, "velocities", ids, columns, joints)
     try:
         return ids, SampledMotion(times_ns / _SECOND, angles), velocities
     except MotionError as error:  # times that differ in ns and not in the precision of s
@@ -97,15 +104,17 @@ def _check_times(times_ns: Ints) -> None:
         raise MessageError("trajectory", f"s does not follow {before} s", field="time", value=after)
 
 
-def _gather(points: Sequence[JointTrajectoryPoint], field: str, ids: Ids, columns: Ints) -> Floats:
+def _gather(
+    points: Sequence[JointTrajectoryPoint], field: str, ids: Ids, columns: Ints, joints: int
+) -> Floats:
     # values of one field by robot, joint and point, shape (n, 2, t)
-    table = np.empty((len(points), columns.size))
+    table = np.empty((len(points), joints))
     for k, point in enumerate(points):
         values = getattr(point, field)
-        if len(values) != columns.size:
+        if len(values) != joints:
             raise MessageError(
                 "trajectory",
-                f"values for {columns.size} joints",
+                f"values for {joints} joints",
                 field=f"{field} of point {k} has",
                 value=len(values),
             )

@@ -11,7 +11,7 @@ from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import MessageError, PlanStamp, segments
 
 UNITS = WireUnits()
-ROW = [("id", "<u4"), ("joint", "<u1"), ("duration", "<u4"), ("velocity", "<i4")]
+ROW = [("id", "<u4"), ("joint", "<u1"), ("duration", "<u4"), ("velocity", "<i4"), ("start", "<i4")]
 SEGMENT = st.tuples(
     st.integers(1, UNITS.max_ticks), st.integers(-UNITS.max_velocity, UNITS.max_velocity)
 )
@@ -32,7 +32,7 @@ def plans(draw):
 def example(stamp):
     """Robot 5 turns theta twice and rests phi, robot 17 moves both."""
     motion = WireMotion(
-        UNITS, np.zeros((2, 2)), [0, 2, 2, 3, 4], [10, 20, 30, 40], [-100, 200, 300, -400]
+        UNITS, [[7, 8], [9, -9]], [0, 2, 2, 3, 4], [10, 20, 30, 40], [-100, 200, 300, -400]
     )
     message = segments.encode([5, 17], motion, stamp)
     return message, np.frombuffer(message.data, ROW)
@@ -43,7 +43,7 @@ def test_round_trip(plan):
     ids, motion = plan
     table = segments.decode(segments.encode(ids, motion, PlanStamp(1)))
     assert table.ids.tolist() == ids
-    decoded = table.motion(UNITS, motion.start)
+    decoded = table.motion(UNITS)
     for name in ("start", "offsets", "ticks", "velocity"):
         np.testing.assert_array_equal(getattr(decoded, name), getattr(motion, name))
 
@@ -51,23 +51,24 @@ def test_round_trip(plan):
 def test_rows_are_in_order_and_a_rest_is_a_row(stamp):
     _, rows = example(stamp)
     assert rows.tolist() == [
-        (5, 0, 10, -100),
-        (5, 0, 20, 200),
-        (5, 1, 0, 0),
-        (17, 0, 30, 300),
-        (17, 1, 40, -400),
+        (5, 0, 10, -100, 7),
+        (5, 0, 20, 200, -993),
+        (5, 1, 0, 0, 8),
+        (17, 0, 30, 300, 9),
+        (17, 1, 40, -400, -9),
     ]
 
 
 @pytest.mark.parametrize(
     ("row", "values", "words"),
     [
-        (2, (5, 2, 0, 0), "robot 5: joint 2 is neither"),
-        (2, (5, 0, 7, 7), "robot 5: joints 1 of 2"),
-        (2, (5, 1, 0, 9), "robot 5: velocity 9 has the duration 0"),
-        (1, (5, 0, 0, 0), "robot 5: duration 0 is not the only row of its joint"),
-        (3, (4, 0, 30, 300), "robot 4: joint 0 is out of order"),
-        (4, (18, 1, 40, -400), "robot 17: joints 1 of 2"),
+        (2, (5, 2, 0, 0, 8), "robot 5: joint 2 is neither"),
+        (2, (5, 0, 7, 7, 0), "robot 5: joints 1 of 2"),
+        (2, (5, 1, 0, 9, 8), "robot 5: velocity 9 has the duration 0"),
+        (1, (5, 0, 0, 0, 0), "robot 5: duration 0 is not the only row of its joint"),
+        (3, (4, 0, 30, 300, 9), "robot 4: joint 0 is out of order"),
+        (4, (18, 1, 40, -400, -9), "robot 17: joints 1 of 2"),
+        (1, (5, 0, 20, 200, -992), "robot 5: start -992 is not the end of the segment before"),
     ],
 )
 def test_rows_that_contradict_each_other_are_refused(stamp, row, values, words):
@@ -88,8 +89,15 @@ def test_any_lost_profile_is_noticed(stamp):
 def test_numbers_too_large_for_the_units_are_refused(stamp):
     message, rows = example(stamp)
     rows["duration"][0] = UNITS.max_ticks + 1
+    rows["start"][1] = 7 - 100 * (UNITS.max_ticks + 1)
     with pytest.raises(MotionError, match=f"duration {UNITS.max_ticks + 1}"):
-        segments.decode(message).motion(UNITS, np.zeros((2, 2)))
+        segments.decode(message).motion(UNITS)
+
+
+def test_a_start_that_does_not_fit_its_column_is_refused(stamp):
+    far = WireMotion(UNITS, [[0, 0], [2**31, 0]], np.zeros(5), [], [])
+    with pytest.raises(MessageError, match="robot 17: start 2147483648 does not fit"):
+        segments.encode([5, 17], far, stamp)
 
 
 def test_ids_must_increase_and_agree_with_the_motion(stamp):

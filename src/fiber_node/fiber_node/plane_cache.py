@@ -4,16 +4,16 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from rclpy.node import Node
 from sensor_msgs.msg import JointState, PointCloud2
 
 from fiber_core.array_types import Angles, Ids, Velocities
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
-from fiber_msgs_py import Attempt, PlanStamp, joint_states, layout, topics
+from fiber_msgs_py import Attempt, PlanStamp, joint_states, layout, session_of, topics
 from fiber_msgs_py.errors import MessageError
 from fiber_node.reporter import Reporter
+from fiber_node.session_gate import SessionGate
 
 __all__ = ["PlaneCache", "PlaneState"]
 
@@ -37,34 +37,37 @@ class PlaneState(NamedTuple):
 class PlaneCache:
     """Keeps the newest layout and joint states for a node; malformed messages change nothing.
 
-    Topics overtake each other. A later attempt of a plan is made because something has changed,
-    and it says when: work on it waits until layout and joint states are that new.
+    Topics overtake each other. The bridge says of each attempt that it accepts how new layout and
+    joint states must be: work on it waits until they are. With the layout of a new session all of
+    the session before is forgotten.
 
     Args:
-        node: the node that receives the messages.
+        gate: the gate for messages of open sessions.
         report: publishes refused messages, and how many robots are known.
     """
 
-    def __init__(self, node: Node, report: Reporter):
+    def __init__(self, gate: SessionGate, report: Reporter):
         self._report = report
         self._layout: tuple[FocalPlane, WireUnits] | None = None
         self._states: tuple[Ids, Angles, Velocities] | None = None
         self._layout_ns = self._states_ns = -1
-        self._waiting: tuple[int, Callable[[], None]] | None = None
-        topics.LAYOUT.subscription(node, self._on_layout)
-        topics.JOINT_STATES.subscription(node, self._on_joint_states)
+        self._states_session: str | None = None
+        self._waiting: tuple[Attempt, str, Callable[[], None]] | None = None
+        self.session: str | None = None  # of the layout
+        gate.subscription(topics.LAYOUT, self._on_layout)
+        gate.subscription(topics.JOINT_STATES, self._on_joint_states)
 
-    def when_current(self, attempt: Attempt, work: Callable[[], None]) -> None:
+    def when_current(self, attempt: Attempt, session: str, work: Callable[[], None]) -> None:
         """Do work on an attempt as soon as layout and joint states are as new as it needs them.
 
-        The first attempt of a plan takes them as they are. One piece of work waits at most: newer
-        work takes its place.
+        One piece of work waits at most: newer work takes its place.
 
         Args:
             attempt: the attempt.
+            session: the session whose layout and joint states it needs.
             work: called once.
         """
-        self._waiting = (-1 if attempt.since_ns is None else attempt.since_ns, work)
+        self._waiting = attempt, session, work
         self._start_if_current()
 
     @property
@@ -88,38 +91,46 @@ class PlaneCache:
 
     def _pair(self):
         layout, states = self._layout, self._states  # a worker reads while callbacks replace
-        if layout is None or states is None:
+        if layout is None or states is None or self._states_session != self.session:
             return None
         return (layout, states) if np.array_equal(states[0], layout[0].ids) else None
 
     def _start_if_current(self) -> None:
-        if self._waiting is None or min(self._layout_ns, self._states_ns) < self._waiting[0]:
+        if self._waiting is None or self._pair() is None:
             return
-        (_, work), self._waiting = self._waiting, None
+        attempt, session, work = self._waiting
+        since_ns = -1 if attempt.since_ns is None else attempt.since_ns
+        layout_ns = since_ns if attempt.layout_ns is None else attempt.layout_ns
+        if self.session != session or self._layout_ns < layout_ns or self._states_ns < since_ns:
+            return
+        self._waiting = None
         work()
 
     def _on_layout(self, message: PointCloud2) -> None:
         try:
-            self._layout = layout.decode(message)
-            self._layout_ns = PlanStamp.of(message).ns
+            self._layout, ns = layout.decode(message), PlanStamp.of(message).ns
         except FiberError as error:
             self._report.refuse(f"layout refused: {error}", "layout")
+        else:
+            self._layout_ns, self.session = ns, session_of(message)
+            self._report.session = self.session
         self._publish_count()
         self._start_if_current()
 
     def _on_joint_states(self, message: JointState) -> None:
         try:
             ids, angles, velocities, self._states_ns = joint_states.decode(message)
-            self._states = (ids, angles, velocities)
         except FiberError as error:
             self._report.refuse(f"joint states refused: {error}", "joint_states")
+        else:
+            self._states, self._states_session = (ids, angles, velocities), session_of(message)
         self._publish_count()
         self._start_if_current()
 
     def _publish_count(self) -> None:
         # clients wait for this count: before it, the node would refuse their targets
         pair = self._pair()
-        robots = 0 if pair is None else pair[0][0].n
-        if self._report.counters.get("robots") != robots:
-            self._report.counters["robots"] = robots
+        counters = {"robots": 0 if pair is None else pair[0][0].n, "session": self.session or ""}
+        if counters.items() - self._report.counters.items():
+            self._report.counters |= counters
             self._report.publish()

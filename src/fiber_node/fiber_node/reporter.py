@@ -4,6 +4,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 from rclpy.node import Node
 
@@ -45,6 +46,7 @@ class Reporter:
         self.refused = self.dropped = 0
         self._lock = threading.Lock()  # a worker and callbacks may refuse at once
         self.counters: dict[str, object] = {}
+        self.session: str | None = None  # of the attempts that progress is reported of
         self._progress = topics.PROGRESS.publisher(node)
         self._diagnostics = topics.DIAGNOSTICS.publisher(node)
         self._limit = RateLimit()
@@ -61,8 +63,7 @@ class Reporter:
             text: one line for people.
         """
         self._level, self._text = Level.OK, text
-        message = progress.encode(Progress(self._stage, min(fraction, 1.0), text, attempt))
-        self._progress.publish(message)
+        self._publish_progress(Progress(self._stage, min(fraction, 1.0), text, attempt))
 
     def progress_of(
         self, attempt: Attempt, check: Callable[[], None]
@@ -93,14 +94,17 @@ class Reporter:
         """Show in the next diagnostics what the node waits for."""
         self._level, self._text = Level.OK, text
 
-    def refuse(self, text: str, source: str | None = None) -> None:
+    def refuse(self, text: str, source: str | None = None, attempt: Attempt | None = None) -> None:
         """Log, count and publish that something was refused, and why.
 
         Args:
             text: one line for people.
             source: the topic of a refused message, of which one line a second is logged.
+            attempt: the attempt of a plan that is refused, whose progress then says so.
         """
         self._count_refusal(text)
+        if attempt is not None:
+            self._publish_progress(Progress(self._stage, 1.0, text, attempt, refused=True))
         line = text if source is None else self._limit.line(source, text)
         if line is not None:
             self._node.get_logger().error(line)
@@ -119,6 +123,9 @@ class Reporter:
         if line is not None:
             self._node.get_logger().warning(line)
         self.publish()
+
+    def _publish_progress(self, report: Progress) -> None:
+        self._progress.publish(progress.encode(replace(report, session=self.session)))
 
     def _count_refusal(self, text: str) -> None:
         self._level, self._text = Level.ERROR, text

@@ -78,6 +78,12 @@ class RosClient:
         self._executor.add_node(node)
         return node
 
+    def remove_node(self, node: Node) -> None:
+        """End another node of the process."""
+        self._nodes.remove(node)
+        self._executor.remove_node(node)
+        node.destroy_node()
+
     def collect(self, topic: Topic) -> list[Any]:
         """Subscribe to a topic; return a list that grows by every message received."""
         received: list[Any] = []

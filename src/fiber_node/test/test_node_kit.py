@@ -7,6 +7,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from std_msgs.msg import Empty
 
 from fiber_core.errors import FiberError
 from fiber_core.presets import preset
@@ -21,10 +22,19 @@ from fiber_msgs_py import (
     joint_states,
     layout,
     progress,
-    targets,
     topics,
 )
-from fiber_node import AttemptListener, PlaneCache, Reporter, run
+from fiber_node import (
+    BRIDGE,
+    PLANNER,
+    AcceptedAttempts,
+    Claim,
+    PlaneCache,
+    Reporter,
+    SessionGate,
+    claims,
+    run,
+)
 
 
 @pytest.fixture
@@ -87,102 +97,177 @@ def test_progress_names_stage_and_plan(graph):
     assert report_received.attempt == attempt
 
 
+PLANE = preset("desi", robots=7)
+STILL = np.zeros((7, 2))
+OTHER = "session_" + 24 * "0"
+
+
+class Bridge:
+    """A node that says what a bridge would, and a node that caches it."""
+
+    def __init__(self, graph):
+        self.graph, self.source, self.node = graph, graph("source"), graph("cache")
+        self.refused = []
+        self.report = Reporter(self.node, "planner")
+        self.gate = SessionGate(self.node, lambda topic, text: self.refused.append(text))
+        self.cache = PlaneCache(self.gate, self.report)
+        self.layouts = topics.LAYOUT.publisher(self.source)
+        self.states = topics.JOINT_STATES.publisher(self.source)
+        self.claim = Claim(self.source, BRIDGE)
+        self.session = self.claim.id
+
+    def publish_layout(self, ns=1):
+        units = WireUnits.for_plane(PLANE)
+        self.layouts.publish(layout.encode(PLANE, units, PlanStamp(ns), self.session))
+
+    def publish_states(self, ns=1, ids=PLANE.ids, angles=STILL, speeds=STILL):
+        self.states.publish(joint_states.encode(ids, angles, speeds, ns, self.session))
+
+    def show(self, layout_ns, states_ns):
+        self.publish_layout(layout_ns)
+        self.publish_states(states_ns)
+        cache = self.cache
+        self.graph.until(lambda: (cache._layout_ns, cache._states_ns) == (layout_ns, states_ns))
+
+
 def test_the_cache_is_complete_only_with_joint_states_of_the_same_robots(graph):
-    plane, node, source = preset("desi", robots=7), graph("cache"), graph("source")
-    cache = PlaneCache(node, Reporter(node, "planner"))
+    bridge = Bridge(graph)
+    cache = bridge.cache
     with pytest.raises(MessageError, match="layout: not received"):
         _ = cache.state
-    layouts, states = topics.LAYOUT.publisher(source), topics.JOINT_STATES.publisher(source)
-    still = np.zeros((7, 2))
-    states.publish(joint_states.encode(plane.ids[:3], still[:3], still[:3], 1))
-    layouts.publish(layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(1)))
+    bridge.publish_states(ids=PLANE.ids[:3], angles=STILL[:3], speeds=STILL[:3])
+    bridge.publish_layout()
     graph.until(lambda: cache._layout is not None and cache._states is not None)
     assert not cache.complete
-    turning = still.copy()
+    turning = STILL.copy()
     turning[4, 1] = 0.1
-    states.publish(joint_states.encode(plane.ids, still + 0.5, turning, 2))
+    bridge.publish_states(2, angles=STILL + 0.5, speeds=turning)
     graph.until(lambda: cache.complete)
     assert cache.state.moving
-    np.testing.assert_array_equal(cache.state.angles, still + 0.5)
-    np.testing.assert_array_equal(cache.state.plane.ids, plane.ids)
+    np.testing.assert_array_equal(cache.state.angles, STILL + 0.5)
+    np.testing.assert_array_equal(cache.state.plane.ids, PLANE.ids)
 
 
-def test_work_on_a_later_attempt_waits_for_a_plane_as_new_as_its_targets_say(graph):
-    plane, node, source = preset("desi", robots=7), graph("cache"), graph("source")
-    cache = PlaneCache(node, Reporter(node, "planner"))
-    layouts, states = topics.LAYOUT.publisher(source), topics.JOINT_STATES.publisher(source)
-    still, done = np.zeros((7, 2)), []
-
-    def publish_layout(ns):
-        layouts.publish(layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(ns)))
-        graph.until(lambda: cache._layout_ns == ns)
-
-    def publish_states(ns):
-        states.publish(joint_states.encode(plane.ids, still, still, ns))
-        graph.until(lambda: cache._states_ns == ns)
-
-    first = Attempt.first(PlanStamp(5))
-    second = first.next(PlanStamp(6), since_ns=20)
-    cache.when_current(first, lambda: done.append("first"))
-    assert done == ["first"]  # nothing to wait for
-    publish_layout(10)
-    publish_states(10)
-    cache.when_current(second, lambda: done.append("second"))
-    publish_layout(20)
-    publish_states(19)
+def test_work_on_an_attempt_waits_for_a_plane_as_new_as_the_bridge_says(graph):
+    bridge, done = Bridge(graph), []
+    cache, session = bridge.cache, bridge.session
+    first = Attempt(PlanStamp(5), PlanStamp(5), 1, since_ns=20, layout_ns=10)
+    cache.when_current(first, session, lambda: done.append("first"))
+    bridge.show(10, 19)
+    assert not done
+    bridge.show(10, 20)
     assert done == ["first"]
-    publish_states(20)
+    second = first.next(PlanStamp(6), since_ns=30)
+    cache.when_current(second, session, lambda: done.append("second"))
+    bridge.show(29, 30)
+    assert done == ["first"]
+    bridge.show(30, 30)
     assert done == ["first", "second"]
     # newer work takes the place of work that waits, and is done once
-    third = second.next(PlanStamp(7), since_ns=25)
-    cache.when_current(third, lambda: done.append("third"))
-    cache.when_current(Attempt.first(PlanStamp(8)), lambda: done.append("newer"))
-    publish_layout(30)
-    publish_states(30)
+    third = second.next(PlanStamp(7), since_ns=35)
+    cache.when_current(third, session, lambda: done.append("third"))
+    fourth = Attempt(PlanStamp(8), PlanStamp(8), 1, since_ns=35)
+    cache.when_current(fourth, session, lambda: done.append("newer"))
+    bridge.show(40, 40)
     assert done == ["first", "second", "newer"]
 
 
-def test_work_on_a_trajectory_waits_until_its_attempt_is_announced(graph):
-    node, source = graph("discretizer"), graph("source")
-    listener, done = AttemptListener(node), []
-    plan = Attempt.first(PlanStamp(5))
-    second = plan.next(PlanStamp(6), since_ns=20)
-    # in a graph without targets a stamp names a plan
-    assert listener.when_announced(PlanStamp(4), done.append)
-    assert done == [Attempt.first(PlanStamp(4))]
+def test_with_a_new_session_everything_of_the_one_before_is_forgotten(graph):
+    bridge, done = Bridge(graph), []
+    cache, before = bridge.cache, bridge.session
+    bridge.show(50, 50)
+    later = Claim(bridge.source, BRIDGE)
+    assert later.earlier() == [before] and bridge.claim.earlier() == []
+    assert bridge.claim.others() == [later.id]
+    bridge.session = later.id
+    bridge.publish_layout(10)  # its clock was set back
+    graph.until(lambda: cache.session == later.id)
+    assert not cache.complete
+    attempt = Attempt(PlanStamp(5), PlanStamp(5), 1, since_ns=10, layout_ns=10)
+    cache.when_current(attempt, before, lambda: done.append("before"))
+    cache.when_current(attempt, later.id, lambda: done.append("now"))
+    assert not done
+    bridge.show(10, 10)
+    assert done == ["now"]
 
-    asks = topics.TARGETS.publisher(source)
-    reports = topics.PROGRESS.publisher(source)
-    graph.until(lambda: node.count_publishers(topics.TARGETS.name) == 1)
-    graph.until(lambda: asks.get_subscription_count() == reports.get_subscription_count() == 1)
-    assert not listener.when_announced(second.stamp, done.append)  # overtook its targets
-    asks.publish(targets.encode([1], [[0.0, 0.0]], plan.plan))
-    asks.publish(targets.encode_attempt([1], [[0.0, 0.0]], second))
+
+def test_messages_of_a_session_without_a_bridge_are_refused_by_name(graph):
+    bridge = Bridge(graph)
+    for bridge.session, words in (
+        (None, "no session"),
+        (OTHER, f"of {OTHER}, is not in the graph"),
+    ):
+        bridge.publish_layout()
+        bridge.refused.clear()
+        graph.until(lambda words=words: any(words in each for each in bridge.refused))
+    assert bridge.cache._layout is None
+    # a message can come before its bridge is seen
+    bridge.publish_layout()
+    named = topics.NAMESPACE + f"/_bridge_{OTHER}"
+    late = []
+
+    def appear():
+        if bridge.gate._kept and not late:
+            late.append(bridge.source.create_subscription(Empty, named, lambda _: None, 1))
+        return bridge.cache._layout is not None
+
+    graph.until(appear)
+    assert bridge.cache.session == OTHER
+
+
+def test_work_waits_until_the_bridge_accepts_its_attempt(graph):
+    bridge, done = Bridge(graph), []
+    accepted = AcceptedAttempts(bridge.node, bridge.gate)
+    reports = topics.PROGRESS.publisher(bridge.source)
+    # the client of reporter.progress subscribes too
+    graph.until(lambda: reports.get_subscription_count() == 1)
+
+    def report(ns, stage=BRIDGE, session=bridge.session, refused=False, since_ns=1):
+        attempt = Attempt(PlanStamp(ns), PlanStamp(ns), 1, since_ns)
+        reports.publish(progress.encode(Progress(stage, 0.0, "", attempt, session, refused)))
+
+    def work(attempt, session):
+        done.append((attempt.stamp.ns, session))
+
+    assert not accepted.when_accepted(PlanStamp(5), work)
+    report(5, stage="planner")
+    report(5, session=OTHER)
+    report(5, since_ns=None)
+    report(6)  # before its message
+    graph.until(lambda: PlanStamp(6) in accepted._accepted)
+    assert not done
+    assert accepted.when_accepted(PlanStamp(6), work)
+    report(5)
     graph.until(lambda: len(done) == 2)
-    assert done[1] == second
-    assert listener.when_announced(plan.stamp, done.append) and done[2] == plan
-
-    # the progress of a stage announces an attempt as well; newer work takes the place of older
-    third = second.next(PlanStamp(7), since_ns=30)
-    assert not listener.when_announced(PlanStamp(99), done.append)
-    assert not listener.when_announced(third.stamp, done.append)
-    reports.publish(progress.encode(Progress("planner", 0.0, "begins", third)))
-    graph.until(lambda: len(done) == 4)
-    assert done[3] == third
+    assert done == [(6, bridge.session), (5, bridge.session)]
+    report(7, refused=True)
+    report(7)
+    report(8)
+    graph.until(lambda: PlanStamp(8) in accepted._accepted)
+    for ns in (5, 6, 7):  # each attempt once, and a refused one never
+        assert not accepted.when_accepted(PlanStamp(ns), work)
+    assert len(done) == 2
 
 
 def test_a_malformed_layout_is_refused_and_the_old_one_stays(graph):
-    plane, node, source = preset("desi", robots=7), graph("cache"), graph("source")
-    report = Reporter(node, "planner")
-    cache = PlaneCache(node, report)
-    layouts = topics.LAYOUT.publisher(source)
-    good = layout.encode(plane, WireUnits.for_plane(plane), PlanStamp(1))
-    layouts.publish(good)
-    graph.until(lambda: cache._layout is not None)
-    good.header.frame_id = "map"
-    layouts.publish(good)
-    graph.until(lambda: report.refused == 1)
-    assert cache._layout[0].n == 7
+    bridge = Bridge(graph)
+    bridge.publish_layout()
+    graph.until(lambda: bridge.cache._layout is not None)
+    units = WireUnits.for_plane(PLANE)
+    bad = layout.encode(PLANE, units, PlanStamp(1), bridge.session)
+    bad.header.frame_id = "map"
+    bridge.layouts.publish(bad)
+    graph.until(lambda: bridge.report.refused == 1)
+    assert bridge.cache._layout[0].n == 7
+
+
+def test_a_claim_ends_with_its_node(graph):
+    node, peer = graph("one"), graph("two")
+    claim = Claim(node, PLANNER)
+    graph.until(lambda: claims(peer, PLANNER) == [claim.id])
+    assert claims(peer, BRIDGE) == []
+    node.destroy_subscription(claim._subscription)
+    graph.until(lambda: claims(peer, PLANNER) == [])
 
 
 def test_parameters_that_a_core_refuses_end_the_process_with_code_2():

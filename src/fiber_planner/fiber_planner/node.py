@@ -8,18 +8,28 @@ from typing import ClassVar
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
-from fiber_core.array_types import Ids, Pairs, Points
+from fiber_core.array_types import Ids, Pairs
 from fiber_core.assignment import Assignment, assign
 from fiber_core.errors import FiberError
 from fiber_msgs_py import (
     Attempt,
+    PlanStamp,
     Stage,
     held,
     targets,
     topics,
     trajectory,
 )
-from fiber_node import PlaneCache, PlaneNode, Reporter, run
+from fiber_node import (
+    PLANNER,
+    AcceptedAttempts,
+    Claim,
+    PlaneCache,
+    PlaneNode,
+    Reporter,
+    SessionGate,
+    run,
+)
 from fiber_planner.errors import PlannerError
 from fiber_planner.interface import Planner, spacing_of
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment
@@ -53,6 +63,9 @@ class PlannerChoice:
 class PlannerNode(PlaneNode):
     """Plans each table of targets from the joint angles that the encoders report.
 
+    It plans the attempts that the bridge has accepted, and stays out while an earlier planner is
+    in the graph.
+
     Args:
         options: keyword arguments of rclpy.node.Node.
     """
@@ -64,14 +77,16 @@ class PlannerNode(PlaneNode):
             name: self.parameters.declare(parameters_of(name), name) for name in planners()
         }
         self.parameters.finish()
-        self._newest: Attempt | None = None  # that was planned
-        self._report = Reporter(self, "planner")
-        self._plane_cache = PlaneCache(self, self._report)
+        self._report = Reporter(self, PLANNER)
+        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
+        self._plane_cache = PlaneCache(gate, self._report)
+        self._accepted = AcceptedAttempts(self, gate)
         self._held = topics.HELD_BY_PLANNER.publisher(self)
         self._trajectory = topics.TRAJECTORY.publisher(self)
         self._worker = self.worker("planning")
         self._worker.follow_stop(self._report)
         topics.TARGETS.subscription(self, self._on_targets)
+        self._claim = Claim(self, PLANNER)  # last: the node is complete
 
     def planner(self) -> Planner:
         """Return the planner that plans next, with the parameters that are in effect."""
@@ -80,30 +95,35 @@ class PlannerNode(PlaneNode):
 
     def _on_targets(self, message: PointCloud2) -> None:
         try:
-            attempt = targets.decode_attempt(message)
-            ids, xy_mm = targets.decode(message)
+            stamp = PlanStamp.of(message)
         except FiberError as error:
             self._report.refuse(f"targets refused: {error}", "targets")
             return
-        work = partial(self._plan, attempt, ids, xy_mm)
-        self._plane_cache.when_current(attempt, lambda: self._worker.submit(attempt, work))
 
-    def _plan(self, attempt: Attempt, ids: Ids, xy_mm: Points) -> None:
-        try:
-            newest = self._newest
-            if newest is not None and attempt.stamp <= newest.stamp:
-                self._report.drop(
-                    f"targets {attempt} dropped: plan {newest} is not older", "targets"
-                )
+        def plan_when_current(attempt: Attempt, session: str) -> None:
+            if self._claim.earlier():
+                self._report.drop(f"targets {attempt} left to the planner that was here before")
                 return
+            work = partial(self._plan, attempt, session, message)
+            self._plane_cache.when_current(
+                attempt, session, lambda: self._worker.submit(attempt, work)
+            )
+
+        if not self._accepted.when_accepted(stamp, plan_when_current):
+            self._report.waiting(f"targets {stamp} wait until the bridge accepts them")
+
+    def _plan(self, attempt: Attempt, session: str, message: PointCloud2) -> None:
+        try:
+            ids, xy_mm = targets.decode(message)
             plane, _, start, moving = self._plane_cache.state
             if moving:
-                self._report.refuse(f"targets {attempt} refused: robots are moving", "targets")
+                self._report.refuse(
+                    f"targets {attempt} refused: robots are moving", "targets", attempt
+                )
                 return
             planner = self.planner()
             spacing_mm = spacing_of(planner, plane)
             assignment = assign(plane, start, ids, xy_mm, spacing_mm=spacing_mm)
-            self._newest = attempt  # malformed targets were refused before and take no stamp
             self._warn_of_refused(assignment, attempt)
             result = plan_assignment(
                 start,
@@ -112,17 +132,17 @@ class PlannerNode(PlaneNode):
                 self._report.progress_of(attempt, self._worker.check),
             )
             self._worker.check()
-            self._publish(result, attempt)
+            self._publish(result, attempt, session)
         except FiberError as error:
-            self._report.refuse(f"targets refused: {error}", "targets")
+            self._report.refuse(f"targets refused: {error}", "targets", attempt)
 
-    def _publish(self, result: PlanStageResult, attempt: Attempt) -> None:
+    def _publish(self, result: PlanStageResult, attempt: Attempt, session: str) -> None:
         ids, motion, is_held = result.problem.plane.ids, result.planned.motion, result.held
         self._warn_of_tangled(result.planned.tangled, ids, attempt)
         self._held.publish(
             held.encode(ids[is_held], result.reason[is_held], Stage.PLANNER, attempt.stamp)
         )
-        self._trajectory.publish(trajectory.encode(ids, motion, attempt.stamp))
+        self._trajectory.publish(trajectory.encode(ids, motion, attempt.stamp, session))
         arriving, holds = (int(np.count_nonzero(mask)) for mask in (result.arriving, is_held))
         self._report.counters |= {
             "plan": attempt,

@@ -9,17 +9,21 @@ from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import (
+    Attempt,
     PlanStamp,
+    Progress,
     Stage,
     diagnostics,
     held,
     joint_states,
     layout,
+    progress,
+    session_of,
     targets,
     topics,
     trajectory,
 )
-from fiber_node import RosClient
+from fiber_node import BRIDGE, PLANNER, Claim, RosClient, claims
 from fiber_planner import PlannerError, parameters_of
 from fiber_planner.node import PlannerNode
 
@@ -43,26 +47,50 @@ class Rest:
         self.layout = topics.LAYOUT.publisher(peer.node)
         self.states = topics.JOINT_STATES.publisher(peer.node)
         self.targets = topics.TARGETS.publisher(peer.node)
+        self.progress = topics.PROGRESS.publisher(peer.node)
+        self.reports = peer.collect(topics.PROGRESS)
+        self.session = Claim(peer.node, BRIDGE).id
         self.planner = peer.add_node(PlannerNode, **parameters)
-        peer.wait_for(lambda: self.targets.get_subscription_count() and self.diagnostics, WAIT_S)
+        peer.wait_for(
+            lambda: (
+                self.targets.get_subscription_count()
+                and self.progress.get_subscription_count() > 1
+                and self.diagnostics
+            ),
+            WAIT_S,
+        )
 
-    def show_plane(self, velocity=0.0):
+    def show_plane(self, velocity=0.0, ns=1):
         speeds = np.full_like(PROBLEM.start, velocity)
-        self.layout.publish(layout.encode(PLANE, UNITS, PlanStamp(1)))
-        self.states.publish(joint_states.encode(PLANE.ids, PROBLEM.start, speeds, 1))
+        self.layout.publish(layout.encode(PLANE, UNITS, PlanStamp(ns), self.session))
+        self.states.publish(joint_states.encode(PLANE.ids, PROBLEM.start, speeds, ns, self.session))
         self.peer.wait_for(lambda: self.status().values.get("robots") == "7", WAIT_S)
 
     def status(self):
         return diagnostics.decode(self.diagnostics[-1])[0]
 
-    def ask(self, ns, ids=IDS, xy_mm=XY_MM):
-        self.targets.publish(targets.encode(ids, xy_mm, PlanStamp(ns)))
+    def ask(self, ns, ids=IDS, xy_mm=XY_MM, since_ns=1):
+        """Send targets, and accept them as the bridge would."""
+        self.targets.publish(targets.encode(ids, xy_mm, PlanStamp(ns), self.session))
+        self.answer(ns, since_ns)
 
-    def wait_refusal(self, word):
+    def answer(self, ns, since_ns=1, refused=False):
+        attempt = Attempt(PlanStamp(ns), PlanStamp(ns), 1, since_ns, 1)
+        answer = Progress(BRIDGE, 0.0, "", attempt, self.session, refused)
+        self.progress.publish(progress.encode(answer))
+
+    def wait_refusal(self, word, ns):
         self.peer.wait_for(
             lambda: word in self.status().text, WAIT_S, f"a refusal that says {word}"
         )
         assert not self.held and not self.trajectories
+        self.peer.wait_for(self.refusals, WAIT_S)
+        assert [(p.stage, p.attempt.plan.ns, p.session) for p in self.refusals()] == [
+            (PLANNER, ns, self.session)
+        ]
+
+    def refusals(self):
+        return [p for p in map(progress.decode, self.reports) if p.refused and p.stage != BRIDGE]
 
 
 @pytest.fixture
@@ -78,6 +106,7 @@ def test_targets_become_one_trajectory_from_where_the_encoders_are(rest):
     rest.ask(9, ids, xy_mm)
     rest.peer.wait_for(lambda: rest.trajectories and rest.held, WAIT_S, "a plan")
     assert {PlanStamp.of(m) for m in rest.trajectories + rest.held} == {PlanStamp(9)}
+    assert session_of(rest.trajectories[0]) == rest.session
 
     held_ids, reason, stage = held.decode(rest.held[0])
     why = dict(zip(held_ids.tolist(), reason.tolist()))
@@ -93,35 +122,62 @@ def test_targets_become_one_trajectory_from_where_the_encoders_are(rest):
     assert np.array_equal(motion.end[5], PROBLEM.start[5])
 
 
-def test_targets_before_the_layout_are_refused(rest):
-    rest.ask(9)
-    rest.wait_refusal("layout: not received yet")
-    rest.show_plane()
-    rest.ask(10)
+def test_targets_wait_for_the_layout_and_for_joint_states_as_new_as_the_bridge_says(rest):
+    rest.ask(9, since_ns=5)
+    rest.show_plane(ns=4)
+    rest.peer.wait_for(lambda: rest.status().values.get("robots") == "7", WAIT_S)
+    assert not rest.trajectories
+    rest.show_plane(ns=5)
     rest.peer.wait_for(lambda: rest.trajectories, WAIT_S)
 
 
 def test_targets_while_robots_move_are_refused(rest):
     rest.show_plane(velocity=0.1)
     rest.ask(9)
-    rest.wait_refusal("robots are moving")
+    rest.wait_refusal("robots are moving", 9)
 
 
 def test_a_robot_the_plane_does_not_have_is_refused_by_name(rest):
     rest.show_plane()
     rest.ask(9, [1, 99], [[0.0, 0.0], [1.0, 2.0]])
-    rest.wait_refusal("robot 99: no such robot, target [1.0, 2.0]")
+    rest.wait_refusal("robot 99: no such robot, target [1.0, 2.0]", 9)
 
 
-def test_an_older_table_is_dropped_and_says_so(rest):
+def test_only_targets_that_the_bridge_accepts_are_planned_and_each_once(rest):
     rest.show_plane()
+    for ns in (7, 8):
+        rest.targets.publish(targets.encode(IDS, XY_MM, PlanStamp(ns), rest.session))
+    rest.answer(8, refused=True)
+    rest.answer(8)  # too late
     rest.ask(20)
-    rest.peer.wait_for(lambda: rest.trajectories and rest.held, WAIT_S)
     rest.ask(20)
-    rest.ask(19)
-    rest.peer.wait_for(lambda: f"{PlanStamp(19)} dropped" in rest.status().text, WAIT_S)
-    assert len(rest.trajectories) == len(rest.held) == 1
-    assert rest.status().values["dropped"] == "2"
+    rest.ask(6)  # the bridge alone judges the order of stamps
+    rest.peer.wait_for(lambda: len(rest.trajectories) == 2 == len(rest.held), WAIT_S)
+    assert [PlanStamp.of(m).ns for m in rest.trajectories] == [20, 6]
+
+
+def test_an_acceptance_of_another_session_is_none(rest):
+    rest.show_plane()
+    session, rest.session = rest.session, "session_" + 24 * "0"
+    rest.ask(9)
+    rest.session = session
+    rest.ask(10)
+    rest.peer.wait_for(lambda: rest.trajectories, WAIT_S)
+    assert PlanStamp.of(rest.trajectories[0]).ns == 10
+
+
+def test_a_later_planner_stays_out_until_the_earlier_one_is_gone(rest):
+    rest.show_plane()
+    peer = rest.peer
+    peer.wait_for(lambda: claims(peer.node, PLANNER), WAIT_S)
+    second = peer.add_node(PlannerNode)
+    peer.wait_for(lambda: len(claims(peer.node, PLANNER)) == 2, WAIT_S)
+    trajectories = len(rest.trajectories)
+    rest.ask(9)
+    left = "left to the planner that was here before"
+    peer.wait_for(lambda: left in second._report._text, WAIT_S)
+    peer.wait_for(lambda: len(rest.trajectories) > trajectories, WAIT_S)
+    assert len(rest.trajectories) == trajectories + 1
 
 
 def test_it_declares_the_parameters_of_every_planner_and_uses_those_of_the_one_chosen():

@@ -36,7 +36,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
-from fiber_node import PlaneNode, Reporter, run
+from fiber_node import PlaneNode, Reporter, SessionGate, run
 from fiber_recording.build_recording import build_recording
 from fiber_recording.received_plans import PlanAttempts, ReceivedPlan, ReceivedPlans
 from fiber_recording.recording_file import save_recording
@@ -112,15 +112,19 @@ class RecorderNode(PlaneNode):
         self._received = ReceivedPlans()
         self._began_ns = self.get_clock().now().nanoseconds
         self._report = Reporter(self, "recorder")
+        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
         for topic, observe in (
             (topics.LAYOUT, self._on_layout),
             (topics.JOINT_STATES, self._on_joint_states),
+            (topics.OUTCOME, self._on_outcome),
+        ):
+            gate.subscription(topic, self._refusing(topic.name, observe))
+        for topic, observe in (
             (topics.TARGETS, self._on_targets),
             (topics.PROGRESS, self._on_progress),
             (topics.TRAJECTORY, self._on_trajectory),
             (topics.CORRIDORS, self._on_corridors),
             (topics.FRAMES, self._on_frames),
-            (topics.OUTCOME, self._on_outcome),
         ):
             topic.subscription(self, self._refusing(topic.name, observe))
         self.create_timer(_CHECK_PERIOD_S, guarded(self, "recordings", self._write_ended_plans))
@@ -192,20 +196,26 @@ class RecorderNode(PlaneNode):
             try:
                 late = time.monotonic() > plan.outcome_s + _COMPLETION_S
                 if self._is_complete(stamp, plan, ended, now) or late:
-                    if not self._ended_before_this_node(stamp, plan):
+                    if self._is_missed(stamp, plan):
+                        self._report.refuse(
+                            f"plan {stamp} not recorded: this recorder began after it",
+                            attempt=Attempt.first(stamp),
+                        )
+                    else:
                         self._write(stamp, plan, ended, now, late)
                     self._received.drop(stamp)
             except (FiberError, OSError) as error:
-                self._report.refuse(f"plan {stamp} not recorded: {error}")
+                self._report.refuse(
+                    f"plan {stamp} not recorded: {error}", attempt=Attempt.first(stamp)
+                )
                 self._received.drop(stamp)
             except Exception:
                 self._received.drop(stamp)  # the guard of this callback reports the error
                 raise
 
-    def _ended_before_this_node(self, stamp: PlanStamp, plan: ReceivedPlan) -> bool:
-        """Return whether a plan ended before this node began; it may have a recording."""
-        latched_only = plan.targets is None and not self._received.attempts(stamp).executed
-        return latched_only and stamp.ns < self._began_ns
+    def _is_missed(self, stamp: PlanStamp, plan: ReceivedPlan) -> bool:
+        """Return whether a plan began before this node, and may have a recording of another."""
+        return plan.targets is None and stamp.ns < self._began_ns
 
     def _is_complete(
         self, stamp: PlanStamp, plan: ReceivedPlan, ended: PlanOutcome, now: _PlaneWithStates

@@ -38,7 +38,7 @@ from fiber_msgs_py.point_clouds import (
     view_states,
 )
 from fiber_msgs_py.table import encode_table
-from fiber_node import PlaneNode, Reporter, run
+from fiber_node import PlaneNode, Reporter, SessionGate, run
 from fiber_viewer.outlines import outlines
 
 __all__ = ["WATCHED", "ViewerNode", "main"]
@@ -108,9 +108,10 @@ class ViewerNode(PlaneNode):
         self._watched = WATCHED.publisher(self)
         self._plane_points = topics.VIEW_PLANE.publisher(self)
         self._targets = topics.VIEW_TARGETS.publisher(self)
-        topics.LAYOUT.subscription(self, self._on_layout)
-        topics.TARGETS.subscription(self, self._on_targets)
-        topics.OUTCOME.subscription(self, self._on_outcome)
+        self._gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
+        self._gate.subscription(topics.LAYOUT, self._on_layout)
+        self._gate.subscription(topics.TARGETS, self._on_targets)
+        self._gate.subscription(topics.OUTCOME, self._on_outcome)
         self.create_timer(1.0 / rate.rate_hz, guarded(self, "view", self._on_timer))
 
     def _on_layout(self, message: PointCloud2) -> None:
@@ -169,8 +170,8 @@ class ViewerNode(PlaneNode):
     def _listen_to_joint_states(self, wanted: bool) -> None:
         subscription = self._joint_states_subscription
         if wanted and subscription is None:
-            self._joint_states_subscription = topics.JOINT_STATES.subscription(
-                self, self._on_joint_states
+            self._joint_states_subscription = self._gate.subscription(
+                topics.JOINT_STATES, self._on_joint_states
             )
         elif not wanted and subscription is not None:
             self.destroy_subscription(subscription)

@@ -11,7 +11,7 @@ from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import FRAME_ID, PlanStamp, joint_states, layout, outcome, targets, topics
 from fiber_msgs_py.point_clouds import POINTS, ViewState, arms_cloud, plane_cloud, view_states
-from fiber_node import RosClient
+from fiber_node import BRIDGE, Claim, RosClient
 from fiber_viewer.node import WATCHED, ViewerNode
 from fiber_viewer.outlines import outlines
 
@@ -78,17 +78,19 @@ class Scene:
             topic.name: topic.publisher(peer.node)
             for topic in (topics.LAYOUT, topics.JOINT_STATES, topics.TARGETS, topics.OUTCOME)
         }
+        self.session = Claim(peer.node, BRIDGE).id
         units = WireUnits.for_plane(plane)
         subscribers = self.publishers[topics.TARGETS.name].get_subscription_count
         peer.wait_for(lambda: subscribers() == 1, WAIT_S, "the viewer")
-        self.publish(topics.LAYOUT, layout.encode(plane, units, PlanStamp(1)))
+        self.publish(topics.LAYOUT, layout.encode(plane, units, PlanStamp(1), self.session))
 
     def publish(self, topic, message):
         self.publishers[topic.name].publish(message)
 
     def move(self, angles, speeds, time_ns):
         self.publish(
-            topics.JOINT_STATES, joint_states.encode(self.plane.ids, angles, speeds, time_ns)
+            topics.JOINT_STATES,
+            joint_states.encode(self.plane.ids, angles, speeds, time_ns, self.session),
         )
 
     @property
@@ -147,7 +149,10 @@ def test_with_a_subscriber_it_shows_arms_until_no_robot_moves(scene, plane, angl
     assert scene.pictures == count, "no robot moves, and pictures are still published"
     ended = np.full(N, Outcome.FAILED)
     errors = np.zeros(N)
-    scene.publish(topics.OUTCOME, outcome.encode(plane.ids, ended, ended * 0, errors, PlanStamp(3)))
+    scene.publish(
+        topics.OUTCOME,
+        outcome.encode(plane.ids, ended, ended * 0, errors, PlanStamp(3), scene.session),
+    )
     peer.wait_for(lambda: scene.pictures > count, WAIT_S, "a picture of the outcome")
     peer.node.destroy_subscription(listening)
     joint_states_subscribers = scene.publishers[topics.JOINT_STATES.name].get_subscription_count
@@ -184,7 +189,7 @@ def test_only_watched_robots_have_outlines(scene, plane, angles):
     line = np.array([[p.x, p.y] for p in seen[-1].markers[1].points])
     np.testing.assert_allclose(line * 1e3, outlines(plane, 3, angles)[0], atol=1e-9)
     xy_mm = np.array([[1.0, 2.0], [3.0, 4.0]])
-    scene.publish(topics.TARGETS, targets.encode(plane.ids[:2], xy_mm, PlanStamp(5)))
+    scene.publish(topics.TARGETS, targets.encode(plane.ids[:2], xy_mm, PlanStamp(5), scene.session))
     peer.wait_for(lambda: shown, WAIT_S)
     rows = np.frombuffer(shown[-1].data, plane_cloud(plane).dtype)
     np.testing.assert_allclose(points(rows) * 1e3, xy_mm, atol=1e-4)

@@ -34,10 +34,13 @@ class Publishers:
         node: the node that publishes.
         session: the session with the robots.
         availability: the robots that can be commanded.
+        session_id: id of the session, which layout, encoders and outcomes carry.
     """
 
-    def __init__(self, node: Node, session: Session, availability: Availability):
+    def __init__(self, node: Node, session: Session, availability: Availability, session_id: str):
         self._node, self._session, self._availability = node, session, availability
+        self._session_id = session_id
+        self.layout_ns = 0  # time of the last layout [ns]
         self._layout = topics.LAYOUT.publisher(node)
         self._joint_states = topics.JOINT_STATES.publisher(node)
         self._frames = topics.FRAMES.publisher(node)
@@ -62,7 +65,9 @@ class Publishers:
         self._published_enabled = enabled
         now_ns = self.now_ns() if now_ns is None else now_ns
         plane = self._session.plane.with_enabled(enabled)
-        self._layout.publish(layout.encode(plane, self._session.units, PlanStamp(now_ns)))
+        message = layout.encode(plane, self._session.units, PlanStamp(now_ns), self._session_id)
+        self._layout.publish(message)
+        self.layout_ns = now_ns
         self.publish_encoders(now_ns)
 
     def publish_encoders(self, now_ns: int | None = None) -> None:
@@ -70,7 +75,9 @@ class Publishers:
         session = self._session
         now_ns = self.now_ns() if now_ns is None else now_ns
         self._joint_states.publish(
-            joint_states.encode(session.plane.ids, session.angles, session.velocities, now_ns)
+            joint_states.encode(
+                session.plane.ids, session.angles, session.velocities, now_ns, self._session_id
+            )
         )
 
     def publish_frames(self, stamp: PlanStamp | None) -> None:
@@ -82,7 +89,8 @@ class Publishers:
     def publish_outcome(self, result: PlanResult, stamp: PlanStamp) -> None:
         """Publish the result of each robot of a plan."""
         columns = result.outcome, result.reason, result.error_mm
-        self._outcome.publish(outcome.encode(self._session.plane.ids, *columns, stamp))
+        ids = self._session.plane.ids
+        self._outcome.publish(outcome.encode(ids, *columns, stamp, self._session_id))
 
     def statuses(self) -> Iterator[Status]:
         """Yield the diagnostics of every bus, and of the robots left out of plans."""

@@ -1,0 +1,57 @@
+"""Claims: which node of a graph has a role of which there can be one, such as planner.
+
+A claim is a subscription of a topic that carries nothing, named by role and id. Every node sees it
+in the graph as long as its node lives, and no player of a bag makes one. Ids sort by the time of
+their making: of two nodes with one role the later stays out.
+"""
+
+import os
+import re
+
+from rclpy.node import Node
+from std_msgs.msg import Empty
+
+from fiber_msgs_py import new_session, topics
+
+__all__ = ["BRIDGE", "DISCRETIZER", "PLANNER", "Claim", "claims"]
+
+BRIDGE, PLANNER, DISCRETIZER = "bridge", "planner", "discretizer"
+
+_RANDOM_BYTES = 4
+
+
+class Claim:
+    """The claim of a node to a role, from its making until the node goes.
+
+    Args:
+        node: the node.
+        role: the role.
+    """
+
+    def __init__(self, node: Node, role: str):
+        self._node, self._role = node, role
+        now_ns = max(node.get_clock().now().nanoseconds, 0)
+        self.id = new_session(now_ns, os.urandom(_RANDOM_BYTES))
+        self._subscription = node.create_subscription(
+            Empty, _name(role, self.id), lambda _: None, 1
+        )
+
+    def others(self) -> list[str]:
+        """Return the other claims to the same role, the earliest first."""
+        return [each for each in claims(self._node, self._role) if each != self.id]
+
+    def earlier(self) -> list[str]:
+        """Return the claims to the same role that were made before this one."""
+        return [each for each in self.others() if each < self.id]
+
+
+def claims(node: Node, role: str) -> list[str]:
+    """Return the ids of all claims to a role in the graph of a node, the earliest first."""
+    pattern = re.compile(re.escape(node.resolve_topic_name(_name(role, ""))) + r"(session_\w+)")
+    names = (pattern.fullmatch(name) for name, _ in node.get_topic_names_and_types())
+    return sorted(match[1] for match in names if match and node.count_subscribers(match[0]))
+
+
+def _name(role: str, id: str) -> str:
+    # a name that begins with an underscore is hidden from lists of topics
+    return f"{topics.NAMESPACE}/_{role}_{id}"

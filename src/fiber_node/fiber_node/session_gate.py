@@ -1,0 +1,70 @@
+"""A gate for messages: those of a session that is open in this graph pass, others are refused."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from fiber_msgs_py import Topic, guarded, session_of
+from fiber_node.claims import BRIDGE, claims
+
+__all__ = ["SessionGate"]
+
+_CHECK_PERIOD_S = 0.05
+_UNKNOWN_S = 2.0  # a bridge whose messages have come is in the graph by then
+
+
+class SessionGate:
+    """Subscribes to topics of the graph and passes on what belongs to an open session.
+
+    A message can come before its bridge is seen in the graph: the last one of each topic is kept
+    until then. Messages of no session, or of one whose bridge is not there, such as those of a bag
+    or of a bridge that has ended, are refused.
+
+    Args:
+        node: the node that receives.
+        refuse: called with the name of the topic and the reason.
+    """
+
+    def __init__(self, node: Node, refuse: Callable[[str, str], None]):
+        self._node, self._refuse = node, refuse
+        self._open: set[str] = set()  # sessions seen in the graph; closed ones are found by is_open
+        self._kept: dict[str, tuple[float, str, Any, Callable[[Any], None]]] = {}
+        self._timer = node.create_timer(
+            _CHECK_PERIOD_S, guarded(node, "sessions", self._check_kept), autostart=False
+        )
+
+    def subscription(self, topic: Topic, callback: Callable[[Any], None]) -> Subscription:
+        """Return a subscription that calls with the messages of open sessions."""
+        return topic.subscription(
+            self._node, lambda message: self._on_message(topic.name, message, callback)
+        )
+
+    def is_open(self, session: str) -> bool:
+        """Return whether the bridge of a session is in the graph."""
+        return session in claims(self._node, BRIDGE)
+
+    def _on_message(self, topic: str, message: Any, callback: Callable[[Any], None]) -> None:
+        name, session = topic.rpartition("/")[2], session_of(message)
+        if session is None:
+            self._refuse(name, f"{name} refused: it belongs to no session")
+        elif self.is_open(session):
+            self._kept.pop(topic, None)
+            callback(message)
+        else:
+            self._kept[topic] = time.monotonic() + _UNKNOWN_S, session, message, callback
+            self._timer.reset()
+
+    def _check_kept(self) -> None:
+        for topic, (until_s, session, message, callback) in list(self._kept.items()):
+            if self.is_open(session):
+                del self._kept[topic]
+                callback(message)
+            elif time.monotonic() > until_s:
+                del self._kept[topic]
+                name = topic.rpartition("/")[2]
+                self._refuse(name, f"{name} refused: its bridge, of {session}, is not in the graph")
+        if not self._kept:
+            self._timer.cancel()
