@@ -118,6 +118,11 @@ kill: build ## kill, pause and disturb the processes of a small plane (RUNS=, SE
 	$(PYTHON) bench/kill.py --runs $(RUNS) $(if $(SEED),--seed $(SEED)) --lines out/kill.jsonl; failed=$$?; \
 	$(PYTHON) bench/kill_table.py out/kill.jsonl --out bench/results/kill.md; exit $$failed
 
+FAULTS_AT_ONCE ?= 2
+.PHONY: explore
+explore: build ## check the protocol in every state that some faults can lead to (FAULTS_AT_ONCE=2)
+	@$(INSTALLED) && $(PYTHON) bench/explore.py --faults $(FAULTS_AT_ONCE)
+
 .PHONY: test
 test: build ## run every test of the packages and of test/, and count them
 	@rm -rf build/*/pytest.xml build/test

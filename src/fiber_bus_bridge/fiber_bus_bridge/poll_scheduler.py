@@ -1,5 +1,7 @@
 """Division of the time of each bus between the roll call and reading the status of robots."""
 
+from copy import copy
+
 import numpy as np
 from numba import njit
 
@@ -31,6 +33,17 @@ class PollScheduler:
         # the longest of the last step, 0 when unknown
         self._read_s, self._call_s = np.full(buses, read_s), np.zeros(buses)
         self._next = np.zeros(buses, dtype=np.int64)
+
+    def copy(self) -> "PollScheduler":
+        """Return a scheduler that goes on from here by itself."""
+        other = copy(self)
+        other._read_s, other._call_s = self._read_s.copy(), self._call_s.copy()
+        other._next = self._next.copy()
+        return other
+
+    def state(self) -> list[bytes]:
+        """Return what has an influence on the next choices, as bytes."""
+        return [column.tobytes() for column in (self._read_s, self._call_s, self._next)]
 
     def next(self, robots: Mask, call: bool) -> Rows:
         """Return the rows to read, in the order of their buses.

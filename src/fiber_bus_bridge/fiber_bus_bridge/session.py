@@ -22,7 +22,7 @@ from fiber_bus_bridge.protocol import (
     run,
 )
 from fiber_bus_bridge.protocol.ending import end_plan
-from fiber_bus_bridge.protocol.loading import prepare
+from fiber_bus_bridge.protocol.loading import begin_plan
 from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.session_state import SessionState, session_state
 from fiber_bus_bridge.transactions import Transactions
@@ -223,12 +223,7 @@ class Session:
             SessionError: there are no orders to start, or the robots are moving or stopped.
         """
         self._require(Event.START)
-        c = self.protocol
-        assert c.plan is not None  # orders wait
-        c.transactions.revive()
-        c.may_go, c.loaded_plans = may_go, []
-        wanted = c.plan.moves & c.plane.enabled & ~c.plan.oversized & c.robots["known"]
-        prepare(c, c.plan.motion, wanted, t)
+        begin_plan(self.protocol, t, may_go)
         return self._call(Event.START, t)
 
     def advance(self, t: float) -> float:

@@ -6,6 +6,7 @@ is not verified, or it is unsafe and could not be given an empty order. The othe
 are loaded again, and the GO has no effect on that robot.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,14 +23,24 @@ from fiber_core.array_types import Bools, Codes, Mask, Rows
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion
 
-__all__ = ["certify", "commit", "disarm", "drop", "load", "prepare"]
+__all__ = [
+    "Delivery",
+    "begin_plan",
+    "certify",
+    "commit",
+    "deliver",
+    "disarm",
+    "drop",
+    "load",
+    "prepare",
+]
 
 _ROUNDS = 6  # fresh sequence numbers tried before nothing is started
 _TRIES = 2  # deliveries of an order under one sequence number
 _SEQUENCES = 15
 
 
-class _Delivery(NamedTuple):
+class Delivery(NamedTuple):
     """Result of LOAD and VERIFY for some robots, shape (r,) each.
 
     Args:
@@ -41,6 +52,16 @@ class _Delivery(NamedTuple):
     verified: Bools
     suspect: Bools
     reason: Codes
+
+
+def begin_plan(c: Context, t: float, may_go: Callable[[], bool]) -> None:
+    """Begin the first phase of the plan that waits; arguments as in Session.start."""
+    plan = c.plan
+    assert plan is not None  # orders wait
+    c.transactions.revive()
+    c.may_go, c.loaded_plans = may_go, []
+    wanted = plan.moves & c.plane.enabled & ~plan.oversized & c.robots["known"]
+    prepare(c, plan.motion, wanted, t)
 
 
 def prepare(c: Context, motion: WireMotion, wanted: Mask, t: float) -> Phase:
@@ -71,7 +92,7 @@ def load(c: Context, phase: Phase) -> Event:
     todo = np.flatnonzero(robots["wanted"] & stale[c.bus])
     # for the other buses these are, byte for byte, the frames already verified there
     phase.frames = _encode(c, phase.motion)
-    delivered = _load_and_verify(c, phase, todo, phase.frames[todo])
+    delivered = deliver(c, phase, todo, phase.frames[todo])
     robots["verified"][todo] = delivered.verified
     robots["reason"][todo] = delivered.reason
     robots["wanted"] &= robots["reason"] == Reason.OK
@@ -107,7 +128,7 @@ def disarm(c: Context, phase: Phase) -> Event:
         c.units, c.transactions.addresses[rows], buses["sequence"][c.bus[rows]],
         np.zeros(2 * len(rows) + 1), [], [],
     )  # fmt: skip
-    armed = rows[_load_and_verify(c, phase, rows, empty).suspect]
+    armed = rows[deliver(c, phase, rows, empty).suspect]
     buses["stale"] = c.buses_of(armed) & c.buses_of(robots["wanted"])
     if buses["stale"].any():
         return Event.ARMED
@@ -168,7 +189,7 @@ def _decode(c: Context, phase: Phase, chosen: Mask) -> WireMotion:
     return WireMotion(c.units, start, orders.offsets, orders.ticks, orders.velocity).only(chosen)
 
 
-def _load_and_verify(c: Context, phase: Phase, rows: Rows, frames: Frames) -> _Delivery:
+def deliver(c: Context, phase: Phase, rows: Rows, frames: Frames) -> Delivery:
     """LOAD and VERIFY; both are repeated once for robots on which they failed by chance."""
     t, boot, transactions = phase.t, c.robots["boot"], c.transactions
     verified, suspect = np.zeros(len(rows), dtype=bool), np.ones(len(rows), dtype=bool)
@@ -189,4 +210,4 @@ def _load_and_verify(c: Context, phase: Phase, rows: Rows, frames: Frames) -> _D
         final = status.ok & (status.boot != boot[rows[todo]]) | (new_ack == Ack.REFUSED)
         final |= (new_ack == Ack.NO_ADDRESS) & ~status.ok
         todo = todo[~verified[todo] & ~final]
-    return _Delivery(verified, suspect, not_loaded(verified, ack))
+    return Delivery(verified, suspect, not_loaded(verified, ack))
