@@ -18,7 +18,8 @@ from import_graph import imports
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src"
-PACKAGES = sorted(path.parent.name for path in SOURCE.glob("*/package.xml"))
+PACKAGES = sorted(path.parent.name for path in SOURCE.glob("*/setup.py"))
+INTERFACES = {"fiber_interfaces"}  # the package without Python code of its own
 
 STOCK_MESSAGES = {
     "builtin_interfaces",
@@ -51,6 +52,7 @@ ARROWS = {
     "fiber_bus_bridge.node": {"fiber_bus_bridge.node.hardware"},
     "fiber_bus_bridge.node.hardware": {"fiber_bus_bridge.plant", "fiber_node"} | ROS,
     "fiber_client": {"fiber_node", "fiber_formats", "rich"} | ROS,
+    "fiber_client.gateway": {"fiber_client", "fiber_interfaces"},
     "fiber_recording": {"fiber_bus_bridge"},
     "fiber_recording.node": {"fiber_recording.received_plans", "fiber_node"} | ROS,
     "fiber_recording.received_plans": {"fiber_recording", "fiber_msgs_py"},
@@ -273,6 +275,21 @@ def test_a_package_ships_what_ros_looks_for(package):
     assert setup["name"] == package and setup["version"] == root.findtext("version")
     # with tests_require colcon finds no tests and says nothing
     assert "pytest" in setup["extras_require"]["test"] and "tests_require" not in setup
+
+
+def test_every_interface_file_is_built():
+    for package in INTERFACES:
+        folder = SOURCE / package
+        assert manifest(package).findtext("export/build_type") == "ament_cmake"
+        assert (folder / "README.md").is_file()
+        built = re.findall(r'"(\w+/\w+\.\w+)"', (folder / "CMakeLists.txt").read_text())
+        files = [
+            f"{p.parent.name}/{p.name}"
+            for kind in ("action", "srv", "msg")
+            for p in folder.glob(f"{kind}/*")
+        ]
+        assert sorted(files) == sorted(built)
+    assert set(PACKAGES) | INTERFACES == {p.parent.name for p in SOURCE.glob("*/package.xml")}
 
 
 def setup_arguments(package: str) -> dict:

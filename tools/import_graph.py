@@ -22,7 +22,7 @@ BEGIN, END = "<!-- begin: tools/import_graph.py -->", "<!-- end: tools/import_gr
 
 def packages() -> list[str]:
     """Return the names of the packages in src/."""
-    return sorted(path.parent.name for path in (ROOT / "src").glob("*/package.xml"))
+    return sorted(path.parent.name for path in (ROOT / "src").glob("*/setup.py"))
 
 
 def imports(source: str, module: str, is_package: bool, modules: set[str]) -> list[str]:
