@@ -105,10 +105,21 @@ class JointSegments:
         return {}
 
     def _made(self, start: NDArray[Any], parts: Parts, columns: Iterable[NDArray[Any]]) -> Self:
-        # a motion of numbers that have been checked: those of other motions of this kind
-        made = object.__new__(type(self))
-        arrays = {"start": start, "offsets": parts.offsets, **dict(zip(self._COLUMNS, columns))}
+        # a motion of numbers of motions of this kind
+        return self._unchecked(start, parts.offsets, columns, self._shared())
+
+    @classmethod
+    def _unchecked(
+        cls,
+        start: NDArray[Any],
+        offsets: Offsets,
+        columns: Iterable[NDArray[Any]],
+        shared: Mapping[str, object],
+    ) -> Self:
+        # a motion of numbers that are known to be valid, made without the constructor's checks
+        motion = object.__new__(cls)
+        arrays = {"start": start, "offsets": offsets, **dict(zip(cls._COLUMNS, columns))}
         for array in arrays.values():
             array.setflags(write=False)
-        vars(made).update(self._shared(), **arrays)
-        return made
+        vars(motion).update(shared, **arrays)
+        return motion

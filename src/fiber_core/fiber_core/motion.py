@@ -164,6 +164,16 @@ class SegmentMotion(JointSegments):
         angles = np.asarray(angles, dtype=float)
         return cls(angles, np.zeros(2 * len(angles) + 1, dtype=np.int64), np.zeros(0), np.zeros(0))
 
+    @classmethod
+    def of_valid(
+        cls, start: Angles, offsets: Offsets, duration_s: Floats, velocity_rad_s: Floats
+    ) -> "SegmentMotion":
+        """Return a motion of arrays that are valid for sure; they become read-only.
+
+        The arguments are those of the class.
+        """
+        return cls._unchecked(start, offsets, (duration_s, velocity_rad_s), {})
+
     @property
     def arrays(self) -> MotionArrays:
         """Start, offsets, durations and velocities, as compiled loops take them."""

@@ -275,9 +275,6 @@ class WireMotion(JointSegments):
 
     def decoded(self) -> SegmentMotion:
         """Return the motion that a perfect positioner makes from these numbers."""
-        return SegmentMotion(
-            self.units.to_angles(self.start),
-            self.offsets,
-            self.ticks * self.units.tick_s,
-            self.velocity * self.units.velocity_rad_s,
-        )
+        units = self.units
+        columns = self.ticks * units.tick_s, self.velocity * units.velocity_rad_s
+        return SegmentMotion.of_valid(units.to_angles(self.start), self.offsets, *columns)

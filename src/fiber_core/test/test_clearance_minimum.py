@@ -8,7 +8,6 @@ from fiber_core.clearance import (
     Safety,
     bodies_of,
     certify,
-    profiles_of,
     smallest_gaps,
     unproven,
 )
@@ -165,10 +164,10 @@ def test_unsafe_pairs_are_those_below_the_margin_and_their_gaps_are_resolved(mar
     assert (gaps - found.gap_mm <= 1e-3)[resolved].all()
     assert found.min_pair == (0, 1)
     assert found.min_time_s == pytest.approx(at[0], abs=0.05)
-    bodies, profiles = bodies_of(plane), profiles_of(motion)
+    bodies = bodies_of(plane)
     required = np.full(12, margin)
-    assert unproven(bodies, profiles, pairs, required).tolist() == (gaps < margin).tolist()
-    lower = smallest_gaps(bodies, profiles, pairs, required)
+    assert unproven(bodies, motion, pairs, required).tolist() == (gaps < margin).tolist()
+    lower = smallest_gaps(bodies, motion, pairs, required)
     assert (lower <= gaps).all() and (gaps - lower <= 0.51e-3)[gaps < margin].all()
     assert (lower >= margin)[gaps > margin].all()
 
@@ -176,7 +175,7 @@ def test_unsafe_pairs_are_those_below_the_margin_and_their_gaps_are_resolved(mar
 def test_a_safe_pair_is_not_resolved_further_than_its_verdict_needs():
     plane, motion, gaps, _ = _many_discs()
     pairs = [(0, 1 + k) for k in range(12)]
-    lower = smallest_gaps(bodies_of(plane), profiles_of(motion), pairs, np.full(12, 0.35))
+    lower = smallest_gaps(bodies_of(plane), motion, pairs, np.full(12, 0.35))
     # a bound above the level is enough, so that most of the others are far from their gaps
     assert ((gaps - lower)[gaps > 0.6] > 0.01).any()
 
