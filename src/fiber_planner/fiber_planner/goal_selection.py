@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Bools, Codes, Floats, Ints
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Ints, Mask, Pairs
 from fiber_core.clearance import (
     Neighbours,
     bodies_of,
@@ -17,7 +17,7 @@ from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 
-__all__ = ["choose_goals", "lower_bound_s", "travel_s"]
+__all__ = ["choose_goals", "conflicting_goals", "lower_bound_s", "travel_s"]
 
 _STAYS = 2  # pose of a robot that ends where it starts; 0 and 1 are its elbows, faster first
 _OPEN = -1  # pose of a robot that has none yet
@@ -74,6 +74,63 @@ def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[Angles, Code
     reason[problem.asked & ~plane.enabled] = Reason.DISABLED
     reason[~problem.asked] = Reason.NO_TARGET
     return options[np.arange(plane.n), pose], reason
+
+
+def conflicting_goals(problem: Problem, seeking: Mask, margin_mm: float) -> Mask:
+    """Return the robots that have to give up their targets, so that all others have clear goals.
+
+    A robot that gives up may stand anywhere: only static bodies (disabled robots, obstacles) and
+    the goals of other robots are in the way of a goal. Where every choice of elbows brings two
+    robots too close, the one with most such neighbours gives up, until none is left (a greedy
+    vertex cover); contradictions that remain are found as in choose_goals.
+
+    Args:
+        problem: the plane, the present joint angles and the targets.
+        seeking: robots with a target that they could reach alone, shape (n,).
+        margin_mm: gap that outlines must keep at the end [mm].
+
+    Returns:
+        Flags, shape (n,); False for robots that seek no target.
+    """
+    plane = problem.plane
+    options, count = _options(problem)
+    count[~seeking] = 0
+    is_obstacle = np.arange(plane.n + len(plane.obstacles)) >= plane.n
+    free = np.append(count > 0, is_obstacle[plane.n :] & False)
+    static = is_obstacle | np.append(~plane.enabled, is_obstacle[plane.n :])
+    pairs = neighbour_pairs(plane, margin_mm).astype(np.int64, order="C")
+    pairs = pairs[free[pairs].any(axis=1) & (free | static)[pairs].all(axis=1)]
+    clash = _clashes(bodies_of(plane), pairs, options, count, margin_mm)
+    clash[~static[pairs[:, 0]], _STAYS] = False
+    clash[~static[pairs[:, 1]], :, _STAYS] = False
+    pairs, clash = pairs[clash.any(axis=(1, 2))], clash[clash.any(axis=(1, 2))]
+    count[_cover(pairs[_never_clear(pairs, clash, free, count)])] = 0
+    order = np.lexsort((plane.centers[:, 1], plane.centers[:, 0]))
+    near = neighbours_of(len(free), pairs)
+    pose = _choose(near.offsets, near.body, _clashes_by_robot(near, clash), count, order)
+    return (pose == _STAYS) & free[: plane.n]
+
+
+def _never_clear(pairs: Pairs, clash: Bools, free: Mask, count: Ints) -> Mask:
+    # pairs of robots with targets that clash with every choice of elbows, shape (p,)
+    possible = np.zeros((len(free), 2), dtype=np.bool_)
+    possible[: len(count)] = np.arange(2) < count[:, None]
+    for side in range(2):  # an elbow at which a static body is in the way is no choice
+        beside = ~free[pairs[:, 1 - side]]
+        hit = clash[beside, :2, _STAYS] if side == 0 else clash[beside, _STAYS, :2]
+        np.logical_and.at(possible, pairs[beside, side], ~hit)
+    a, b = pairs.T
+    clear = possible[a][:, :, None] & possible[b][:, None, :] & ~clash[:, :2, :2]
+    return free[a] & free[b] & ~clear.any(axis=(1, 2))
+
+
+def _cover(pairs: Pairs) -> Ints:
+    # rows of a greedy vertex cover: all pairs have one of them
+    chosen: list[int] = []
+    while len(pairs):
+        chosen.append(int(np.argmax(np.bincount(pairs.ravel()))))
+        pairs = pairs[(pairs != chosen[-1]).all(axis=1)]
+    return np.array(chosen, dtype=np.int64)
 
 
 def _options(problem: Problem) -> tuple[Floats, Ints]:

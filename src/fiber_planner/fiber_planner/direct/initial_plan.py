@@ -1,5 +1,6 @@
 """The initial plan: the goal of every robot, straight motions, the gaps to keep."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numba as nb
@@ -15,7 +16,7 @@ from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.reachability import reachable
 from fiber_planner.direct.scene import Scene
 from fiber_planner.direct.time_grid import TimeGrid
-from fiber_planner.goal_selection import choose_goals
+from fiber_planner.goal_selection import choose_goals, conflicting_goals
 
 __all__ = ["Ends", "choose_ends", "straight_plan"]
 
@@ -55,14 +56,25 @@ def choose_ends(problem: Problem, scene: Scene, parameters: DirectParameters) ->
     reason = _reasons(problem, scene, parameters.margin_mm)
     seeking = reason == Reason.OK
     time = (np.abs(scene.options - problem.start[:, None]) / scene.speed[:, None]).max(axis=2)
-    alone_s = float(time[seeking, 0].max(initial=0.0))
-    if alone_s == 0.0:
-        alone_s = float((_LEAST_TURN_RAD / scene.speed).max(initial=0.0))
-    choice = _clear_options(problem, scene, parameters, alone_s)
+    alone_s = _alone_s(scene, time[seeking, 0])
+    choice, some_blocked = _clear_options(problem, scene, parameters, alone_s)
+    if some_blocked:
+        # Ends that no choice of elbows parts would be conflicts of every plan.
+        in_conflict = conflicting_goals(problem, seeking, parameters.margin_mm)
+        reason[in_conflict], seeking = Reason.GOAL_BLOCKED, seeking & ~in_conflict
+        left = np.where(in_conflict[:, None], np.nan, problem.targets)
+        alone_s = _alone_s(scene, time[seeking, 0])
+        choice, _ = _clear_options(replace(problem, targets=left), scene, parameters, alone_s)
     choice[time[rows, choice] > alone_s] = 0
     choice[~seeking] = -1
     angles = np.where(seeking[:, None], scene.options[rows, choice], problem.start)
     return Ends(reason, choice, angles, alone_s)
+
+
+def _alone_s(scene: Scene, time_s: Floats) -> float:
+    # of robots that need some times alone
+    longest_s = float(time_s.max(initial=0.0))
+    return longest_s or float((_LEAST_TURN_RAD / scene.speed).max(initial=0.0))
 
 
 def straight_plan(
@@ -138,20 +150,22 @@ def _reasons(problem: Problem, scene: Scene, margin_mm: float) -> Codes:
 
 def _clear_options(
     problem: Problem, scene: Scene, parameters: DirectParameters, alone_s: float
-) -> Ints:
-    # The option of each robot that is nearest to the goal of choose_goals. Goals that keep the
-    # allowance at full speed are preferred, unless more robots would lose their targets by it.
+) -> tuple[Ints, bool]:
+    # The option of each robot that is nearest to the goal of choose_goals, and whether a robot has
+    # no clear goal. Goals that keep the allowance at full speed are preferred, unless more robots
+    # would lose their targets by it.
     least = parameters.margin_mm + parameters.allowance_mm
     plane = problem.plane
     most = _least_mm(scene, parameters, plane, plane.speeds, 2.0 * alone_s).max(initial=0.0)
     goal, reason = choose_goals(problem, max(least, most + parameters.allowance_mm))
-    if (reason == Reason.GOAL_BLOCKED).any():
-        other, other_reason = choose_goals(problem, least)
-        if (other_reason == Reason.GOAL_BLOCKED).sum() < (reason == Reason.GOAL_BLOCKED).sum():
+    blocked = np.count_nonzero(reason == Reason.GOAL_BLOCKED)
+    if blocked:
+        other, reason = choose_goals(problem, least)
+        if np.count_nonzero(reason == Reason.GOAL_BLOCKED) < blocked:
             goal = other
     away = np.abs(scene.options - goal[:, None]).max(axis=2)
     away[np.arange(scene.options.shape[1]) >= scene.option_count[:, None]] = np.inf
-    return away.argmin(axis=1)
+    return away.argmin(axis=1), bool((reason == Reason.GOAL_BLOCKED).any())
 
 
 def _least_mm(

@@ -294,7 +294,7 @@ class Search:
 
     def _restore(self) -> None:
         # Released robots go to their targets after all if that motion is free and certified.
-        released = np.flatnonzero(self._reason == Reason.NOT_CONVERGED)
+        released = np.flatnonzero(self._without_target)
         if not len(released):
             return
         before = [np.copy(column) for column in self._plan]
@@ -351,12 +351,17 @@ class Search:
             plan.choice[rows] = -1
             self._reason[rows] = Reason.NOT_CONVERGED
 
+    @property
+    def _without_target(self) -> Bools:
+        # robots that were released, or had to give up their targets from the beginning, (n,)
+        return (self._reason == Reason.NOT_CONVERGED) | (self._reason == Reason.GOAL_BLOCKED)
+
     # -- the result
 
     def _result(self) -> SearchResult:
         plan, n = self._plan, self._problem.plane.n
         arrived = plan.choice >= 0
-        self._reason[(self._reason == Reason.NOT_CONVERGED) & arrived] = Reason.OK
+        self._reason[self._without_target & arrived] = Reason.OK
         goal = np.where(arrived[:, None], plan.q[:n, :, -1], plan.q[:n, :, 0])
         tangled = self._scene.pairs[self._tangled]
         return SearchResult(self._grid.time_s, plan.q, goal, self._reason, tangled)
