@@ -5,8 +5,7 @@ Each run makes a plan with installed executables, and at a random moment of one 
 process (in some runs two) is killed and started again, or paused and woken. Other runs send
 messages of strangers on every topic while robots move, or call services from four clients. Then the
 next reconfiguration must come about without touching the other processes. The plant tells what the
-robots really did. Each run leaves a line of JSON in `--lines`; the table covers all lines of the
-file. Seed and number define a run; its moments depend on the machine.
+robots really did. Each run leaves a line of JSON. Its moments depend on the machine.
 """
 
 import argparse
@@ -40,6 +39,7 @@ __all__ = ["Campaign", "main"]
 
 PROCESSES = ("plant", "bridge", "planner", "discretizer", "recorder", "viewer", "client")
 STAGES = ("planning", "discretizing", "loading", "countdown", "moving", "after")
+_SHOWN = ("number", "how", "names", "stage", "counted")
 _Line: TypeAlias = dict[str, Any]
 
 _SCALE, _PATIENCE_S = 2.0, 0.3
@@ -376,6 +376,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 def main(argv: list[str] | None = None) -> int:
     """Run the command; return 1 when something happened that must not."""
     args = parse(argv)
+    for ends in (signal.SIGINT, signal.SIGTERM):  # the processes end with this one
+        signal.signal(ends, signal.default_int_handler)
     use_loopback()
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     failed = 0
@@ -388,9 +390,10 @@ def main(argv: list[str] | None = None) -> int:
                 args.lines.parent.mkdir(parents=True, exist_ok=True)
                 with open(args.lines, "a", encoding="utf-8") as file:
                     file.write(json.dumps(line) + "\n")
-                wrong = {name: count for name, count in line["counted"].items() if count}
-                failed += bool(wrong)
-                print(number, line["how"], line["names"], line["stage"], wrong, flush=True)
+                failed += any(line["counted"].values())
+                print(
+                    *(line[k] for k in ("number", "how", "names", "stage", "counted")), flush=True
+                )
     print(json.dumps({"runs": args.runs, "failed": failed, "robots": args.robots}))
     return 1 if failed else 0
 

@@ -1,8 +1,11 @@
 """The plant as a process of its own: the same bytes, a time of its own, and its true motion."""
 
 import os
+import signal
 import socket
 import struct
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -210,16 +213,31 @@ def test_a_bridge_with_another_plane_or_clock_is_refused_with_the_value(path):
 
 
 def test_without_a_plant_no_robot_answers_and_the_next_plant_is_found(path):
+    clock = FakeTime()
     with served(path) as plant:
-        buses = plant.connect(answer_s=2.0)
+        buses = plant.connect(answer_s=2.0, clock=clock)
         session, _ = session_on(buses)
         t = session.configure(0.0)
         assert session.known.all()
     t = session.configure(t)
     assert not session.known.any()
     with served(path):
+        t = session.configure(t)
+        assert not session.known.any(), "the bridge looks for a plant twice a second"
+        clock.now_s += 0.5
         session.configure(t)
         assert session.known.all()
+
+
+def test_a_paused_plant_keeps_the_bridge_no_longer_than_two_answers(path):
+    with served(path) as plant:
+        session, tap = session_on(plant.connect(answer_s=0.2, clock=FakeTime()))
+        plant._ended.set()
+        plant._thread.join(LONG_S)
+        begin_s = time.monotonic()
+        session.configure(0.0)
+        assert len(tap.exchanges) >= 3 and not session.known.any()
+        assert time.monotonic() < begin_s + 1.5
 
 
 def test_a_request_that_its_bridge_left_behind_is_not_carried_out(path):
@@ -487,3 +505,52 @@ def test_a_bridge_without_its_plant_or_with_the_plants_parameters_does_not_start
             BridgeNode(context=context, parameter_overrides=overrides)
     finally:
         context.try_shutdown()
+
+
+@pytest.fixture
+def plant_process(path, tmp_path):
+    """Function that starts the executable; each process is ended with the test."""
+    started = []
+
+    def start(*options):
+        log = tmp_path / f"plant_{len(started)}.log"
+        command = [sys.executable, "-m", "fiber_bus_bridge.plant.main", f"--socket={path}"]
+        with open(log, "wb") as file:
+            process = subprocess.Popen([*command, *options], stdout=file, stderr=file)
+        started.append(process)
+        return process, log
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_the_executable_serves_logs_and_ends_well(plant_process, path, how):
+    process, log = plant_process("--robots=7", "--faults=stall", "--time-scale=0")
+    with PlantTruth(path, wait_s=LONG_S) as reader:
+        assert len(reader.since().position) == 7
+    second, second_log = plant_process("--robots=7")
+    assert second.wait(LONG_S) == 2
+    assert f"another plant serves {path}" in second_log.read_text()
+    process.send_signal(how)
+    assert process.wait(LONG_S) == 0
+    assert "7 robots on 1 buses" in log.read_text()
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--faults=fire"], "fault 'fire': expected one of"),
+        (["--clock=2M"], "bus mode '2M' does not exist"),
+        (["--robots=-3"], "robots"),
+        (["--time-scale=-1"], "time_scale"),
+        (["--problem=missing.npz"], "missing.npz"),
+    ],
+)
+def test_the_executable_refuses_what_it_cannot_do_with_the_value(plant_process, options, said):
+    process, log = plant_process("--preset=desi", *options)
+    assert process.wait(LONG_S) == 2
+    assert said in log.read_text() and "Traceback" not in log.read_text()

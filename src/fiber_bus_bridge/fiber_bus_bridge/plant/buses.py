@@ -21,14 +21,15 @@ _LOG = logging.getLogger(__name__)
 _ANSWER_S = 5.0
 _BUSY_S = 2.0  # for which a bridge waits for the end of the bridge before it
 _PAUSE_S = 0.05
+_AGAIN_S = 0.5  # between two looks for a plant that is gone, and the longest wait of each
 
 
 class PlantBuses:
     """Buses in the process of a plant; each call is one exchange on its socket.
 
-    Without a plant no robot answers: every frame ends with NO_ADDRESS, and each call tries to
-    connect again, which takes no time. The robots of a plant that began anew have booted, as after
-    a power cut.
+    Without a plant no robot answers: every frame ends with NO_ADDRESS, and a call looks for a plant
+    again, twice a second at most. The robots of a plant that began anew have booted, as after a
+    power cut.
 
     Args:
         path: the socket of the plant.
@@ -38,6 +39,7 @@ class PlantBuses:
         wait_s: longest wait for the plant to appear [s].
         answer_s: longest wait for one answer [s]; then the plant counts as gone.
         pause: waits for a number of seconds.
+        clock: returns the time of the machine [s].
 
     Raises:
         PlantError: there is no plant, another bridge is connected, or the plant has another plane.
@@ -52,6 +54,7 @@ class PlantBuses:
         wait_s: float = 30.0,
         answer_s: float = _ANSWER_S,
         pause: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = time.monotonic,
     ):
         self._opening = {
             "ids": ids,
@@ -61,6 +64,7 @@ class PlantBuses:
             "clock_hz": timing.clock_hz,
         }
         self._timing, self._link = timing, PlantLink(path, answer_s)
+        self._clock, self._again_s = clock, -np.inf  # not before this time is a plant looked for
         self._link.connect(wait_s)
         for _ in range(int(_BUSY_S / _PAUSE_S)):
             try:
@@ -102,17 +106,30 @@ class PlantBuses:
 
     def _ask(self, kind: Kind, **columns: ArrayLike) -> Columns | None:
         """The answer to a request, None without a plant."""
+        if not self._link.connected and not self._found_again():
+            return None
         try:
-            if not self._link.connected:
-                self._link.connect(0.0)
-                self._link.ask(Kind.OPEN, **self._opening)
-                _LOG.warning("the plant is there again")
             return self._link.ask(kind, **columns)
         except PlantError as error:
-            if self._link.connected:  # a refusal: what was asked for is wrong
-                self._link.close()
-            _LOG.warning("%s", error)
+            self._link.close()  # what it refuses, it would refuse again
+            self._again_s = self._clock()
+            _LOG.warning("%s: no robot answers", error)
             return None
+
+    def _found_again(self) -> bool:
+        """Look for a plant in place of the one that is gone."""
+        if self._clock() < self._again_s:
+            return False
+        try:
+            self._link.connect(0.0)
+            self._link.ask(Kind.OPEN, _AGAIN_S, **self._opening)
+        except PlantError as error:
+            self._link.close()
+            self._again_s = self._clock() + _AGAIN_S
+            _LOG.debug("%s", error)
+            return False
+        _LOG.warning("there is a plant again")
+        return True
 
     def _unanswered(
         self, frames: Frames, read_bytes: ArrayLike, not_before_s: ArrayLike

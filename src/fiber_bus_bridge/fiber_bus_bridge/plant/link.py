@@ -69,8 +69,13 @@ class PlantLink:
             self._socket, self._unpacker = made, Unpacker(ANSWERS)
             return
 
-    def ask(self, kind: Kind, **columns: ArrayLike) -> Columns:
+    def ask(self, kind: Kind, within_s: float | None = None, **columns: ArrayLike) -> Columns:
         """Send a request and return the columns of its answer.
+
+        Args:
+            kind: the kind of the request.
+            within_s: longest time for this answer, if another than for the others [s].
+            columns: its columns.
 
         Raises:
             PlantError: the plant refuses the request, or is gone; then the link is not connected.
@@ -78,6 +83,7 @@ class PlantLink:
         if self._socket is None:
             raise PlantError(f"no connection with the plant at {self._path}")
         try:
+            self._socket.settimeout(self._timeout_s if within_s is None else within_s)
             self._socket.sendall(pack(REQUESTS, kind, **columns))
             while (answer := self._unpacker.take()) is None:
                 data = self._socket.recv(_CHUNK)
