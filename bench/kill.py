@@ -282,8 +282,6 @@ class Campaign:
         drawn = random_field(plane, self._rng, start=self._client.angles).problem
         return plane.ids[drawn.asked], drawn.targets[drawn.asked]
 
-    # --- disturbances of other kinds ---------------------------------------------
-
     def _attack(self) -> None:
         if not self._strangers:
             path = Path(__file__).parents[1] / "test" / "test_graph_killers.py"
