@@ -38,6 +38,7 @@ OUT = ROOT / "out" / "mutate"
 _OPTIONS = ["-x", "-q", "--tb=native", "-p", "no:cacheprovider", "-p", "no:rerunfailures"]
 _NUMBA: Any = config  # settings of numba in this process
 _LONGER, _MORE_S = 4, 6  # a test may need so many times its processor time, and so much more [s]
+_COMPILING_S = 60  # and so much more where it has to compile first [s]
 
 
 @dataclass(frozen=True)
@@ -88,8 +89,8 @@ class _Importer(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 class _Judge:
     # runs chosen tests, the fastest first, each for a limited processor time
 
-    def __init__(self, seconds: dict[str, float], tell: Callable[[str], None]):
-        self.seconds, self.tell = seconds, tell
+    def __init__(self, seconds: dict[str, float], more_s: float, tell: Callable[[str], None]):
+        self.seconds, self.more_s, self.tell = seconds, more_s, tell
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_collection(self):
@@ -104,7 +105,7 @@ class _Judge:
 
     def pytest_runtest_logstart(self, nodeid):
         self.tell(nodeid)
-        limit = time.process_time() + _MORE_S + _LONGER * self.seconds[nodeid]
+        limit = time.process_time() + self.more_s + _LONGER * self.seconds[nodeid]
         resource.setrlimit(resource.RLIMIT_CPU, (int(limit) + 1, resource.RLIM_INFINITY))
 
 
@@ -242,9 +243,10 @@ class Suite:
 
         def work(tell) -> int:
             _NUMBA.DISABLE_JIT = not compiled
+            more_s = _COMPILING_S if compiled else _MORE_S
             _pristine_cache(cache, mutant)
             sys.meta_path.insert(0, _Importer(mutant))
-            return int(pytest.main([*_OPTIONS, *files], plugins=[_Judge(tests, tell)]))
+            return int(pytest.main([*_OPTIONS, *files], plugins=[_Judge(tests, more_s, tell)]))
 
         try:
             code, told, log = _forked(work)
