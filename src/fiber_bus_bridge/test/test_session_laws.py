@@ -7,11 +7,11 @@ import pytest
 from session_rig import Rig, ended_once
 
 from fiber_bus_bridge import Session, SessionConfig, SessionError, SessionState, addresses_of
-from fiber_bus_bridge.bus import Recovery
+from fiber_bus_bridge.bus import Ack, Recovery
 from fiber_bus_bridge.protocol import Event as Happened
 from fiber_bus_bridge.simulation import Event, Faults, LineFault, SimulatedBuses
 from fiber_bus_bridge.transactions import Transactions
-from fiber_bus_bridge.wire import Fault, Opcode, RobotState
+from fiber_bus_bridge.wire import Fault, Frames, Opcode, RobotState
 from fiber_core.clearance import Safety, certify, hold_until_safe
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.ragged import Parts
@@ -26,7 +26,7 @@ def commands(rig, opcode):
         frames = exchange.frames
         for k in range(len(frames)):
             payload = frames.payload(k)
-            payload = payload[1:] if frames.to.ten_bit[k] and len(payload) > 1 else payload
+            payload = payload if frames.to.address[k] else payload[1:]  # the mark of a call to all
             if len(payload) == 0 or payload[0] >> 4 != opcode:
                 continue
             own = (to.bus == frames.to.bus[k]) & (to.address == frames.to.address[k])
@@ -152,7 +152,7 @@ def test_a_robot_deaf_to_general_calls_is_stopped_by_a_stop_of_its_own():
     rig.call("stop")
     assert set(rig.robots.states(rig.t)) == {RobotState.STOPPED}
     sent = commands(rig, Opcode.STOP)
-    assert [row for row in sent if row >= 0] == [2]
+    assert sent == [-1, -1, -1, 2]  # the call is repeated at once, then each robot has its own
 
 
 def test_a_bus_that_works_again_is_stopped_and_read():
@@ -167,6 +167,34 @@ def test_a_bus_that_works_again_is_stopped_and_read():
     assert not rig.session.transactions.given_up.any()
     assert set(rig.robots.states(rig.t)[10:]) <= {RobotState.STOPPED, RobotState.FAULT}
     assert np.array_equal(rig.session.counts, rig.where())
+
+
+def test_no_message_is_sent_on_a_bus_that_was_given_up():
+    lines = ((LineFault.SCL_LOW, 1, 0.0, np.inf, Recovery.NOTHING),)
+    rig = Rig(faults=Faults(lines=lines))
+    transactions = rig.session.transactions
+    status = transactions.statuses(np.arange(19), 1.0)
+    assert status.ok.tolist() == [row < 10 for row in range(19)]
+    assert transactions.given_up.tolist() == [False, True]
+    asked = []
+    transfer = transactions.backend.transfer
+
+    def watched(frames, *arguments):
+        asked.append(frames.to.bus.tolist())
+        return transfer(frames, *arguments)
+
+    transactions.backend.transfer = watched
+    t = transactions.now_s + 1.0
+    replies = transactions.transfer(Frames.empty(transactions.addresses), 4, t)
+    assert asked == [[0] * 10]
+    assert (replies.ack[:10] == Ack.OK).all() and (replies.ack[10:] == Ack.NOT_SENT).all()
+    assert (replies.start_s[10:] == t).all() and (replies.end_s[10:] == t).all()
+    assert (replies.table(4)[10:] == 0xFF).all() and (replies.table(4)[:10] != 0xFF).any(
+        axis=1
+    ).all()
+    assert t < transactions.now_s < t + 5e-3
+    transactions.revive()
+    assert not transactions.given_up.any()
 
 
 @pytest.mark.parametrize("later_s", [0.0, 0.6e-3, 1.2e-3, 1.8e-3])
