@@ -1,6 +1,7 @@
 """Orders for the remaining part of a motion in which all robots were stopped together."""
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 
 from fiber_core.ragged import Parts
@@ -25,37 +26,50 @@ def remaining_motion(
         speed: highest joint speeds [velocity units], shape (n, 2).
         chosen: robots that resume, shape (n,); the others rest.
     """
-    counts, speeds = np.asarray(counts, dtype=np.int64), np.asarray(speed).ravel()
-    elapsed = max(elapsed_s / motion.units.tick_s, 0.0)
-    start, now = motion.start.ravel(), counts.ravel()
-    ticks: list[int] = []
-    velocity: list[int] = []
-    lengths = np.zeros(len(now), dtype=np.int64)
-    for profile in np.flatnonzero(np.repeat(chosen, 2)):
-        part = motion.parts.slice(int(profile))
-        part_ticks, part_velocity = motion.ticks[part], motion.velocity[part]
-        if len(part_ticks) == 0:
-            continue
-        ends = np.cumsum(part_ticks)
-        positions = start[profile] + np.cumsum(part_ticks * part_velocity)
-        k = min(int(np.searchsorted(ends, elapsed, side="right")), len(ends) - 1)
-        distance = int(positions[k] - now[profile])
-        shortest = -(-abs(distance) // int(speeds[profile]))
-        left = max(int(np.ceil(ends[k] - elapsed)), shortest, 1)
-        slow, more = divmod(distance, left)
-        pieces = [(left - more, slow), (more, slow + 1)]
-        pieces = [(n, v) for n, v in pieces if n > 0]
-        pieces += zip(part_ticks[k + 1 :].tolist(), part_velocity[k + 1 :].tolist())
-        while pieces and pieces[-1][1] == 0:
-            pieces.pop()
-        ticks += [n for n, _ in pieces]
-        velocity += [v for _, v in pieces]
-        lengths[profile] = len(pieces)
+    counts = np.asarray(counts, dtype=np.int64)
+    chosen = np.asarray(chosen, dtype=bool)
+    # the interrupted segment of a joint becomes two at most
+    most = len(motion.ticks) + 2 * counts.size
+    ticks, velocity = np.empty((2, most), dtype=np.int64)
+    lengths = np.zeros(counts.size, dtype=np.int64)
+    m = _remaining(
+        motion.offsets, motion.ticks, motion.velocity, motion.start.ravel(), counts.ravel(),
+        max(elapsed_s / motion.units.tick_s, 0.0), np.asarray(speed).ravel(),
+        np.repeat(chosen, 2), ticks, velocity, lengths,
+    )  # fmt: skip
     offsets = Parts.from_counts(lengths).offsets
-    return WireMotion(
-        motion.units,
-        counts,
-        offsets,
-        np.array(ticks, dtype=np.int64),
-        np.array(velocity, dtype=np.int64),
-    )
+    return WireMotion(motion.units, counts, offsets, ticks[:m], velocity[:m])
+
+
+@njit(cache=True)
+def _remaining(
+    offsets, ticks, velocity, start, now, elapsed, speed, chosen, left_ticks, left_velocity, lengths
+):
+    # Write the remaining segments and their number for each profile; return the number of all.
+    m = 0
+    for profile in range(len(now)):
+        first, last = offsets[profile], offsets[profile + 1]
+        if not chosen[profile] or first == last:
+            continue
+        # the interrupted segment, or the last one, and where it ends
+        k, end, position = first, ticks[first], start[profile] + ticks[first] * velocity[first]
+        while k < last - 1 and end <= elapsed:
+            k += 1
+            end += ticks[k]
+            position += ticks[k] * velocity[k]
+        distance = position - now[profile]
+        shortest = -(-abs(distance) // speed[profile])
+        left = max(np.int64(np.ceil(end - elapsed)), shortest, 1)
+        slow, more = distance // left, distance % left
+        begin = m
+        for n, v in ((left - more, slow), (more, slow + 1)):
+            if n > 0:
+                left_ticks[m], left_velocity[m] = n, v
+                m += 1
+        for i in range(k + 1, last):
+            left_ticks[m], left_velocity[m] = ticks[i], velocity[i]
+            m += 1
+        while m > begin and left_velocity[m - 1] == 0:
+            m -= 1
+        lengths[profile] = m - begin
+    return m
