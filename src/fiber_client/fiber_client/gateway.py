@@ -22,8 +22,8 @@ from fiber_client.client_worker import ClientWorker, Interrupted
 from fiber_client.errors import PlaneError
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Outcome, PlanOutcome
-from fiber_interfaces.action import Reconfigure
-from fiber_interfaces.srv import Start
+from fiber_interfaces.action import Reconfigure  # pyright: ignore[reportMissingModuleSource]
+from fiber_interfaces.srv import Start  # pyright: ignore[reportMissingModuleSource]
 from fiber_msgs_py import PlanStamp, Progress, topics
 from fiber_msgs_py.stamps import ns_from_time
 from fiber_node import PlaneNode, ThreadExecutor
@@ -163,7 +163,7 @@ class GatewayNode(PlaneNode):
             return response
         try:
             plan = PlanStamp(ns_from_time(request.plan))
-            response.message = self._worker.call(lambda client: _start(client, plan))
+            response.message = self._worker.call(lambda client: client.start(_START_S, plan))
             response.success = True
         except FiberError as error:
             response.message = str(error)
@@ -188,21 +188,6 @@ def _fill(result: Reconfigure.Result, outcome: PlanOutcome) -> None:
     result.outcome = outcome.outcome.tolist()
     result.reason = outcome.reason.tolist()
     result.error = (outcome.error_mm / 1e3).tolist()
-
-
-def _start(client: PlaneClient, plan: PlanStamp) -> str:
-    """Start a plan if it is the one whose orders the bridge has; return the answer."""
-    ready = client.ready_plan
-    if ready != plan:
-        newest = "no plan" if ready is None else f"plan {ready}"
-        raise PlaneError(f"plan {plan} was not started: {newest} is ready")
-    answer = client.start(_START_S)
-    if f"plan {plan}" not in answer:  # its orders were replaced in this very moment
-        client.call_service(topics.STOP, _STOP_S)
-        raise PlaneError(
-            f"plan {plan} was replaced; robots that had started were stopped: {answer}"
-        )
-    return answer
 
 
 def main(args: Sequence[str] | None = None) -> int:

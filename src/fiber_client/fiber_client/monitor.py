@@ -169,12 +169,6 @@ class PlaneMonitor:
             if name.partition(":")[0] in present
         }
 
-    @property
-    def ready_plan(self) -> PlanStamp | None:
-        """The newest plan whose orders the bridge has received and that has not ended, or None."""
-        plans = {plan for plan, times in self.times.items() if "bridge" in times}
-        return max(plans - set(self.outcomes), default=None)
-
     def attempts(self, stamp: PlanStamp) -> list[PlanStamp]:
         """Return the stamps of all attempts of a plan in their order; the first is the plan's."""
         return [attempt.stamp for attempt in self._attempts.of_plan(stamp)]

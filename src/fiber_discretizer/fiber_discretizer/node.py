@@ -62,6 +62,8 @@ class DiscretizerNode(PlaneNode):
         self._worker = self.worker("discretizing")
         self._worker.follow_stop(self._report, self._is_done)
         gate.subscription(topics.TRAJECTORY, self._on_trajectory)
+        # a publisher with the default quality of service matches this one alone
+        gate.subscription(topics.TRAJECTORY.volatile, self._on_trajectory)
         self._claim = Claim(self, DISCRETIZER)  # last: the node is complete
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
@@ -88,6 +90,8 @@ class DiscretizerNode(PlaneNode):
                     attempt, session, lambda: self._worker.submit(attempt, work)
                 )
 
+        if self._accepted.has_ended(stamp):
+            return  # heard before, by the other subscription perhaps
         if not self._accepted.when_accepted(stamp, discretize_when_current):
             self._report.waiting(f"trajectory {stamp} waits until the bridge accepts its plan")
 

@@ -1,7 +1,7 @@
 """Every topic and service of the graph: name, message type, quality of service."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 from builtin_interfaces.msg import Time
@@ -97,6 +97,15 @@ class Topic:
     name: str
     type: type
     qos: QoSProfile
+
+    @property
+    def volatile(self) -> "Topic":
+        """The same topic, of which a subscription also hears publishers that keep no message.
+
+        Publishers with the default quality of service are such; from others it gets no message
+        from before it came.
+        """
+        return replace(self, qos=qos.EVENTS)
 
     def publisher(self, node: PublisherFactory[_Made], **options: object) -> _Made:
         """Return a new publisher of a node; options as for Node.create_publisher."""

@@ -52,6 +52,10 @@ class AcceptedAttempts:
         _keep(self._waiting, stamp, self._waiting.get(stamp, work))
         return self._start_if_accepted(stamp)
 
+    def has_ended(self, stamp: PlanStamp) -> bool:
+        """Return whether the attempt of a stamp was refused, or work on it has begun."""
+        return stamp in self._ended
+
     def _start_if_accepted(self, stamp: PlanStamp) -> bool:
         if stamp not in self._accepted or stamp not in self._waiting:
             return False

@@ -114,6 +114,20 @@ class RosClient:
                 raise WaitError(what if isinstance(what, str) else what(), timeout_s)
             self._executor.spin_once(timeout_sec=min(left, _SLICE_S))
 
+    def wait_quietly(self, quiet_s: float, count: Callable[[], int]) -> None:
+        """Receive messages until their number has not changed for a while.
+
+        Args:
+            quiet_s: the while [s].
+            count: returns the number of messages.
+        """
+        before, since_s = count(), self._clock()
+        while self._clock() < since_s + quiet_s:
+            self._guard()
+            self._executor.spin_once(timeout_sec=_SLICE_S)
+            if count() != before:
+                before, since_s = count(), self._clock()
+
     def close(self) -> None:
         """Leave the graph."""
         self._executor.shutdown()

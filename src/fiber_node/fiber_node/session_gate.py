@@ -7,7 +7,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-from fiber_msgs_py import Topic, guarded, session_of
+from fiber_msgs_py import Topic, guarded, session_of, topics
 from fiber_node.claims import BRIDGE, claims
 
 __all__ = ["SessionGate"]
@@ -31,6 +31,7 @@ class SessionGate:
     def __init__(self, node: Node, refuse: Callable[[str, str], None]):
         self._node, self._refuse = node, refuse
         self._open: set[str] = set()  # sessions seen in the graph; closed ones are found by is_open
+        self._layout: Any = None  # the last one that passed
         self._kept: dict[str, tuple[float, str, Any, Callable[[Any], None]]] = {}
         self._timer = node.create_timer(
             _CHECK_PERIOD_S, guarded(node, "sessions", self._check_kept), autostart=False
@@ -52,10 +53,16 @@ class SessionGate:
             self._refuse(name, f"{name} refused: it belongs to no session")
         elif self.is_open(session):
             self._kept.pop(topic, None)
-            callback(message)
+            if topic != topics.LAYOUT.name or self._is_new(message):
+                callback(message)
         else:
             self._kept[topic] = time.monotonic() + _UNKNOWN_S, session, message, callback
             self._timer.reset()
+
+    def _is_new(self, message: Any) -> bool:
+        # the bridge repeats its layout at rest, for subscribers that came after it
+        is_new, self._layout = message != self._layout, message
+        return is_new
 
     def _check_kept(self) -> None:
         for topic, (until_s, session, message, callback) in list(self._kept.items()):

@@ -40,6 +40,7 @@ _TICK_S = 0.1  # time of the buses between two publications while robots move
 _SOON_S = 1e-3
 _POLL_S = 0.02
 _CHECK_PERIOD_S = 0.25
+_REPEAT_PERIOD_S = 1.0  # of layout and joint states at rest
 _LEASE_S = 4.0  # a bridge that was killed has left the graph by then
 _STAYS_S = 2 * _LEASE_S  # a bridge that refuses to run has left the graph by then
 _ANSWER_S = 0.25  # longest wait of a change of parameters for other work of the bridge
@@ -92,6 +93,9 @@ class BridgeNode(PlaneNode):
             _CHECK_PERIOD_S,
             guarded(self, "plans", self._check_plans),
             callback_group=self._work_group,
+        )
+        self.create_timer(
+            _REPEAT_PERIOD_S, guarded(self, "repeat", self._repeat), callback_group=self._work_group
         )
         self._configure()
         for line in hardware.lines:
@@ -157,6 +161,11 @@ class BridgeNode(PlaneNode):
                 hear(message)
 
         return receive
+
+    def _repeat(self) -> None:
+        with self._lock:
+            if self._session.state is not SessionState.MOVING:
+                self._outgoing.repeat()
 
     def _check_plans(self) -> None:
         with self._lock:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
 
 from fiber_bus_bridge.availability import Availability
 from fiber_bus_bridge.frame_log import frame_log
@@ -45,6 +46,7 @@ class Publishers:
         self._joint_states = topics.JOINT_STATES.publisher(node)
         self._frames = topics.FRAMES.publisher(node)
         self._outcome = topics.OUTCOME.publisher(node)
+        self._last_layout: PointCloud2 | None = None
         self._published_enabled: Mask | None = None  # column `enabled` of the last layout
 
     def now_ns(self) -> int:
@@ -67,8 +69,18 @@ class Publishers:
         plane = self._session.plane.with_enabled(enabled)
         message = layout.encode(plane, self._session.units, PlanStamp(now_ns), self._session_id)
         self._layout.publish(message)
+        self._last_layout = message
         self.layout_ns = now_ns
         self.publish_encoders(now_ns)
+
+    def repeat(self) -> None:
+        """Publish the last layout, unchanged, and the encoders again.
+
+        Subscribers with the default quality of service get no message from before they came.
+        """
+        if self._last_layout is not None:
+            self._layout.publish(self._last_layout)
+            self.publish_encoders()
 
     def publish_encoders(self, now_ns: int | None = None) -> None:
         """Publish the readings of the encoders at a time [ns], None for the present."""

@@ -1,0 +1,154 @@
+"""What a program with default qualities of service sees of the graph, and the command show."""
+
+import contextlib
+import csv
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import JointState, PointCloud2
+from trajectory_msgs.msg import JointTrajectory
+
+from fiber_bringup.graph import Graph
+from fiber_client.client import PlaneClient
+from fiber_client.show import main
+from fiber_core.outcomes import Outcome, Reason
+from fiber_msgs_py import Stage, topics
+
+pytestmark = pytest.mark.timeout(300)
+
+COMPILE_S, WAIT_S = 240.0, 30.0
+CODES = Path(__file__).parents[1] / "docs" / "codes.md"
+
+
+@pytest.fixture(scope="module")
+def graph(problem_file, new_domain):
+    """A graph that has carried out one plan, and the outcome of that plan."""
+    domain = new_domain()
+    bridge = {"problem": problem_file, "time_scale": 0.0}
+    with Graph(bridge=bridge, domain=domain) as graph, PlaneClient(domain) as client:
+        client.wait_for_graph(COMPILE_S)
+        ids = client.plane.ids[client.plane.enabled][:20]
+        rows = np.searchsorted(client.plane.ids, ids)
+        xy_mm = client.plane.centers[rows] + [4.0, 0.0]
+        ended = client.reconfigure(ids, xy_mm, COMPILE_S)
+        yield domain, ended, client
+        assert graph.running, "a node has died"
+
+
+class Stranger:
+    """A node with default qualities of service, which knows none of our packages."""
+
+    def __init__(self, domain):
+        self.context = Context()
+        rclpy.init(args=[], context=self.context, domain_id=domain)
+        self.node = rclpy.create_node("stranger", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def collect(self, kind, topic):
+        received = []
+        self.node.create_subscription(kind, topic, received.append, 10)
+        return received
+
+    def wait_for(self, condition):
+        for _ in range(int(WAIT_S / 0.05)):
+            if condition():
+                return
+            self.executor.spin_once(0.05)
+        raise AssertionError("it did not happen in time")
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def stranger(graph):
+    stranger = Stranger(graph[0])
+    yield stranger
+    stranger.close()
+
+
+def test_layout_and_joint_states_come_every_second_at_rest(graph, stranger):
+    layouts = stranger.collect(PointCloud2, "focal_plane/layout")
+    states = stranger.collect(JointState, "focal_plane/joint_states")
+    stranger.wait_for(lambda: len(layouts) >= 3 and len(states) >= 3)
+    assert len(layouts) <= 4 and layouts[0].width == 61
+    assert layouts[0].header == layouts[2].header  # the same layout, again
+    stamps = [s.header.stamp.sec + 1e-9 * s.header.stamp.nanosec for s in states]
+    np.testing.assert_allclose(np.diff(stamps), 1.0, atol=0.3)
+
+
+def test_a_repeated_layout_is_no_new_layout(graph):
+    client = graph[2]
+    plane, layouts = client.plane, client.collect(topics.LAYOUT)
+    client.wait_for(lambda: len(layouts) >= 3, WAIT_S)
+    assert client.plane is plane
+
+
+def test_a_trajectory_with_default_quality_of_service_is_heard(graph, stranger):
+    publisher = stranger.node.create_publisher(JointTrajectory, "focal_plane/trajectory", 10)
+    stranger.wait_for(lambda: publisher.get_subscription_count() == 1)
+    client = graph[2]
+    before = client.statuses["discretizer"].count("refused")
+    publisher.publish(JointTrajectory(joint_names=["p0001/theta"]))  # it belongs to no session
+
+    def refused():
+        status = client.statuses["discretizer"]
+        return status.count("refused") == before + 1 and "no session" in status.text
+
+    client.wait_for(refused, WAIT_S)
+
+
+def shown(domain, monkeypatch, *arguments):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        assert main(["show", *arguments]) == 0
+    return out.getvalue()
+
+
+def test_the_outcome_is_shown_in_words(graph, monkeypatch):
+    domain, ended, _ = graph
+    table = shown(domain, monkeypatch, "outcome").splitlines()
+    assert table[0].endswith(f"{len(ended.ids)} rows")
+    assert table[1].split() == ["id", "outcome", "reason", "error"]
+    rows = {int(line.split()[0]): line.split()[1:3] for line in table[2:]}
+    for robot, outcome, reason in zip(ended.ids, ended.outcome, ended.reason):
+        words = [Outcome(outcome).name.lower(), Reason(reason).name.lower()]
+        assert rows[int(robot)] == words
+
+
+def test_every_topic_is_shown_as_csv_and_json(graph, monkeypatch):
+    domain, ended, client = graph
+    found = list(csv.DictReader(io.StringIO(shown(domain, monkeypatch, "layout", "--format=csv"))))
+    assert [int(row["id"]) for row in found] == client.plane.ids.tolist()
+    assert {"bus", "address", "enabled"} <= set(found[0])
+    held = json.loads(shown(domain, monkeypatch, "held", "--format=json"))
+    assert all(row["stage"] in ("planner", "discretizer") for row in held["rows"])
+    segments = json.loads(shown(domain, monkeypatch, "segments", "--format=json"))
+    assert segments["stamp"] == held["stamp"] and {r["joint"] for r in segments["rows"]} == {0, 1}
+    outcome = json.loads(shown(domain, monkeypatch, "outcome", "--format=json"))
+    assert all(row["error"] is None for row in outcome["rows"] if row["reason"] == "no_target")
+
+
+def test_a_topic_without_a_message_is_an_error(new_domain, monkeypatch, capsys):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(new_domain()))
+    assert main(["show", "targets", "--timeout", "0.5"]) == 1
+    assert "focal_plane/targets did not come within 0.5 s" in capsys.readouterr().err
+
+
+def test_the_page_of_codes_has_every_code():
+    parts = re.split(r"^## (\w+)$", CODES.read_text(), flags=re.MULTILINE)[1:]
+    pages = dict(zip(parts[::2], parts[1::2]))
+    for name, codes in (("outcome", Outcome), ("reason", Reason), ("stage", Stage)):
+        rows = re.findall(r"^\| (\d+) \| (\w+) \|", pages[name], re.MULTILINE)
+        assert rows == [(str(int(code)), code.name.lower()) for code in codes]
