@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fiber_bus_bridge.remaining_motion import remaining_motion
@@ -43,6 +43,7 @@ def stopped(draw):
     return motion, tick, counts.reshape(2, 2)
 
 
+@settings(deadline=None)  # the first call loads a compiled loop
 @given(stopped(), st.floats(0.0, 0.999))
 def test_robots_end_where_and_when_they_would_have_ended(drawn, part):
     motion, tick, counts = drawn
@@ -69,6 +70,7 @@ def test_robots_end_where_and_when_they_would_have_ended(drawn, part):
             assert sum(new_ticks[: len(first)]) == max(begin, 1)
 
 
+@settings(deadline=None)  # the first call loads a compiled loop
 @given(stopped(), st.integers(20, 60))
 def test_no_joint_exceeds_its_speed_in_the_part_that_was_interrupted(drawn, fastest):
     motion, tick, counts = drawn
