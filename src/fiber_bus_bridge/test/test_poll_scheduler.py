@@ -51,3 +51,17 @@ def test_a_robot_that_is_left_out_is_not_read():
     seen = np.concatenate([scheduler.next(all_robots, True) for _ in range(60)])
     assert np.array_equal(np.unique(seen), np.flatnonzero(all_robots))
     assert scheduler.next(np.zeros(60, dtype=bool), True).size == 0
+
+
+def test_the_longest_read_of_the_last_step_counts_for_its_bus():
+    bus = np.repeat([0, 1], 50)
+    scheduler, all_robots = scheduler_after_a_step(bus)
+
+    def reads_after(*took_s):
+        rows = np.array([0, 1, 50, 51])
+        scheduler.observe(rows, np.array(took_s), np.arange(0), np.zeros(0))
+        return np.bincount(bus[scheduler.next(all_robots, False)], minlength=2).tolist()
+
+    assert reads_after(READ_S, 2 * READ_S, READ_S, READ_S / 2) == [5, 11]
+    assert reads_after(READ_S, READ_S, 3 * READ_S, READ_S) == [11, 3]
+    assert reads_after(READ_S / 2, READ_S / 2, READ_S, 9 * BUDGET_S) == [22, 1]
