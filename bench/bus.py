@@ -107,20 +107,20 @@ def _wrong(robots: Positioners, loaded_plan: LoadedPlan, plan: Orders) -> int:
     for k, row in enumerate(rows):
         payload = loaded_plan.frames.payload(k)
         wrong += memory["order"][row, : len(payload)].tobytes() != payload
-    orders = decode_load(plan.units, loaded_plan.frames)
-    intended = plan.wire
-    for k, row in enumerate(rows):
-        part = slice(intended.offsets[2 * row], intended.offsets[2 * row + 2])
-        sent = slice(orders.offsets[2 * k], orders.offsets[2 * k + 2])
-        wrong += not np.array_equal(orders.ticks[sent], intended.ticks[part])
-        wrong += not np.array_equal(orders.velocity[sent], intended.velocity[part])
+    sent = decode_load(plan.units, loaded_plan.frames).motion
+    intended = plan.wire.of_robots(rows)
+    for k in range(len(rows)):
+        part = slice(intended.offsets[2 * k], intended.offsets[2 * k + 2])
+        own = slice(sent.offsets[2 * k], sent.offsets[2 * k + 2])
+        wrong += not np.array_equal(sent.ticks[own], intended.ticks[part])
+        wrong += not np.array_equal(sent.velocity[own], intended.velocity[part])
     return int(wrong)
 
 
 def codec_ms(plan: Orders) -> dict[str, float]:
     """Return the median processor time to encode and to decode all orders [ms]."""
     to, wire, units = addresses_of(plan.plane), plan.wire, plan.units
-    frames = encode_load(units, to, 1, wire.offsets, wire.ticks, wire.velocity)
+    frames = encode_load(to, 1, wire)
 
     def median(work: Callable[[], object]) -> float:
         work()
@@ -132,9 +132,7 @@ def codec_ms(plan: Orders) -> dict[str, float]:
         return 1e3 * float(np.median(times))
 
     return {
-        "encode ms": median(
-            lambda: encode_load(units, to, 1, wire.offsets, wire.ticks, wire.velocity)
-        ),
+        "encode ms": median(lambda: encode_load(to, 1, wire)),
         "decode ms": median(lambda: decode_load(units, frames)),
     }
 

@@ -36,7 +36,7 @@ from fiber_bus_bridge.wire import (
 )
 from fiber_core.array_types import Bools
 from fiber_core.ragged import Parts
-from fiber_core.wire_units import WireUnits
+from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["fuzz_positioner", "fuzz_replies", "main"]
 
@@ -78,7 +78,8 @@ def _valid(to: Addresses, rng: np.random.Generator) -> list[bytes]:
         counts = rng.integers(0, 4, 2)
         ticks, velocity = rng.integers(1, 100, counts.sum()), rng.integers(-99, 99, counts.sum())
         offsets = Parts.from_counts(counts).offsets
-        frames.append(encode_load(_UNITS, to, sequence, offsets, ticks, velocity))
+        motion = WireMotion.from_zero(_UNITS, offsets, ticks, velocity)
+        frames.append(encode_load(to, sequence, motion))
     return [f.payload(0) for f in frames]
 
 
@@ -87,8 +88,7 @@ def _is_canonical(payload: bytes, to: Addresses) -> bool:
     address, ten_bit = int(to.address[0]), bool(to.ten_bit[0])
     orders = decode_load(_UNITS, Frames.from_bytes(to, [payload]))
     if orders.ok[0]:
-        columns = orders.sequence, orders.offsets, orders.ticks, orders.velocity
-        return encode_load(_UNITS, to, *columns).payload(0) == payload
+        return encode_load(to, orders.sequence, orders.motion).payload(0) == payload
     try:
         opcode, low = decode_command(payload, address, ten_bit)
     except WireError:

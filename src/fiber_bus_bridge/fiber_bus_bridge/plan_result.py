@@ -56,10 +56,7 @@ class Plan:
         goals = np.array(targets, dtype=float)
         if goals.shape != (plane.n, 2):
             raise SessionError(f"targets have shape {goals.shape}, expected {(plane.n, 2)}")
-        from_counts = WireMotion(
-            motion.units, counts, motion.offsets, motion.ticks, motion.velocity
-        )
-        return cls(from_counts, goals)
+        return cls(motion.starting_at(counts), goals)
 
     @property
     def asked(self) -> Mask:

@@ -21,7 +21,7 @@ from fiber_bus_bridge.wire import (
     encode_load,
     general_call,
 )
-from fiber_core.wire_units import WireUnits
+from fiber_core.wire_units import WireMotion, WireUnits
 
 pytest.importorskip("vcd", reason="pyvcd is not installed: no captures")
 
@@ -39,7 +39,9 @@ def captured(mode, folder):
     robots = Positioners(TO, [1, 2, 3, 4], 1_565_000, np.zeros((4, 2)))
     tap = Tap(SimulatedBuses(robots, bus_timing(mode)), bus_timing(mode))
     apart_s = 1000 / bus_timing(mode).clock_hz
-    load = encode_load(WireUnits(), TO, 5, [0, 1, 2, 2, 2, 3, 3, 4, 4], [1, 2, 3, 4], [5, -6, 7, 0])
+    offsets = [0, 1, 2, 2, 2, 3, 3, 4, 4]
+    orders = WireMotion.from_zero(WireUnits(), offsets, [1, 2, 3, 4], [5, -6, 7, 0])
+    load = encode_load(TO, 5, orders)
     absent = Addresses([0, 1], [0x20, 301], [False, True])
     nothing = Frames(TO, np.zeros(5, dtype=int), np.zeros(0, dtype=np.uint8))
     tap.transfer(encode_command(Opcode.CLEAR, TO), 0, 0 * apart_s)

@@ -38,8 +38,7 @@ from fiber_bus_bridge.wire import (
     general_call,
     roll_call,
 )
-from fiber_core.ragged import Parts
-from fiber_core.wire_units import WireUnits
+from fiber_core.wire_units import WireMotion, WireUnits
 
 pytest.importorskip("vcd", reason="pyvcd is not installed: no captures")
 
@@ -67,7 +66,9 @@ def traffic():
     tap, t = Tap(SimulatedBuses(robots, bus_timing("1M")), bus_timing("1M")), 0.0
     limits = np.tile([[-2_000_000, 2_000_001], [-1_000_002, 2_000_003]], (4, 1, 1))
     config = Configuration(UNITS, limits, np.tile([8000, 7000], (4, 1)), 9000, 20, [3, 11, 0, 1])
-    load = encode_load(UNITS, TO, 5, [0, 1, 2, 2, 2, 3, 3, 4, 4], [9, 8, 7, 6], [50, -60, 70, 0])
+    offsets = [0, 1, 2, 2, 2, 3, 3, 4, 4]
+    orders = WireMotion.from_zero(UNITS, offsets, [9, 8, 7, 6], [50, -60, 70, 0])
+    load = encode_load(TO, 5, orders)
     absent = Addresses([0, 1], [0x20, 301], [False, True])
     for frames, read in (
         (encode_command(Opcode.IDENTIFY, TO), IDENTITY_BYTES),
@@ -117,7 +118,7 @@ def written(to, frame, payload):
     if opcode == Opcode.LOAD:
         order = decode_load(UNITS, frame)
         assert order.ok.all()
-        counts = Parts(order.offsets).counts
+        counts = order.motion.parts.counts
         fields |= {"sequence": int(order.sequence[0]), "crc": int(order.crc[0])}
         fields |= {"theta_segments": int(counts[0]), "phi_segments": int(counts[1])}
         return fields | ({"segments": payload[2:-2].hex()} if counts.any() else {})

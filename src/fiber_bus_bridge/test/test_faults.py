@@ -36,7 +36,7 @@ from fiber_bus_bridge.wire import (
     encode_load,
     general_call,
 )
-from fiber_core.wire_units import WireUnits
+from fiber_core.wire_units import WireMotion, WireUnits
 
 UNITS = WireUnits()
 TO = Addresses([0, 0, 0, 5], [8, 9, 10, 300], [False, False, False, True])
@@ -213,7 +213,8 @@ def moving(buses, watchdog=0, silence=0, ticks=250):
     config = Configuration(UNITS, limits, np.full((n, 2), 8000), watchdog, silence)
     buses.transfer(encode_config(config, TO), 0, 0.0)
     offsets = np.repeat(np.arange(n + 1), 2)[1:]
-    loads = encode_load(UNITS, TO, 1, offsets, np.full(n, ticks), np.full(n, 1000))
+    orders = WireMotion.from_zero(UNITS, offsets, np.full(n, ticks), np.full(n, 1000))
+    loads = encode_load(TO, 1, orders)
     assert set(buses.transfer(loads, 0, 0.0).ack) == {Ack.OK}
     go = encode_command(Opcode.GO, general_call([0, 5]), 1, 1000)
     return buses.transfer(go, 0, 1.0).end_s[0]

@@ -56,7 +56,8 @@ class Bench:
     def load(self, sequence=1, theta=((250, 1000),), phi=((100, -500),)):
         segments = np.array([*theta, *phi]).reshape(-1, 2)
         offsets = [0, len(theta), len(theta) + len(phi)]
-        return self.send(encode_load(UNITS, self.to[:1], sequence, offsets, *segments.T))
+        orders = WireMotion.from_zero(UNITS, offsets, *segments.T)
+        return self.send(encode_load(self.to[:1], sequence, orders))
 
     def go(self, sequence=1):
         return self.send(encode_command(Opcode.GO, general_call([0]), sequence))
@@ -91,7 +92,7 @@ def test_encoders_end_exactly_and_follow_the_motion_in_between():
     motion = random_motion(rng, n)
     bench = Bench(n)
     assert bench.configure() == [Ack.OK] * n
-    orders = encode_load(UNITS, bench.to, 4, motion.offsets, motion.ticks, motion.velocity)
+    orders = encode_load(bench.to, 4, motion)
     assert bench.send(orders) == [Ack.OK] * n
     bench.go(4)
     begun, decoded = bench.t, motion.decoded()
@@ -107,8 +108,8 @@ def test_encoders_end_exactly_and_follow_the_motion_in_between():
 def test_clocks_and_skew_shift_the_motion():
     bench = Bench(3, clock_ppm=[0, 10_000, 0], start_skew_s=[0, 0, 0.05])
     bench.configure()
-    motion = ([0, 1, 1, 2, 2, 3, 3], [1000] * 3, [1000] * 3)
-    bench.send(encode_load(UNITS, bench.to, 1, *motion))
+    motion = WireMotion.from_zero(UNITS, [0, 1, 1, 2, 2, 3, 3], [1000] * 3, [1000] * 3)
+    bench.send(encode_load(bench.to, 1, motion))
     bench.go()
     theta = bench.robots.positions(bench.t + 2.0)[:, 0]
     assert theta.tolist() == [500_000, 505_000, 487_500]

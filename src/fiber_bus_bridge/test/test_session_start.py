@@ -1,5 +1,7 @@
 """Load, verify, go: the robots that are started, and the robots that are held with a reason."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from session_rig import Rig, ended_once
@@ -58,7 +60,9 @@ def test_the_certificate_is_of_the_loaded_bytes(monkeypatch):
         rows = frames[np.array([4])]
         orders = decode_load(rig.units, rows)
         other = encode(
-            rig.units, rows.to, orders.sequence, orders.offsets, orders.ticks, -orders.velocity
+            rows.to,
+            orders.sequence,
+            replace(orders.motion, velocity=-orders.motion.velocity),
         )
         data[frames.offsets[4] : frames.offsets[5]] = other.data
         return Frames(frames.to, frames.offsets, data)

@@ -30,7 +30,7 @@ from fiber_bus_bridge.wire import (
     general_call,
 )
 from fiber_core.ragged import Parts
-from fiber_core.wire_units import WireUnits
+from fiber_core.wire_units import WireMotion, WireUnits
 
 UNITS = WireUnits()
 ROBOT = Addresses([3], [300], [True])
@@ -57,7 +57,7 @@ GOLDEN = {
     "ID": "73 00 00 12 67 81 2c 07 7b",
 }
 # theta 1000 for 250 ticks then -1 for 1, phi -8191 for 1023; sequence 5
-ORDER = ([0, 2, 3], [250, 1, 1023], [1000, -1, -8191])
+ORDER = WireMotion.from_zero(UNITS, [0, 2, 3], [250, 1, 1023], [1000, -1, -8191])
 CONFIG = Configuration(
     UNITS, np.array([[[-2163504, 2163504], [0, 2007398]]]), np.array([[8030, 8030]]), 10_000, 25, 77
 )
@@ -90,8 +90,8 @@ def slow_load(units, to, row, sequence, theta, phi):
 def test_golden_writes():
     alone = Addresses([0], [0x20], [False])
     written = {
-        "LOAD": encode_load(UNITS, ROBOT, 5, *ORDER),
-        "LOAD, empty, to 0x20": encode_load(UNITS, alone, 5, [0, 0, 0], [], []),
+        "LOAD": encode_load(ROBOT, 5, ORDER),
+        "LOAD, empty, to 0x20": encode_load(alone, 5, WireMotion.at_rest(UNITS, [[0, 0]])),
         "GO, general call": encode_command(Opcode.GO, general_call([3]), 5, 6000),
         "STOP, general call": encode_command(Opcode.STOP, general_call([3])),
         "STOP": encode_command(Opcode.STOP, ROBOT),
@@ -131,7 +131,8 @@ def test_golden_replies():
 def test_golden_reads():
     orders = decode_load(UNITS, Frames.from_bytes(ROBOT, [golden("LOAD")]))
     assert orders.ok[0] and orders.sequence[0] == 5 and orders.crc[0] == 0x6CE1
-    assert [orders.offsets.tolist(), orders.ticks.tolist(), orders.velocity.tolist()] == list(ORDER)
+    for name in ("offsets", "ticks", "velocity", "start"):
+        assert np.array_equal(getattr(orders.motion, name), getattr(ORDER, name))
     assert decode_command(golden("GO, general call"), 0, False) == (Opcode.GO, 5)
     config = decode_config(golden("CONFIG"), 300, True)
     assert config.units == UNITS and (config.watchdog_ms, config.silence_ms) == (10_000, 25)
@@ -172,14 +173,15 @@ def test_orders_agree_with_the_reference_and_decode_to_the_same_values(batch):
     offsets = Parts.from_counts([len(p) for p in flat]).offsets
     ticks = [s[0] for p in flat for s in p]
     velocity = [s[1] for p in flat for s in p]
-    frames = encode_load(units, to, sequence, offsets, ticks, velocity)
+    motion = WireMotion.from_zero(units, offsets, ticks, velocity)
+    frames = encode_load(to, sequence, motion)
     assert [frames.payload(i) for i in range(len(to))] == [
         slow_load(units, to, i, sequence[i], *order) for i, order in enumerate(orders)
     ]
     back = decode_load(units, frames)
     assert back.ok.all() and back.sequence.tolist() == sequence
-    assert back.offsets.tolist() == offsets.tolist()
-    assert back.ticks.tolist() == ticks and back.velocity.tolist() == velocity
+    assert back.motion.offsets.tolist() == offsets.tolist()
+    assert back.motion.ticks.tolist() == ticks and back.motion.velocity.tolist() == velocity
 
 
 @pytest.mark.parametrize("flips", [1, 2])
@@ -192,7 +194,7 @@ def test_flipped_bits_of_an_order_are_refused(flips):
     bad = [(good ^ mask).to_bytes(bits // 8, "big") for mask in masks]
     to = ROBOT[np.zeros(len(bad), dtype=int)]
     orders = decode_load(UNITS, Frames.from_bytes(to, bad))
-    assert len(orders.fault) == len(bad) and not orders.ok.any() and len(orders.ticks) == 0
+    assert len(orders.fault) == len(bad) and not orders.ok.any() and not orders.motion.moves.any()
 
 
 def test_flipped_bits_of_commands_and_replies_are_refused():
@@ -215,7 +217,7 @@ def test_flipped_bits_of_commands_and_replies_are_refused():
 
 
 def test_an_order_for_another_robot_is_refused():
-    frames = encode_load(UNITS, ROBOT, 5, *ORDER)
+    frames = encode_load(ROBOT, 5, ORDER)
     for other in (Addresses([3], [301], [True]), Addresses([3], [44], [False])):
         moved = Frames(other, frames.offsets, frames.data)
         assert decode_load(UNITS, moved).fault[0] == Fault.BAD_CRC
@@ -255,12 +257,10 @@ def test_padding_must_be_zero():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((UNITS, ROBOT, 16, [0, 0, 0], [], []), "16 sequence"),
-        ((UNITS, ROBOT, 0, [0, 16, 16], [1] * 16, [1] * 16), "16, 0] segments"),
-        ((UNITS, ROBOT, 0, [0, 1, 1], [1024], [1]), "duration 1024"),
-        ((UNITS, ROBOT, 0, [0, 1, 1], [0], [1]), "duration 0"),
-        ((UNITS, ROBOT, 0, [0, 1, 1], [1], [-8192]), "velocity -8192"),
-        ((WireUnits(velocity_bits=17), ROBOT, 0, [0, 0, 0], [], []), "17 velocity"),
+        ((ROBOT, 16, ORDER), "16 sequence"),
+        ((ROBOT, 0, WireMotion.from_zero(UNITS, [0, 16, 16], [1] * 16, [1] * 16)), "16, 0] segmen"),
+        ((ROBOT, 0, WireMotion.at_rest(WireUnits(velocity_bits=17), [[0, 0]])), "17 velocity"),
+        ((ROBOT, 0, WireMotion.at_rest(UNITS, [[0, 0], [0, 0]])), "2 robots do not fit 1 addr"),
     ],
 )
 def test_values_that_do_not_fit_are_refused(arguments, words):
@@ -314,10 +314,7 @@ def test_a_config_that_does_not_fit_is_refused(change):
 def test_noise_is_never_an_order(noise):
     orders = decode_load(UNITS, Frames.from_bytes(ROBOT, [noise]))
     if orders.ok[0]:  # an accepted frame is, byte for byte, the frame that the encoder writes
-        encoded = encode_load(
-            UNITS, ROBOT, orders.sequence, orders.offsets, orders.ticks, orders.velocity
-        )
-        assert encoded.payload(0) == noise
+        assert encode_load(ROBOT, orders.sequence, orders.motion).payload(0) == noise
 
 
 def test_frames_can_be_selected_by_row():

@@ -13,11 +13,11 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fiber_core.array_types import Bools, Floats, Ints, Offsets
+from fiber_core.array_types import Bools, Ints, Offsets
 
 __all__ = ["Parts"]
 
-_Numbers = TypeVar("_Numbers", Floats, Ints)
+_Kind = TypeVar("_Kind", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ class Parts:
         gathered = cls.from_counts(counts)
         return gathered, _elements(gathered.offsets, np.asarray(first, dtype=np.int64))
 
-    def sums(self, values: _Numbers) -> _Numbers:
+    def sums(self, values: NDArray[_Kind]) -> NDArray[_Kind]:
         """Return the sum of the values of each part, added in their order, shape (p,).
 
         Args:
@@ -135,7 +135,7 @@ class Parts:
         """
         return _running(self.offsets, values)[self.offsets[1:] + np.arange(len(self))]
 
-    def before(self, values: _Numbers) -> _Numbers:
+    def before(self, values: NDArray[_Kind]) -> NDArray[_Kind]:
         """Return the sum of the values before each element in its part, shape (m,).
 
         It is exactly the sum up to the end of the element before it.
@@ -145,17 +145,21 @@ class Parts:
         """
         return _running(self.offsets, values)[np.arange(self.total) + self.owner]
 
-    def knots(self, *values: _Numbers) -> tuple["Parts", *tuple[_Numbers, ...]]:
-        """Return the running sums of values of each part: 0 first, its whole sum last.
+    @property
+    def knots(self) -> "Parts":
+        """Parts with one element more than these: the knots at the ends of their elements."""
+        return Parts(self.offsets + np.arange(len(self.offsets)))
+
+    def running(self, values: NDArray[_Kind]) -> NDArray[_Kind]:
+        """Return the running sums of each part, 0 first and its whole sum last, at its `knots`.
 
         Args:
-            values: flat arrays, shape (m,).
+            values: a flat array, shape (m,).
 
         Returns:
-            The parts of the sums, each with one element more than the part; and the sums.
+            The sums, shape (m + p,).
         """
-        sums = (_running(self.offsets, each) for each in values)
-        return Parts(self.offsets + np.arange(len(self.offsets))), *sums
+        return _running(self.offsets, values)
 
     def replaced(self, parts: ArrayLike, by: "Parts") -> tuple["Parts", Ints]:
         """Return the same number of parts, some of them taken from another flat array.

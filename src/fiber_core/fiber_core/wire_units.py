@@ -210,31 +210,28 @@ class WireMotion(JointSegments):
         return cls(units, start, np.zeros(2 * len(start) + 1, np.int64), nothing, nothing)
 
     @classmethod
-    def moving(
-        cls,
-        units: WireUnits,
-        start: Counts,
-        rows: ArrayLike,
-        offsets: Offsets,
-        ticks: Ints,
-        velocity: Ints,
+    def from_zero(
+        cls, units: WireUnits, offsets: ArrayLike, ticks: ArrayLike, velocity: ArrayLike
     ) -> "WireMotion":
-        """Return the motion of n robots of which only k have segments; the others rest.
+        """Return a motion of robots that start at position zero: orders, which have no start.
+
+        The arguments are those of the class, and so are the errors.
+        """
+        start = np.zeros((np.size(offsets) // 2, 2), dtype=np.int64)
+        columns = (np.asarray(column) for column in (offsets, ticks, velocity))
+        return cls(units, start, *columns)
+
+    def starting_at(self, start: ArrayLike) -> "WireMotion":
+        """Return the same orders, carried out from other positions.
 
         Args:
-            units: size of tick and quantum.
-            start: joint positions of all robots at time zero [quanta], shape (n, 2).
-            rows: rows of the robots with segments, increasing, shape (k,).
-            offsets: first segment of each profile of these robots, shape (2 k + 1,).
-            ticks: duration of each segment [ticks], shape (m,).
-            velocity: joint velocity in each segment [velocity units], shape (m,).
+            start: joint positions at time zero [quanta], shape (n, 2).
 
         Raises:
-            MotionError: a number does not fit its field.
+            MotionError: the shape does not fit.
         """
-        counts = np.zeros((len(start), 2), dtype=np.int64)
-        counts[np.asarray(rows, dtype=np.int64)] = Parts(offsets).counts.reshape(-1, 2)
-        return cls(units, start, Parts.from_counts(counts).offsets, ticks, velocity)
+        checked = frozen_array(start, np.int64, (self.n, 2), "start", MotionError)
+        return self._made(checked, self.parts, self._columns)
 
     @property
     def end(self) -> Counts:
@@ -248,8 +245,9 @@ class WireMotion(JointSegments):
             The knots of each profile, one more than its segments; their instants [ticks] and the
             joint positions at them [quanta], shape (m + 2 n,).
         """
-        parts, ticks, travel = self.parts.knots(self.ticks, self.ticks * self.velocity)
-        return parts, ticks, travel + self.start.ravel()[parts.owner]
+        knots, ticks = self.parts.knots, self.parts.running(self.ticks)
+        travel = self.parts.running(self.ticks * self.velocity)
+        return knots, ticks, travel + self.start.ravel()[knots.owner]
 
     def _shared(self) -> Mapping[str, object]:
         return {"units": self.units}

@@ -26,8 +26,7 @@ def test_robots_without_segments_rest_and_the_others_move_as_alone(seed):
     motion, rows = random_motion(seed, units, 4), np.array([1, 2, 5, 6])
     start = np.arange(16).reshape(8, 2)
     start[rows] = motion.start
-    columns = (motion.offsets, motion.ticks, motion.velocity)
-    every = WireMotion.moving(units, start, rows, *columns)
+    every = WireMotion.at_rest(units, start).with_robots(rows, motion)
     assert np.array_equal(every.counts[rows], motion.counts)
     assert np.array_equal(every.end[rows], motion.end)
     others = np.setdiff1d(np.arange(8), rows)

@@ -92,10 +92,10 @@ class Rest:
         assert {PlanStamp.of(m) for m in answers} == {PlanStamp.of(message)}
         ids, reason, stage = held.decode(self.held[0])
         assert np.all(stage == Stage.DISCRETIZER)
-        table = segments.decode(self.segments[0])
-        assert np.array_equal(table.ids, PLANE.ids)
-        assert np.array_equal(table.start, COUNTS) and session_of(self.segments[0]) == self.session
-        return dict(zip(ids.tolist(), reason.tolist())), table.motion(UNITS)
+        robots, motion = segments.decode(self.segments[0], UNITS)
+        assert np.array_equal(robots, PLANE.ids)
+        assert np.array_equal(motion.start, COUNTS) and session_of(self.segments[0]) == self.session
+        return dict(zip(ids.tolist(), reason.tolist())), motion
 
     def wait_refusal(self, word):
         self.peer.wait_for(

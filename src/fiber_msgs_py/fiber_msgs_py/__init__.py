@@ -27,7 +27,6 @@ from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.held import Stage
 from fiber_msgs_py.progress import Progress
 from fiber_msgs_py.rate_limit import RateLimit
-from fiber_msgs_py.segments import SegmentTable
 from fiber_msgs_py.sessions import new_session, session_of
 from fiber_msgs_py.stamps import FRAME_ID, PlanStamp
 from fiber_msgs_py.topics import Service, Topic
@@ -41,7 +40,6 @@ __all__ = [
     "PlanStamp",
     "Progress",
     "RateLimit",
-    "SegmentTable",
     "Service",
     "Stage",
     "Status",

@@ -4,13 +4,11 @@ Each row says where its segment begins, so orders that were made for other posit
 are found, and a row that is lost or changed is, too.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2
 
-from fiber_core.array_types import Counts, Ids, Ints, Offsets
+from fiber_core.array_types import Ids, Ints
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py.errors import MessageError
@@ -18,44 +16,9 @@ from fiber_msgs_py.ids import checked_ids, refuse
 from fiber_msgs_py.stamps import PlanStamp
 from fiber_msgs_py.table import decode_table, encode_table
 
-__all__ = ["SegmentTable", "decode", "encode"]
+__all__ = ["decode", "encode"]
 
 _COLUMNS = {"id": "<u4", "joint": "<u1", "duration": "<u4", "velocity": "<i4", "start": "<i4"}
-
-
-@dataclass(frozen=True, eq=False)
-class SegmentTable:
-    """The segments of a message.
-
-    Args:
-        ids: robots of the plan, increasing, shape (n,).
-        offsets: first segment of each profile, shape (2 n + 1,), as in WireMotion.
-        ticks: duration of each segment [ticks], shape (m,).
-        velocity: joint speed in each segment [velocity units], shape (m,).
-        start: where each profile begins [quanta], shape (n, 2).
-    """
-
-    ids: Ids
-    offsets: Offsets
-    ticks: Ints
-    velocity: Ints
-    start: Counts
-
-    @property
-    def counts(self) -> Ints:
-        """Number of segments of each profile, shape (n, 2)."""
-        return Parts(self.offsets).counts.reshape(-1, 2)
-
-    def motion(self, units: WireUnits) -> WireMotion:
-        """Return the motion of these segments.
-
-        Args:
-            units: size of tick and quantum, widths of the fields.
-
-        Raises:
-            MotionError: a number does not fit its field in these units.
-        """
-        return WireMotion(units, self.start, self.offsets, self.ticks, self.velocity)
 
 
 def encode(
@@ -98,13 +61,21 @@ def encode(
     return encode_table(rows, stamp, session)
 
 
-def decode(message: PointCloud2) -> SegmentTable:
+def decode(message: PointCloud2, units: WireUnits) -> tuple[Ids, WireMotion]:
     """Return the segments of a plan.
 
+    Args:
+        message: the segments.
+        units: size of tick and quantum, widths of the fields.
+
+    Returns:
+        Robots of the plan, increasing, shape (n,), and their motion.
+
     Raises:
-        MessageError: malformed table, rows out of order, a robot with one joint only, or a
-            rest that is not the only row of its joint, or a segment that begins elsewhere than
-            the one before it ends; names the robot and the value.
+        MessageError: malformed table, rows out of order, a robot with one joint only, a rest
+            that is not the only row of its joint, a segment that begins elsewhere than the one
+            before it ends, or a number that does not fit its field in these units; names the
+            robot and the value.
     """
     rows = decode_table(message, "segments", _COLUMNS)
     ids = rows["id"].astype(np.int64)
@@ -121,16 +92,19 @@ def decode(message: PointCloud2) -> SegmentTable:
     mixed = rest & (lengths[profile] > 1)
     refuse(mixed, "segments", "duration", ids, duration, "is not the only row of its joint")
     ticks, speed = duration.astype(np.int64), velocity.astype(np.int64)
+    long, fast = ticks > units.max_ticks, np.abs(speed) > units.max_velocity
+    refuse(long, "segments", "duration", ids, ticks, f"is more than {units.max_ticks} ticks")
+    refuse(fast, "segments", "velocity", ids, speed, f"is beyond {units.max_velocity} either way")
     table, begins = Parts.from_counts(lengths), rows["start"].astype(np.int64)
     start = begins[table.first]
     apart = begins != _starts(table, start, ticks * speed)
     refuse(apart, "segments", "start", ids, begins, "is not the end of the segment before")
     counts = np.bincount(profile[~rest], minlength=len(profiles))
     offsets = Parts.from_counts(counts).offsets
-    return SegmentTable(robots, offsets, ticks[~rest], speed[~rest], start.reshape(-1, 2))
+    start = start.reshape(-1, 2)
+    return robots, WireMotion(units, start, offsets, ticks[~rest], speed[~rest])
 
 
 def _starts(table: Parts, start: Ints, moved: Ints) -> Ints:
     # where each row begins [quanta], from the starts of the profiles and the turn in each row
-    before = np.cumsum(moved) - moved
-    return start[table.owner] + before - before[table.first][table.owner]
+    return start[table.owner] + table.before(moved)

@@ -88,7 +88,10 @@ def cases(plane, stamp):
         "layout": (layout.encode(plane, units, stamp), both(layout.decode)),
         "targets": (targets.encode(ids, xy, stamp), both(targets.decode)),
         "attempt": (targets.encode_attempt(ids, xy, later), both(targets.decode_attempt)),
-        "segments": (segments.encode(ids, wire, stamp), both(segments.decode)),
+        "segments": (
+            segments.encode(ids, wire, stamp),
+            both(lambda message: segments.decode(message, units)),
+        ),
         "corridors": (
             corridors.encode(ids, JointCorridors(np.ones(n), walls, walls + 1), stamp),
             both(corridors.decode),
@@ -320,6 +323,8 @@ def test_a_level_that_does_not_exist_is_refused(level):
 
 
 def test_an_empty_cloud_is_refused_by_every_table():
-    for module in (layout, targets, segments, corridors, frames, held, outcome):
+    for module in (layout, targets, corridors, frames, held, outcome):
         with pytest.raises(MessageError):
             module.decode(PointCloud2())
+    with pytest.raises(MessageError):
+        segments.decode(PointCloud2(), WireUnits())

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiber_core.errors import MotionError
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_msgs_py import MessageError, PlanStamp, segments
@@ -41,9 +40,8 @@ def example(stamp):
 @given(plans())
 def test_round_trip(plan):
     ids, motion = plan
-    table = segments.decode(segments.encode(ids, motion, PlanStamp(1)))
-    assert table.ids.tolist() == ids
-    decoded = table.motion(UNITS)
+    robots, decoded = segments.decode(segments.encode(ids, motion, PlanStamp(1)), UNITS)
+    assert robots.tolist() == ids
     for name in ("start", "offsets", "ticks", "velocity"):
         np.testing.assert_array_equal(getattr(decoded, name), getattr(motion, name))
 
@@ -75,7 +73,7 @@ def test_rows_that_contradict_each_other_are_refused(stamp, row, values, words):
     message, rows = example(stamp)
     rows[row] = values
     with pytest.raises(MessageError, match=words):
-        segments.decode(message)
+        segments.decode(message, UNITS)
 
 
 def test_any_lost_profile_is_noticed(stamp):
@@ -83,15 +81,19 @@ def test_any_lost_profile_is_noticed(stamp):
     for lost in (2, 3, 4):
         shorter = segments.encode_table(np.delete(rows, lost), stamp)
         with pytest.raises(MessageError, match="joints 1 of 2"):
-            segments.decode(shorter)
+            segments.decode(shorter, UNITS)
 
 
 def test_numbers_too_large_for_the_units_are_refused(stamp):
     message, rows = example(stamp)
     rows["duration"][0] = UNITS.max_ticks + 1
     rows["start"][1] = 7 - 100 * (UNITS.max_ticks + 1)
-    with pytest.raises(MotionError, match=f"duration {UNITS.max_ticks + 1}"):
-        segments.decode(message).motion(UNITS)
+    with pytest.raises(MessageError, match="robot 5: duration 1024 is more than 1023 ticks"):
+        segments.decode(message, UNITS)
+    message, rows = example(stamp)
+    rows["velocity"][4] = UNITS.max_velocity + 1
+    with pytest.raises(MessageError, match="robot 17: velocity 8192 is beyond 8191 either way"):
+        segments.decode(message, UNITS)
 
 
 def test_a_start_that_does_not_fit_its_column_is_refused(stamp):

@@ -44,7 +44,7 @@ CODECS = {
             [3, 42], WireMotion(UNITS, np.zeros((2, 2)), [0, 1, 1, 2, 3], [1, 2, 3], [1, -1, 1]),
             stamp,
         ),
-        segments.decode,
+        lambda message: segments.decode(message, UNITS),
     ),
     "outcome": lambda plane, stamp: (
         outcome.encode(

@@ -14,7 +14,7 @@ from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses
 from fiber_bus_bridge.wire import encode_load
 from fiber_core.array_types import Counts
 from fiber_core.clearance import Certificate, certify, neighbour_pairs
-from fiber_core.motion import SegmentMotion, profile_rows
+from fiber_core.motion import SegmentMotion
 from fiber_positioners.orders import Orders, ProgressCallback
 
 __all__ = ["SimulatedRun", "run_on_simulated_buses"]
@@ -111,7 +111,6 @@ def _timed(seconds: dict[str, float], name: str, work: Callable[[], T]) -> T:
 
 def _encoded(orders: Orders, session: Session, loaded_plan: LoadedPlan):
     """The LOAD frames of the robots that were started, encoded once more."""
-    rows, wire = np.flatnonzero(loaded_plan.started), loaded_plan.motion
-    offsets = wire.parts.select(profile_rows(rows))[0].offsets
+    rows = np.flatnonzero(loaded_plan.started)
     addresses, sequence = session.transactions.addresses[rows], loaded_plan.sequence[rows]
-    return encode_load(orders.units, addresses, sequence, offsets, wire.ticks, wire.velocity)
+    return encode_load(addresses, sequence, loaded_plan.motion.of_robots(rows))

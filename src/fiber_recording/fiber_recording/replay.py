@@ -153,8 +153,7 @@ def _next_begin_s(orders: StartedOrders) -> Times:
 
 def _motion(units: WireUnits, counts: Counts, rows: Rows, frames: Frames) -> WireMotion:
     """Return the motion of some robots, rows ascending, from their LOADs; other robots rest."""
-    orders = decode_load(units, frames)
-    return WireMotion.moving(units, counts, rows, orders.offsets, orders.ticks, orders.velocity)
+    return WireMotion.at_rest(units, counts).with_robots(rows, decode_load(units, frames).motion)
 
 
 class _Reports:

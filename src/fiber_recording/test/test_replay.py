@@ -9,7 +9,7 @@ from fiber_bus_bridge import addresses_of
 from fiber_bus_bridge.wire import Opcode, encode_command, encode_load, general_call
 from fiber_core.frame_log import FrameLog
 from fiber_core.presets import preset
-from fiber_core.wire_units import WireUnits
+from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.replay import replay
 
 PLANE = preset("desi", 3)
@@ -35,7 +35,8 @@ def log(frames, t=0.0, ack=0, read=False):
 def load(rows, sequence, ticks, velocity):
     """One segment of theta for each robot."""
     offsets = np.minimum(np.arange(2 * len(rows) + 1) // 2 + np.arange(2 * len(rows) + 1) % 2, 99)
-    return encode_load(UNITS, ADDRESSES[np.array(rows)], sequence, offsets, ticks, velocity)
+    orders = WireMotion.from_zero(UNITS, offsets, ticks, velocity)
+    return encode_load(ADDRESSES[np.array(rows)], sequence, orders)
 
 
 def go(sequence):
@@ -100,7 +101,8 @@ def test_bytes_read_from_robots_are_not_orders():
 def test_a_start_cancelled_in_its_countdown_is_part_of_the_phase_but_moves_no_robot(stopped):
     plane = replace(PLANE, bus=[0, 0, 1], address=[8, 9, 8])
     addresses = addresses_of(plane)
-    orders = encode_load(UNITS, addresses, 1, [0, 1, 1, 2, 2, 3, 3], [5, 6, 7], [1, -2, 3])
+    motion = WireMotion.from_zero(UNITS, [0, 1, 1, 2, 2, 3, 3], [5, 6, 7], [1, -2, 3])
+    orders = encode_load(addresses, 1, motion)
     go_to_all = encode_command(Opcode.GO, general_call([0, 1]), 1, 6000)  # 60 ms
     logs = [log(orders, 1.0), log(go_to_all, 2.0)]
     if stopped:

@@ -150,13 +150,12 @@ class PlanInputs:
 
         Raises:
             MessageError: the table is malformed, or names a robot that does not exist.
-            MotionError: a number does not fit its field.
         """
-        table = segments.decode(message)
-        rows = self._rows(table.ids, "segments")
+        ids, motion = segments.decode(message, units)
+        rows = self._rows(ids, "segments")
         start = np.array(counts)
-        start[rows] = table.start
-        return WireMotion.moving(units, start, rows, table.offsets, table.ticks, table.velocity)
+        start[rows] = motion.start
+        return WireMotion.at_rest(units, start).with_robots(rows, motion)
 
     def _rows(self, ids: Ids, name: str) -> Rows:
         rows = self._plane.index_of(ids)

@@ -124,10 +124,9 @@ def disarm(c: Context, phase: Phase) -> Event:
     robots, buses = c.robots, c.buses
     rows = np.flatnonzero(robots["verified"] & ~robots["wanted"])
     robots["verified"][rows] = False
-    empty = encode_load(
-        c.units, c.transactions.addresses[rows], buses["sequence"][c.bus[rows]],
-        np.zeros(2 * len(rows) + 1), [], [],
-    )  # fmt: skip
+    rest = WireMotion.at_rest(c.units, np.zeros((len(rows), 2), dtype=np.int64))
+    sequence = buses["sequence"][c.bus[rows]]
+    empty = encode_load(c.transactions.addresses[rows], sequence, rest)
     armed = rows[deliver(c, phase, rows, empty).suspect]
     buses["stale"] = c.buses_of(armed) & c.buses_of(robots["wanted"])
     if buses["stale"].any():
@@ -175,18 +174,14 @@ def commit(c: Context, phase: Phase) -> LoadedPlan:
 
 
 def _encode(c: Context, motion: WireMotion) -> Frames:
-    return encode_load(
-        c.units, c.transactions.addresses, c.buses["sequence"][c.bus],
-        motion.offsets, motion.ticks, motion.velocity,
-    )  # fmt: skip
+    return encode_load(c.transactions.addresses, c.buses["sequence"][c.bus], motion)
 
 
 def _decode(c: Context, phase: Phase, chosen: Mask) -> WireMotion:
     """The motion in the frames of the chosen robots; all other robots rest."""
     assert phase.frames is not None  # set by load()
     orders = decode_load(c.units, phase.frames)
-    start = phase.motion.start
-    return WireMotion(c.units, start, orders.offsets, orders.ticks, orders.velocity).only(chosen)
+    return orders.motion.starting_at(phase.motion.start).only(chosen)
 
 
 def deliver(c: Context, phase: Phase, rows: Rows, frames: Frames) -> Delivery:

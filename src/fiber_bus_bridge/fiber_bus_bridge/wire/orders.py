@@ -16,9 +16,9 @@ from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire.codes import MAX_SEGMENTS, Fault, Opcode
 from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc
-from fiber_core.array_types import Bools, Codes, Ints, Offsets
+from fiber_core.array_types import Bools, Codes, Ints
 from fiber_core.ragged import Parts
-from fiber_core.wire_units import WireUnits
+from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["Orders", "decode_load", "encode_load", "order_fault", "read_segment", "segment_counts"]
 
@@ -40,79 +40,49 @@ class Orders:
         fault: Fault of each frame, shape (f,).
         sequence: sequence number of each order, shape (f,).
         crc: checksum at the end of each frame, shape (f,).
-        offsets: first segment of each profile, shape (2 f + 1,), as in WireMotion.
-        ticks: duration of each segment [ticks], shape (m,).
-        velocity: joint speed in each segment [velocity units], shape (m,).
+        motion: the motion of f robots, from position zero.
     """
 
     fault: Codes
     sequence: Ints
     crc: Ints
-    offsets: Offsets
-    ticks: Ints
-    velocity: Ints
+    motion: WireMotion
 
     @property
     def ok(self) -> Bools:
         """Frames that are valid orders, shape (f,)."""
         return self.fault == Fault.NONE
 
-    @property
-    def counts(self) -> Ints:
-        """Number of segments of each profile, shape (f, 2)."""
-        return Parts(self.offsets).counts.reshape(-1, 2)
 
-
-def encode_load(
-    units: WireUnits,
-    to: Addresses,
-    sequence: ArrayLike,
-    offsets: ArrayLike,
-    ticks: ArrayLike,
-    velocity: ArrayLike,
-) -> Frames:
+def encode_load(to: Addresses, sequence: ArrayLike, motion: WireMotion) -> Frames:
     """Encode orders as LOAD frames, one for each target.
 
     Args:
-        units: widths of the two fields of a segment.
         to: the robots addressed, f rows.
         sequence: sequence number of each order, 0..15, one number or shape (f,).
-        offsets: first segment of each profile, shape (2 f + 1,), as in WireMotion.
-        ticks: duration of each segment [ticks], shape (m,).
-        velocity: joint speed in each segment [velocity units], shape (m,).
+        motion: the motion of these robots; a frame does not say where it starts.
 
     Raises:
-        WireError: a number does not fit its field; names the row.
+        WireError: a number does not fit its field, or there are more robots than orders or fewer;
+            names the row.
     """
+    units, counts = motion.units, motion.counts
     _check_widths(units)
-    offsets = np.asarray(offsets, dtype=np.int64)
-    ticks = np.asarray(ticks, dtype=np.int64)
-    velocity = np.asarray(velocity, dtype=np.int64)
-    if offsets.shape != (2 * len(to) + 1,) or not offsets[-1] == len(ticks) == len(velocity):
-        raise WireError(f"offsets do not describe orders for {len(to)} robots")
-    counts = Parts(offsets).counts.reshape(-1, 2)
+    if motion.n != len(to):
+        raise WireError(f"orders for {motion.n} robots do not fit {len(to)} addresses")
     sequence = np.broadcast_to(np.asarray(sequence, dtype=np.int64), (len(to),))
     for name, wrong, value in (
-        ("segments", (counts < 0) | (counts > MAX_SEGMENTS), counts),
+        ("segments", counts > MAX_SEGMENTS, counts),
         ("sequence", (sequence < 0) | (sequence > 15), sequence),
     ):
         if wrong.any():
             at = int(np.argwhere(wrong)[0][0])
             raise WireError(f"row {at}: {value[at].tolist()} {name} do not fit four bits")
-    for name, value, low, high in (
-        ("duration", ticks, 1, units.max_ticks),
-        ("velocity", velocity, -units.max_velocity, units.max_velocity),
-    ):
-        wrong = (value < low) | (value > high)
-        if wrong.any():
-            at = int(np.argmax(wrong))
-            row = int(np.searchsorted(offsets, at, side="right") - 1) // 2
-            raise WireError(f"row {row}: {name} {value[at]} is outside {low}..{high} wire units")
     lengths = 4 + units.segment_bytes * counts.sum(axis=1)
     starts = Parts.from_counts(lengths).offsets
     data = np.empty(starts[-1], dtype=np.uint8)
     _fill(
-        to.address, to.ten_bit, sequence, offsets, ticks, velocity,
+        to.address, to.ten_bit, sequence, motion.offsets, motion.ticks, motion.velocity,
         units.velocity_bits, units.duration_bits, starts, data,
     )  # fmt: skip
     return Frames(to, starts, data)
@@ -140,7 +110,7 @@ def decode_load(units: WireUnits, frames: Frames) -> Orders:
     offsets = Parts.from_counts(counts).offsets
     ticks, velocity = (np.empty(offsets[-1], dtype=np.int64) for _ in range(2))
     _read(frames.offsets, frames.data, *widths, offsets, ticks, velocity)
-    return Orders(fault, sequence, crc, offsets, ticks, velocity)
+    return Orders(fault, sequence, crc, WireMotion.from_zero(units, offsets, ticks, velocity))
 
 
 def _check_widths(units: WireUnits) -> None:

@@ -86,9 +86,8 @@ class System:
         self.truth = Truth(np.full(n, -1), start.copy(), orders.end)
         if scenario.stale:
             motion = _one_segment(units, start, _STALE_VELOCITY)
-            columns = motion.offsets, motion.ticks, motion.velocity
             to = session.transactions.addresses
-            session.transactions.send(rows, encode_load(units, to, 1, *columns), 0.0)
+            session.transactions.send(rows, encode_load(to, 1, motion), 0.0)
         session.submit(orders)
         begin_plan(self.c, 0.0, self._may_go)
         handle(self.c, Event.START)
