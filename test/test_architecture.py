@@ -103,11 +103,12 @@ KEYS = {
     "hypothesis": "python3-hypothesis",
     "yaml": "python3-yaml",
     "gi": "python3-gi",
+    "smbus2": "python3-smbus2",
 }
 # Without a rosdep key: fastcrc and selenium are for tests, rosbags for the command `bag` alone,
 # which says what to install.
 UNDECLARED = {"fastcrc", "selenium", "rosbags"}
-OPTIONAL = {"vcd", "smbus2"}  # without rosdep keys; imported where they are used, if installed
+OPTIONAL = {"vcd"}  # without a rosdep key; imported where it is used, if installed
 
 
 def starts(module: str, prefix: str) -> bool:
