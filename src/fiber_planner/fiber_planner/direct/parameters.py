@@ -28,6 +28,8 @@ class DirectParameters:
             and unfold.
         effort: moves that the local search may evaluate, per robot of the plane. It
             bounds the computing time without a clock, so that a plan is repeatable.
+        shortening: moves that further searches for shorter makespans may evaluate, per robot, once
+            a plan is found; 0 returns the first plan.
         budget_s: computing time after which the best certified plan so far is returned [s].
             The plan then depends on the speed of the machine.
         seed: of the random numbers.
@@ -54,6 +56,7 @@ class DirectParameters:
     intervals: int = 48
     stretch: float = 2.2
     effort: float = 5000.0
+    shortening: float = 1500.0
     budget_s: float = float("inf")
     seed: int = 0
 

@@ -95,7 +95,7 @@ def count_conflicts(plan: PlanState) -> int:
     return count
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", nogil=True)
 def rank_neighbours(scene: Scene, plan: PlanState, i: int, order: Ints) -> None:
     """Sort the neighbours of robot i by weighted collision cost, highest first.
 
@@ -118,7 +118,7 @@ def rank_neighbours(scene: Scene, plan: PlanState, i: int, order: Ints) -> None:
         order[at] = e
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", nogil=True)
 def weighted_cost(
     scene: Scene, plan: PlanState, i: int, profile: Floats, best: float, order: Ints, costs: Floats
 ) -> float:
@@ -150,7 +150,7 @@ def weighted_cost(
     return total
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", nogil=True)
 def commit(scene: Scene, plan: PlanState, i: int, profile: Floats, costs: Floats) -> None:
     """Give robot i a new profile.
 

@@ -10,7 +10,7 @@ from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner.direct.parameters import DirectParameters
-from fiber_planner.direct.search import Search
+from fiber_planner.direct.shortening import shortest_plan
 from fiber_planner.interface import PlannedMotion, ProgressCallback
 
 __all__ = ["DirectPlanner"]
@@ -56,7 +56,7 @@ class DirectPlanner:
         sorted_problem = Problem(
             movable.permuted(order), problem.start[order], problem.targets[order]
         )
-        result = Search(sorted_problem, self.parameters, progress, self._clock).run()
+        result = shortest_plan(sorted_problem, self.parameters, progress, self._clock)
         back = np.argsort(order)
         _permute_rows(result.q, order)
         result.q.setflags(write=False)

@@ -96,19 +96,24 @@ class Search:
         self._done = 0.0  # fraction of the makespans that were tried
         self._effort_share = _effort_share(problem.plane.n)
         self._limit = parameters.effort * self._effort_share
+        self._at_one_makespan = _AT_ONE_MAKESPAN * self._effort_share
+        self._refolded_at_most = _REFOLDED_AT_MOST
+        self.crowded, self.stretch, self.certified = False, 1.0, False
         # robots next to an arm that cannot move; a fixed disc blocks only a passage
         pairs, movable, robots = self._scene.pairs, self._scene.movable, problem.plane.n
         near_static = pairs[((pairs < robots) & ~movable[pairs]).any(axis=1)]
         self._near_static = movable & np.isin(np.arange(len(movable)), near_static)
 
     def run(self) -> SearchResult:
-        """Search, and return the motion that was found."""
+        """Search at longer and longer makespans, and return the motion that was found."""
         conflicts = self._start_straight(1.0)
-        crowded = int(conflicts > _CROWDED * self._problem.plane.n)
+        self.crowded = conflicts > _CROWDED * self._problem.plane.n
+        crowded = int(self.crowded)
         stretches = self._stretches(_STRETCHES[crowded])
         if crowded:
             conflicts = self._start_straight(stretches[0])
         for number, stretch in enumerate(stretches):
+            self.stretch = stretch
             self._lengthen(stretch)
             if stretch >= _FOLD_FROM[crowded] and self._folding == 0.0:
                 conflicts = self._fold_all()
@@ -123,10 +128,57 @@ class Search:
                 conflicts = self._certified_search()
             if conflicts == 0 or self._exhausted:
                 break
+        self.certified = conflicts == 0
         if conflicts:
             self._resolve_by_release()
         self._restore()
         return self._result()
+
+    def begin_at(self, stretch: float, crowded: bool) -> None:
+        """Begin a search at one makespan, for `go_on`.
+
+        Args:
+            stretch: the makespan, in units of the time that the slowest robot needs alone.
+            crowded: whether arms fold on their way from the beginning.
+        """
+        self.stretch, self.crowded, self._limit = stretch, crowded, 0.0
+        self._refolded_at_most = 10 * _REFOLDED_AT_MOST
+        self._start_straight(stretch)
+        if crowded:
+            self._fold_all()
+
+    def go_on(self, moves: float, released: int) -> SearchResult | None:
+        """Go on with a search at one makespan.
+
+        Args:
+            moves: moves that may be evaluated, per robot for which effort is granted.
+            released: number of robots that may lose their targets.
+
+        Returns:
+            The motion; None without one that is certified.
+        """
+        self._limit += moves * self._effort_share
+        self._at_one_makespan = self._limit
+        conflicts = self._certified_search()
+        while conflicts and not self._exhausted and self.released < released:
+            if not self._release_worst(self._releasable()):
+                break
+            conflicts = self._certified_search()
+        self.certified = conflicts == 0 and self.released <= released
+        if not self.certified:
+            return None
+        self._restore()
+        return self._result()
+
+    @property
+    def spent(self) -> float:
+        """Moves evaluated, per robot for which effort is granted."""
+        return self._spent / self._effort_share
+
+    @property
+    def released(self) -> int:
+        """Number of robots that have lost their targets in the search."""
+        return int((self._reason == Reason.NOT_CONVERGED).sum())
 
     def _start_straight(self, stretch: float) -> int:
         # the straight plan on a grid for that makespan; returns the number of conflicts
@@ -215,9 +267,9 @@ class Search:
     def _local_search(self) -> int:
         # sweeps until no pair is in conflict; returns the number of conflicts left
         folding = int(self._folding > 0.0)
-        until = self._spent + _AT_ONE_MAKESPAN * self._effort_share
+        until = self._spent + self._at_one_makespan
         conflicts = self._sweep_repeatedly(_SWEEPS[folding])
-        for number in range(_REFOLDED_AT_MOST * folding):
+        for number in range(self._refolded_at_most * folding):
             if conflicts == 0 or self._spent >= until or self._exhausted:
                 break
             self._fold_around(straight=number % 2 == 1)
