@@ -7,7 +7,9 @@ from fiber_core.bounds import Range, check_ranges
 from fiber_core.clearance import Safety
 from fiber_planner.errors import PlannerError
 
-__all__ = ["DirectParameters"]
+__all__ = ["DirectParameters", "effort_share"]
+
+_TINY_PLANE, _LARGE_PLANE, _TIMES = 100, 1000, 4  # see effort_share
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class DirectParameters:
     intervals: int = 48
     stretch: float = 2.2
     effort: float = 5000.0
-    shortening: float = 1500.0
+    shortening: float = 1200.0
     budget_s: float = float("inf")
     seed: int = 0
 
@@ -67,3 +69,12 @@ class DirectParameters:
     def safety(self) -> Safety:
         """The clearance that the certificate requires."""
         return Safety(self.margin_mm, self.clock_ppm, self.start_skew_s, self.stop_skew_s)
+
+
+def effort_share(robots: int) -> int:
+    """Return the number of robots for which effort is granted.
+
+    A stuck pair is as hard on a small plane as on a large one: a small plane is granted up to
+    _TIMES the effort of its robots, and no more than a large plane has.
+    """
+    return max(_TINY_PLANE, robots, min(_TIMES * robots, _LARGE_PLANE))

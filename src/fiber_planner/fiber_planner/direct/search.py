@@ -1,7 +1,7 @@
 """The search for a plan: straight motions, local search, longer makespans, best effort."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +13,11 @@ from fiber_core.wire_units import WireUnits
 from fiber_planner.direct.certify_changed import shortfall_mm
 from fiber_planner.direct.initial_plan import choose_ends, straight_plan
 from fiber_planner.direct.local_search import fold_arms, raise_weights, restore, straighten, sweep
-from fiber_planner.direct.parameters import DirectParameters
+from fiber_planner.direct.parameters import DirectParameters, effort_share
 from fiber_planner.direct.plan_state import count_conflicts, measure_all, measure_pairs
 from fiber_planner.direct.scene import scene_of
 from fiber_planner.direct.shortcut import shortcut_profiles
+from fiber_planner.direct.stretches import stretches_of
 from fiber_planner.direct.time_grid import time_grid
 from fiber_planner.interface import ProgressCallback
 
@@ -25,13 +26,8 @@ __all__ = ["Search", "SearchResult"]
 # If straight motions conflict in more pairs than half the number of robots the plane is crowded,
 # and arms fold on their way from the beginning. Of each tuple: loose plane, crowded plane.
 _CROWDED = 0.5
-_STRETCHES = (
-    (1.0, 1.02, 1.05, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.0),
-    (1.2, 1.35, 1.5, 1.75, 2.0, 2.15),
-)
 _FOLD_FROM = (1.4, 1.2)  # stretch from which arms are folded on their way
 _RELEASE_FROM = (1.1, 1.5)  # stretch from which stuck robots near static arms are released
-_LONGER = 1.4  # growth of the stretch beyond those
 _FOLDING = 0.7  # share of moves that fold the arm, once arms are folded
 _DRAWS = (30, 100)  # moves of a robot in a sweep: not folding, folding
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
@@ -43,7 +39,6 @@ _CERTIFIED_AT_MOST = 8  # rounds of certificate and local search
 _RELEASE_ROUNDS = 12
 _LAST_EFFORT = 900  # moves per robot granted to each of the last of these rounds
 _RESTORE_DRAWS = 300
-_TINY_PLANE, _LARGE_PLANE, _TIMES = 100, 1000, 4  # see _effort_share
 _MORE_MM = 0.005  # added to the gap that the certificate found missing
 
 
@@ -90,11 +85,10 @@ class Search:
         self._scene = scene_of(problem, parameters.seed)
         self._ends = choose_ends(problem, self._scene, parameters)
         self._reason, self._alone_s = self._ends.reason, self._ends.alone_s
-        units = WireUnits.for_plane(problem.plane)
-        self._tick_s, self._longest_s = units.tick_s, units.longest_order_s
+        self._tick_s = WireUnits.for_plane(problem.plane).tick_s
         self._spent, self._sweep, self._folding = 0, 0, 0.0
         self._done = 0.0  # fraction of the makespans that were tried
-        self._effort_share = _effort_share(problem.plane.n)
+        self._effort_share = effort_share(problem.plane.n)
         self._limit = parameters.effort * self._effort_share
         self._at_one_makespan = _AT_ONE_MAKESPAN * self._effort_share
         self._refolded_at_most = _REFOLDED_AT_MOST
@@ -109,7 +103,9 @@ class Search:
         conflicts = self._start_straight(1.0)
         self.crowded = conflicts > _CROWDED * self._problem.plane.n
         crowded = int(self.crowded)
-        stretches = self._stretches(_STRETCHES[crowded])
+        stretches = stretches_of(
+            self._problem.plane, self.crowded, self._alone_s, self._parameters.stretch
+        )
         if crowded:
             conflicts = self._start_straight(stretches[0])
         for number, stretch in enumerate(stretches):
@@ -134,37 +130,35 @@ class Search:
         self._restore()
         return self._result()
 
-    def begin_at(self, stretch: float, crowded: bool) -> None:
+    def begin_at(self, stretch: float, crowded: bool, released: Bools) -> None:
         """Begin a search at one makespan, for `go_on`.
 
         Args:
             stretch: the makespan, in units of the time that the slowest robot needs alone.
             crowded: whether arms fold on their way from the beginning.
+            released: robots that have lost their targets in an earlier search, shape (n,).
         """
         self.stretch, self.crowded, self._limit = stretch, crowded, 0.0
         self._refolded_at_most = 10 * _REFOLDED_AT_MOST
+        self._ends.choice[released] = -1
+        self._ends.angles[released] = self._problem.start[released]
+        self._reason[released] = Reason.NOT_CONVERGED
         self._start_straight(stretch)
         if crowded:
             self._fold_all()
 
-    def go_on(self, moves: float, released: int) -> SearchResult | None:
+    def go_on(self, moves: float) -> SearchResult | None:
         """Go on with a search at one makespan.
 
         Args:
             moves: moves that may be evaluated, per robot for which effort is granted.
-            released: number of robots that may lose their targets.
 
         Returns:
             The motion; None without one that is certified.
         """
         self._limit += moves * self._effort_share
         self._at_one_makespan = self._limit
-        conflicts = self._certified_search()
-        while conflicts and not self._exhausted and self.released < released:
-            if not self._release_worst(self._releasable()):
-                break
-            conflicts = self._certified_search()
-        self.certified = conflicts == 0 and self.released <= released
+        self.certified = self._certified_search() == 0
         if not self.certified:
             return None
         self._restore()
@@ -176,9 +170,9 @@ class Search:
         return self._spent / self._effort_share
 
     @property
-    def released(self) -> int:
-        """Number of robots that have lost their targets in the search."""
-        return int((self._reason == Reason.NOT_CONVERGED).sum())
+    def released(self) -> Bools:
+        """Robots that have lost their targets in the search, shape (n,)."""
+        return self._reason == Reason.NOT_CONVERGED
 
     def _start_straight(self, stretch: float) -> int:
         # the straight plan on a grid for that makespan; returns the number of conflicts
@@ -203,19 +197,6 @@ class Search:
                 ends.angles[row] = self._problem.start[row]
                 if self._reason[row] == Reason.OK:
                     self._reason[row] = Reason.TANGLED
-
-    def _stretches(self, usual: Sequence[float]) -> list[float]:
-        # The makespans to try, in units of the time alone: at least long enough to fold,
-        # go, and unfold, however short the way is; and no longer than an order can last.
-        plane = self._problem.plane
-        bend = np.minimum(np.pi, np.diff(plane.limits[:, 1])[:, 0])
-        fold_s = float((bend / plane.speeds[:, 1]).max(initial=0.0))
-        most = max(self._parameters.stretch, 1.0 + 2.0 * fold_s / max(self._alone_s, 1e-9))
-        most = min(most, max(1.0, self._longest_s / max(self._alone_s, 1e-9)))
-        tried = [stretch for stretch in usual if stretch <= most] or [most]
-        while tried[-1] * _LONGER <= most:
-            tried.append(tried[-1] * _LONGER)
-        return tried
 
     def _lengthen(self, stretch: float) -> None:
         # More time at the end, in which all robots rest at first: no pair comes nearer.
@@ -417,10 +398,3 @@ class Search:
         goal = np.where(arrived[:, None], plan.q[:n, :, -1], plan.q[:n, :, 0])
         tangled = self._scene.pairs[self._tangled]
         return SearchResult(self._grid.time_s, plan.q, goal, self._reason, tangled)
-
-
-def _effort_share(robots: int) -> int:
-    # The number of robots for which effort is granted. A stuck pair is as hard on a small plane
-    # as on a large one: a small plane is granted up to _TIMES the effort of its robots, and no
-    # more than a large plane has.
-    return max(_TINY_PLANE, robots, min(_TIMES * robots, _LARGE_PLANE))
