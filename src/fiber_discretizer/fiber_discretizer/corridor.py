@@ -141,7 +141,7 @@ def free_intervals(
     """
     n, t = times.shape
     low, high = angles[:, joint].copy(), angles[:, joint].copy()
-    most = np.diff(neighbours.offsets).max()
+    most = most_neighbours(neighbours)
     poses, work = np.empty((most, 4)), np.empty((2, most))
     for i in range(n):
         first, stop = neighbours.offsets[i], neighbours.offsets[i + 1]

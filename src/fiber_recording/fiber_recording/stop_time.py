@@ -25,12 +25,9 @@ def stop_time_s(motion: WireMotion, row: int, counts: ArrayLike, near_s: float) 
         near_s: time of the STOP, from the begin of the order [s].
     """
     counts = np.asarray(counts)
-    ends, places = [], []
-    for profile in (2 * row, 2 * row + 1):
-        part = motion.parts.slice(profile)
-        lasts, velocity = motion.ticks[part], motion.velocity[part]
-        ends.append(np.concatenate([[0], np.cumsum(lasts)]))
-        places.append(np.concatenate([[0], np.cumsum(lasts * velocity)]))
+    knots, all_ticks, all_counts = motion.of_robots([row]).knots()
+    ends = [all_ticks[knots.slice(joint)] for joint in (0, 1)]
+    places = [all_counts[knots.slice(joint)] - motion.start[row, joint] for joint in (0, 1)]
     ticks = np.union1d(*ends)
     if len(ticks) == 1:
         return 0.0
