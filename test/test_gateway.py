@@ -206,6 +206,7 @@ def test_the_end_of_the_gateway_stops_the_robots_of_its_goal(gateway, stranger, 
     stranger.send(**goals[3])
     stranger.wait_for(lambda: stranger.moving)
     gateway.terminate()
+    gateway.terminate()  # as `timeout` and shells do
     assert gateway.wait(30) == 0
     stranger.wait_for(lambda: not stranger.moving)
     stranger.wait_for(lambda: int(Reason.STOPPED) in stranger.reasons)

@@ -192,7 +192,9 @@ def _fill(result: Reconfigure.Result, outcome: PlanOutcome) -> None:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the gateway until it is interrupted; robots of a goal under way are stopped then."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    ended = threading.Event()
+    for each in (signal.SIGINT, signal.SIGTERM):  # a second signal does not end the stop
+        signal.signal(each, lambda *_: ended.set())
     use_loopback()
     # a context of its own: rclpy's handlers of signals would cut the client off before it can stop
     context = Context()
@@ -203,9 +205,7 @@ def main(args: Sequence[str] | None = None) -> int:
     loop = threading.Thread(target=executor.spin, name="gateway", daemon=True)
     loop.start()
     try:
-        threading.Event().wait()
-    except KeyboardInterrupt:
-        pass
+        ended.wait()
     finally:
         node.close()
         executor.stop()
