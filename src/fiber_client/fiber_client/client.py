@@ -12,15 +12,17 @@ from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import PointCloud2
 
 from fiber_client.errors import NodeLost, PlaneError, PlaneRefusal
+from fiber_client.interrupts import sigterm_interrupts
+from fiber_client.missing import missing_parts
 from fiber_client.monitor import STAGES, PlaneMonitor
 from fiber_core.outcomes import PlanOutcome
-from fiber_msgs_py import PlanStamp, Progress, Service, Status, Topic, diagnostics, targets, topics
+from fiber_msgs_py import PlanStamp, Progress, Service, Topic, diagnostics, targets, topics
 from fiber_node import BRIDGE, RosClient, claims
 
 __all__ = ["PlaneClient"]
 
-_TARGET_RECEIVERS = ("planner", "bridge")
 _PLANS_KEPT = 8
+_GRAPH_PERIOD_S = 0.1  # time between two looks at the graph while a client waits for it
 _PRESENT_PERIOD_S = 0.2  # time between two looks at the nodes of the graph
 
 
@@ -42,6 +44,10 @@ class PlaneClient(PlaneMonitor):
             was received before, or None.
         guard: called again and again while the client waits; it ends the wait by raising.
         clock: returns seconds, for time-outs and for `times`.
+        args: command line for ROS; None for that of the process, so that a script takes
+            ``--ros-args -r __ns:=/north -p use_sim_time:=true``.
+        namespace: namespace of the plane, as "/north"; by default that of the environment
+            variable ROS_NAMESPACE.
     """
 
     def __init__(
@@ -53,14 +59,17 @@ class PlaneClient(PlaneMonitor):
         ),
         guard: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
+        args: Sequence[str] | None = None,
+        namespace: str | None = None,
     ):
-        self._ros = RosClient("plane_client", domain, guard, clock)
+        self._ros = RosClient("plane_client", domain, guard, clock, args, namespace)
         super().__init__(self._ros.node, on_progress, on_status, clock)
         self._targets = topics.TARGETS.publisher(self.node)
+        self._last_ns = -1  # stamp of the plan sent last
         self._stages: dict[PlanStamp, dict[str, str]] = {}  # claims when targets were sent
         self._looked_s = -1.0
         self._ready: PlanStamp | None = None
-        self._parameters = AsyncParameterClient(self.node, BRIDGE)
+        self._parameters: AsyncParameterClient | None = None
         self._services = {
             service: service.client(self.node)
             for service in (
@@ -90,8 +99,19 @@ class PlaneClient(PlaneMonitor):
         Raises:
             WaitError: names what was missing.
         """
-        missing = partial(self._missing, also)
-        self.wait_for(lambda: not missing(), timeout_s, lambda: ", ".join(missing()))
+        missing = partial(missing_parts, self, self._services, self._targets, also)
+        due_s = 0.0
+
+        def complete() -> bool:
+            # a look at the graph takes longer than a message: messages go first
+            nonlocal due_s
+            if self._clock() < due_s:
+                return False
+            found = not missing()
+            due_s = self._clock() + _GRAPH_PERIOD_S
+            return found
+
+        self.wait_for(complete, timeout_s, lambda: ", ".join(missing()))
 
     def send_targets(self, ids: ArrayLike, xy_mm: ArrayLike) -> PlanStamp:
         """Send targets for the fibres of some robots; planning begins at once.
@@ -106,7 +126,9 @@ class PlaneClient(PlaneMonitor):
         Raises:
             MessageError: the table is malformed and was not sent; names robot and value.
         """
-        now = PlanStamp(self.node.get_clock().now().nanoseconds)
+        # a simulated clock may rest: two plans still need two stamps
+        self._last_ns = max(self.now_ns(), self._last_ns + 1)
+        now = PlanStamp(self._last_ns)
         return self.send_message(targets.encode(ids, xy_mm, now, self.session))
 
     def send_message(self, message: PointCloud2) -> PlanStamp:
@@ -167,8 +189,7 @@ class PlaneClient(PlaneMonitor):
         plan = self._ready if plan is None else plan
         if plan is not None:
             named = Parameter("start_plan", Parameter.Type.STRING, str(plan))
-            self._wait_for_bridge(self._parameters.services_are_ready, timeout_s, "parameters")
-            future = self._parameters.set_parameters([named])
+            future = self.bridge_parameters(timeout_s).set_parameters([named])
             self._wait_for_bridge(future.done, timeout_s, "answer to start_plan")
         return self.call_service(topics.START, timeout_s)
 
@@ -218,7 +239,9 @@ class PlaneClient(PlaneMonitor):
 
     @contextmanager
     def stops_on_error(self, timeout_s: float) -> Iterator[None]:
-        """Stop the robots when an error or an interrupt ends the block, then raise it.
+        """Stop the robots when an error, an interrupt or SIGTERM ends the block, then raise it.
+
+        SIGTERM is raised as KeyboardInterrupt, if the process has no handler of its own for it.
 
         A PlaneRefusal stops no robot: the bridge refused to move them, and the robots that it
         moves are those of another client.
@@ -227,7 +250,8 @@ class PlaneClient(PlaneMonitor):
             timeout_s: time-out of the service stop [s].
         """
         try:
-            yield
+            with sigterm_interrupts():
+                yield
         except PlaneRefusal:
             raise
         except BaseException:
@@ -296,6 +320,21 @@ class PlaneClient(PlaneMonitor):
             raise PlaneRefusal("bridge", answer.message)
         return answer.message
 
+    def bridge_parameters(self, timeout_s: float) -> AsyncParameterClient:
+        """Return a client of the bridge's parameters; its diagnostics tell its name.
+
+        Raises:
+            NodeLost: the bridge has left the graph.
+            WaitError: there is no bridge, or it does not answer.
+        """
+        self._wait_for_bridge(lambda: BRIDGE in self._statuses, timeout_s, "parameters of bridge")
+        name = str(self._statuses[BRIDGE].values.get("node", BRIDGE))
+        if self._parameters is None or self._parameters.remote_node_name != name:
+            self._parameters = AsyncParameterClient(self.node, name)
+        ready = self._parameters.services_are_ready
+        self._wait_for_bridge(ready, timeout_s, f"parameters of {name}")
+        return self._parameters
+
     # --- for anything else ---------------------------------------------------
 
     def collect(self, topic: Topic) -> list[Any]:
@@ -346,40 +385,3 @@ class PlaneClient(PlaneMonitor):
             claim = self._stages.get(stamp, {}).get(role)
             if claim is not None and claim not in claims(self.node, role):
                 raise NodeLost(role, what)
-
-    def _missing(self, also: Sequence[str]) -> list[str]:
-        return list(self._iterate_missing(also))
-
-    def _knows_plane(self, status: Status) -> bool:
-        known = status.values.get("robots"), status.values.get("session")
-        return known == (str(self.plane.n), self.session)
-
-    def _iterate_missing(self, also: Sequence[str]) -> Iterator[str]:
-        for service, client in self._services.items():
-            if not client.service_is_ready():
-                yield service.name
-        if self._states_of_layout() is None:
-            yield "layout" if self._layout is None else "joint_states"
-            return
-        if self.session not in claims(self.node, BRIDGE):
-            yield "a bridge"
-            return
-        statuses = self.statuses
-        for stage in STAGES:
-            status = statuses.get(stage)
-            if status is None:
-                yield f"diagnostics of {stage}"
-            elif stage != BRIDGE and not self._knows_plane(status):
-                yield f"{stage} to know the plane"
-        for name in also:
-            if name not in statuses:
-                yield f"diagnostics of {name}"
-        # other nodes may subscribe too, so a count alone would not tell that these do
-        found = self.node.get_subscriptions_info_by_topic(self._targets.topic_name)
-        if self._targets.get_subscription_count() < len(found):
-            yield "a connection to every subscription of targets"
-            return
-        names = {info.node_name for info in found}
-        for name in (*_TARGET_RECEIVERS, *also):
-            if name not in names:
-                yield f"{name} to subscribe to targets"

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
@@ -39,7 +38,6 @@ class DisabledRobots:
 
     def __init__(self, client: PlaneClient, timeout_s: float):
         self._client, self._timeout_s = client, timeout_s
-        self._parameters = AsyncParameterClient(client.node, _BRIDGE)
 
     def read(self) -> list[int]:
         """Return the ids of the disabled robots.
@@ -47,7 +45,8 @@ class DisabledRobots:
         Raises:
             WaitError: there is no bridge, or it does not answer.
         """
-        answer = self._call(lambda: self._parameters.get_parameters(["disabled"]))
+        parameters = self._client.bridge_parameters(self._timeout_s)
+        answer = self._call(lambda: parameters.get_parameters(["disabled"]))
         return list(answer.values[0].integer_array_value) if answer.values else []
 
     def write(self, ids: Iterable[int], why: str = "") -> None:
@@ -61,11 +60,12 @@ class DisabledRobots:
             PlaneRefusal: the bridge refused, with robot and reason.
             WaitError: there is no bridge, or it does not answer.
         """
-        parameters = [
+        new = [
             Parameter("disabled_why", Parameter.Type.STRING, why),
             Parameter("disabled", Parameter.Type.INTEGER_ARRAY, sorted(ids)),
         ]
-        answer = self._call(lambda: self._parameters.set_parameters_atomically(parameters))
+        parameters = self._client.bridge_parameters(self._timeout_s)
+        answer = self._call(lambda: parameters.set_parameters_atomically(new))
         if not answer.result.successful:
             raise PlaneRefusal(_BRIDGE, answer.result.reason)
 
@@ -86,7 +86,6 @@ class DisabledRobots:
 
     def _call(self, request: Callable[[], Future]) -> Any:
         wait_for = self._client.wait_for
-        wait_for(self._parameters.services_are_ready, self._timeout_s, f"parameters of {_BRIDGE}")
         future = request()
         wait_for(future.done, self._timeout_s, f"answer of {_BRIDGE}")
         return future.result()
@@ -134,14 +133,14 @@ def _parser(name: str, purpose: str) -> argparse.ArgumentParser:
 
 
 def _run(parser: argparse.ArgumentParser, change: _Change, argv: Sequence[str] | None) -> int:
-    argv = remove_ros_args(sys.argv if argv is None else [parser.prog, *argv])[1:]
-    options = parser.parse_args(argv)
+    args = sys.argv if argv is None else [parser.prog, *argv]
+    options = parser.parse_args(remove_ros_args(args)[1:])
     changes = bool(options.ids) or getattr(options, "all", False)
     if not changes and not options.list:
         parser.error("name robots by their ids, or --list")
     use_loopback()
     try:
-        with PlaneClient() as client:
+        with PlaneClient(args=args) as client:
             robots = DisabledRobots(client, options.timeout)
             disabled = set(robots.read())
             if changes:

@@ -152,7 +152,7 @@ class PlaneMonitor:
         Raises:
             PlaneError: none received yet, or they are of other robots than the layout.
         """
-        states = self._states_of_layout()
+        states = self.states_of_layout()
         if states is None:
             raise PlaneError("no joint states of this layout received yet: wait for the graph")
         return states
@@ -160,13 +160,16 @@ class PlaneMonitor:
     @property
     def statuses(self) -> dict[str, diagnostics.Status]:
         """The newest diagnostics by name, of the nodes that are in the graph."""
-        own = self.node.get_namespace()
         found = self.node.get_node_names_and_namespaces()
-        present = {name for name, namespace in found if namespace == own}
+        present = {f"{namespace.rstrip('/')}/{name}" for name, namespace in found}
+        # the status of a role tells the name of its node
+        roles = {
+            name for name, each in self._statuses.items() if each.values.get("node") in present
+        }
         return {
             name: status
             for name, status in self._statuses.items()
-            if name.partition(":")[0] in present
+            if name.partition(":")[0] in roles
         }
 
     def attempts(self, stamp: PlanStamp) -> list[PlanStamp]:
@@ -180,12 +183,22 @@ class PlaneMonitor:
     def _times_of(self, plan: PlanStamp) -> dict[str, float]:
         return _entry(self.times, plan, dict)
 
+    def now_ns(self) -> int:
+        """Return the time of the node's clock [ns]; 0 while it waits for a simulated one."""
+        return self.node.get_clock().now().nanoseconds
+
     def _received_layout(self) -> tuple[FocalPlane, WireUnits]:
         if self._layout is None:
             raise PlaneError("no layout received yet: wait for the graph")
         return self._layout
 
-    def _states_of_layout(self) -> Angles | None:
+    @property
+    def has_layout(self) -> bool:
+        """Whether a layout has been received."""
+        return self._layout is not None
+
+    def states_of_layout(self) -> Angles | None:
+        """Return the joint angles of the robots of the layout, None before both have come."""
         if self._layout is None or self._states is None:
             return None
         ids, angles = self._states
@@ -244,7 +257,10 @@ class PlaneMonitor:
         self._on_progress(received)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in diagnostics.decode(message):
+        for received in diagnostics.decode(message):
+            status = received.of_namespace(self.node.get_namespace())
+            if status is None:
+                continue  # of another plane
             before = self._statuses.get(status.name)
             self._statuses[status.name] = status
             self._on_status(status, before)

@@ -10,6 +10,7 @@ it or is held with a reason; anything else is 1.
 
 import argparse
 import json
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -35,17 +36,18 @@ _NOT_RUN = (Reason.STOPPED, Reason.NOT_PLANNED)
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one reconfiguration from the command line; return the exit code."""
-    argv = remove_ros_args(sys.argv if argv is None else ["reconfigure", *argv])[1:]
-    options = _parser().parse_args(argv)
+    args = sys.argv if argv is None else ["reconfigure", *argv]
+    options = _parser().parse_args(remove_ros_args(args)[1:])
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     use_loopback()
     with ProgressDisplay() as display:
         try:
-            with PlaneClient(on_progress=display, on_status=display.status) as client:
+            with PlaneClient(on_progress=display, on_status=display.status, args=args) as client:
                 return _run(client, options, display)
         except FiberError as error:
             display.say(f"reconfigure: {error}")
         except KeyboardInterrupt:
-            display.say("reconfigure: interrupted; robots under way were told to stop")
+            display.say("reconfigure: interrupted; planning and robots under way were told to stop")
     return 1
 
 
@@ -75,8 +77,9 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
         reached = folded.count(Outcome.REACHED)
         display.say(f"home: {reached} of {len(folded.ids)} robots folded")
     ids, xy_mm = _targets(client, options.targets, display)
-    stamp = client.send_targets(ids, xy_mm)
-    client.wait_until_ready(stamp, options.timeout)
+    with client.stops_on_error(options.timeout):  # stop ends planning too
+        stamp = client.send_targets(ids, xy_mm)
+        client.wait_until_ready(stamp, options.timeout)
     if options.no_start:
         display.say(f"plan {stamp}: its orders are ready; call the service start to start them")
         return 0

@@ -114,7 +114,7 @@ def test_before_a_layout_the_plane_is_an_error_and_not_none(nodes):
 
 
 def _has_angles(nodes):
-    return nodes.client._states_of_layout() is not None
+    return nodes.client.states_of_layout() is not None
 
 
 def test_wait_for_graph_names_what_is_missing(nodes):
@@ -223,11 +223,14 @@ def test_outcomes_and_layouts_of_other_sessions_change_nothing(nodes):
 
 def test_the_last_word_of_a_node_that_is_gone_is_forgotten(nodes):
     client = nodes.client
-    for name in ("graph", "graph: bus 0", "planner"):  # the node of this test is called graph
-        status = Status(name, Level.OK, "waiting", {})
+    # the node of this test is called graph, and has the role of the bridge
+    for name, values in (
+        ("bridge", {"node": "/graph"}), ("bridge: bus 0", {}), ("planner", {"node": "/gone"})
+    ):  # fmt: skip
+        status = Status(name, Level.OK, "waiting", values)
         nodes.publish(topics.DIAGNOSTICS, diagnostics.encode([status], 5))
     client.wait_for(lambda: "planner" in client._statuses, WAIT_S)
-    assert set(client.statuses) == {"graph", "graph: bus 0"}
+    assert set(client.statuses) == {"bridge", "bridge: bus 0"}
 
 
 def test_malformed_messages_change_nothing_and_do_not_end_the_client(nodes):

@@ -1,7 +1,7 @@
 """Diagnostics: counters and alerts of a node or a bus, for any ROS tool."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -10,6 +10,8 @@ from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.stamps import PlanStamp, header
 
 __all__ = ["Level", "Status", "decode", "encode"]
+
+_HARDWARE = "focal_plane"
 
 _LONGEST_COUNT = 20  # digits
 
@@ -32,7 +34,7 @@ class Status:
         level: severity.
         text: one line for people.
         values: values by name.
-        hardware_id: name of the hardware, empty for software.
+        hardware_id: name of the hardware; empty for the focal plane.
     """
 
     name: str
@@ -40,6 +42,23 @@ class Status:
     text: str
     values: Mapping[str, object] = field(default_factory=dict)
     hardware_id: str = ""
+
+    def in_namespace(self, namespace: str) -> "Status":
+        """Return the status with the namespace of its node in its name and its hardware_id.
+
+        Two planes share the topic of diagnostics: "north/bridge: bus 3" is of the node in /north.
+
+        Args:
+            namespace: the namespace, as Node.get_namespace gives it.
+        """
+        prefix = f"{namespace.strip('/')}/".lstrip("/")
+        hardware = prefix + (self.hardware_id or _HARDWARE)
+        return replace(self, name=prefix + self.name, hardware_id=hardware)
+
+    def of_namespace(self, namespace: str) -> "Status | None":
+        """Return the status with its name inside a namespace, None if it is of another one."""
+        own, _, name = self.name.rpartition("/")
+        return replace(self, name=name) if own == namespace.strip("/") else None
 
     def count(self, name: str) -> int:
         """Return a value that counts something; 0 where it is missing or no whole number."""

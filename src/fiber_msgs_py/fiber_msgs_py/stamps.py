@@ -106,7 +106,7 @@ def header(stamp: PlanStamp) -> Header:
 
 
 def check_frame(message: Stamped, name: str) -> None:
-    """Refuse a message in another frame than `focal_plane`.
+    """Refuse a message in another frame than `focal_plane`, of any namespace.
 
     Args:
         message: any message with a header.
@@ -116,5 +116,5 @@ def check_frame(message: Stamped, name: str) -> None:
         MessageError: the frame is another; names it.
     """
     frame_id = message.header.frame_id
-    if frame_id != FRAME_ID:
+    if frame_id.startswith("/") or frame_id.rpartition("/")[2] != FRAME_ID:
         raise MessageError(name, f"is not {FRAME_ID!r}", field="frame_id", value=repr(frame_id))

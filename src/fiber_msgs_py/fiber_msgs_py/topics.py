@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -13,6 +13,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from fiber_msgs_py import qos
 from fiber_msgs_py.callback_guard import guarded, guarded_service
+from fiber_msgs_py.stamps import FRAME_ID
 
 __all__ = [
     "CLEAR",
@@ -39,6 +40,7 @@ __all__ = [
     "VIEW_TARGETS",
     "Service",
     "Topic",
+    "frame_of",
 ]
 
 NAMESPACE = "focal_plane"
@@ -84,6 +86,27 @@ class ClientFactory(Protocol, Generic[_Made_co]):
         ...
 
 
+def frame_of(node: Any) -> str:
+    """Return the frame of the plane of a node: `focal_plane`, after the namespace of the node."""
+    return f"{node.get_namespace()}/{FRAME_ID}".lstrip("/")
+
+
+class _InFrame:
+    # a publisher that puts messages of the frame `focal_plane` into the frame of its own plane
+
+    def __init__(self, publisher: Any, frame: str):
+        self._publisher, self._frame = publisher, frame
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._publisher, name)
+
+    def publish(self, message: Any) -> None:
+        header = getattr(message, "header", None)
+        if header is not None and header.frame_id == FRAME_ID:
+            header.frame_id = self._frame
+        self._publisher.publish(message)
+
+
 @dataclass(frozen=True)
 class Topic:
     """A topic with its message type and its quality of service.
@@ -108,8 +131,13 @@ class Topic:
         return replace(self, qos=qos.EVENTS)
 
     def publisher(self, node: PublisherFactory[_Made], **options: object) -> _Made:
-        """Return a new publisher of a node; options as for Node.create_publisher."""
-        return node.create_publisher(self.type, self.name, self.qos, **options)
+        """Return a new publisher of a node; options as for Node.create_publisher.
+
+        A node in a namespace publishes in the frame of its own plane.
+        """
+        publisher = node.create_publisher(self.type, self.name, self.qos, **options)
+        frame = frame_of(node)
+        return publisher if frame == FRAME_ID else cast(_Made, _InFrame(publisher, frame))
 
     def subscription(
         self, node: SubscriptionFactory[_Made], callback: Callable[[Any], None], **options: object
@@ -168,7 +196,7 @@ OUTCOME = _topic("outcome", PointCloud2, qos.RESULTS)
 PROGRESS = _topic("progress", DiagnosticStatus, qos.STREAM)
 # The bridge was told to stop: planning and discretizing of plans up to this stamp end.
 STOPPED = _topic("stopped", Time, qos.EVENTS)
-DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, qos.EVENTS)
+DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, qos.STREAM)  # of all planes of a domain
 
 # One topic for each stage: an empty table does not name its stage, and of two latched
 # publishers on one topic of depth 1 a late subscriber would get one message only.

@@ -4,7 +4,6 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
 from fiber_node.parameters import NodeParameters
@@ -51,10 +50,7 @@ class PlaneNode(Node):
     ) -> list[Any]:
         """Declare parameters, as rclpy does; one whose value has no type may get any."""
         # rclpy refuses an empty list of a parameter file, whose type is not known
-        typed: list[Any] = [
-            (entry[0], None, ParameterDescriptor(dynamic_typing=True))
-            if len(entry) > 1 and entry[1] is None
-            else entry
-            for entry in parameters
-        ]
-        return super().declare_parameters(namespace, typed, ignore_override)
+        for entry in parameters:
+            if len(entry) > 2 and entry[1] is None:
+                entry[2].dynamic_typing = True
+        return super().declare_parameters(namespace, list(parameters), ignore_override)

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
 from fiber_msgs_py import (
@@ -23,6 +25,7 @@ from fiber_msgs_py.progress import Progress
 __all__ = ["Reporter"]
 
 _PERIOD_S = 1.0
+_CLOCK_LINE_S = 10.0  # time between two lines about a missing clock
 _PROGRESS_PERIOD_S = 0.1  # least time between two messages about one piece of work
 
 
@@ -52,7 +55,12 @@ class Reporter:
         self._limit = RateLimit()
         # a client that waits for this node must not wait for what failed
         report_failures_to(node, self._count_refusal)
-        node.create_timer(_PERIOD_S, guarded(node, "diagnostics", self._on_timer))
+        # in real time, as a clock of use_sim_time may be missing or rest
+        node.create_timer(
+            _PERIOD_S,
+            guarded(node, "diagnostics", self._on_timer),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
 
     def progress(self, attempt: Attempt, fraction: float, text: str) -> None:
         """Publish how far the work on an attempt of a plan is.
@@ -138,13 +146,25 @@ class Reporter:
             self._node.get_logger().error(
                 f"{source}: {lines} more messages were refused or dropped, their lines left out"
             )
+        self._warn_of_missing_clock()
         self.publish()
+
+    def _warn_of_missing_clock(self) -> None:
+        if self._node.get_parameter("use_sim_time").value and not self._now_ns():
+            text = f"no time on {self._node.resolve_topic_name('/clock')}, and use_sim_time is set"
+            self._level, self._text = Level.WARN, text
+            self._node.get_logger().warning(text, throttle_duration_sec=_CLOCK_LINE_S)
+
+    def _now_ns(self) -> int:
+        return self._node.get_clock().now().nanoseconds
 
     def publish(self) -> None:
         """Publish the diagnostics now."""
-        counters: dict[str, object] = {"refused": self.refused}
+        node = self._node.get_fully_qualified_name()
+        counters: dict[str, object] = {"node": node, "refused": self.refused}
         if self.dropped:
             counters["dropped"] = self.dropped
         own = Status(self._stage, self._level, self._text, counters | self.counters)
-        now_ns = self._node.get_clock().now().nanoseconds
-        self._diagnostics.publish(diagnostics.encode([own, *self._more()], now_ns))
+        namespace = self._node.get_namespace()
+        statuses = [status.in_namespace(namespace) for status in (own, *self._more())]
+        self._diagnostics.publish(diagnostics.encode(statuses, self._now_ns()))

@@ -1,7 +1,8 @@
 """A node that does one thing after another and receives messages in between."""
 
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
@@ -41,6 +42,10 @@ class RosClient:
         domain: ROS domain; by default the domain of the environment.
         guard: called again and again while the client waits; it ends the wait by raising.
         clock: returns seconds, for time-outs.
+        args: command line for ROS, such as ``["--ros-args", "-r", "__ns:=/north"]``; None for that
+            of the process.
+        namespace: namespace of the node; by default that of the environment variable
+            ROS_NAMESPACE.
     """
 
     def __init__(
@@ -49,13 +54,20 @@ class RosClient:
         domain: int | None = None,
         guard: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
+        args: Sequence[str] | None = (),
+        namespace: str | None = None,
     ):
         self._guard, self._clock = guard, clock
         self._context = Context()
-        rclpy.init(args=[], context=self._context, domain_id=domain)
+        rclpy.init(
+            args=None if args is None else list(args), context=self._context, domain_id=domain
+        )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._nodes: list[Node] = []
-        self.node = self.add_node(lambda **options: Node(name, enable_rosout=False, **options))
+        place = os.environ.get("ROS_NAMESPACE", "") if namespace is None else namespace
+        self.node = self.add_node(
+            lambda **options: Node(name, namespace=place, enable_rosout=False, **options)
+        )
 
     def __enter__(self) -> "RosClient":
         return self

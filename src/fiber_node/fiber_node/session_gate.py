@@ -4,6 +4,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
@@ -34,7 +36,10 @@ class SessionGate:
         self._layout: Any = None  # the last one that passed
         self._kept: dict[str, tuple[float, str, Any, Callable[[Any], None]]] = {}
         self._timer = node.create_timer(
-            _CHECK_PERIOD_S, guarded(node, "sessions", self._check_kept), autostart=False
+            _CHECK_PERIOD_S,
+            guarded(node, "sessions", self._check_kept),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+            autostart=False,
         )
 
     def subscription(self, topic: Topic, callback: Callable[[Any], None]) -> Subscription:

@@ -12,6 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState, PointCloud2
 from trajectory_msgs.msg import JointTrajectory
 
@@ -127,7 +129,11 @@ class RecorderNode(PlaneNode):
             (topics.FRAMES, self._on_frames),
         ):
             topic.subscription(self, self._refusing(topic.name, observe))
-        self.create_timer(_CHECK_PERIOD_S, guarded(self, "recordings", self._write_ended_plans))
+        self.create_timer(
+            _CHECK_PERIOD_S,
+            guarded(self, "recordings", self._write_ended_plans),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
 
     def _refusing(self, topic: str, observe: Callable[[Any], None]) -> Callable[[Any], None]:
         """Return a callback that reports why a message was refused."""

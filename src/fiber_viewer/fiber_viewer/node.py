@@ -10,6 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from geometry_msgs.msg import Point
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import ColorRGBA, Header
@@ -20,7 +22,6 @@ from fiber_core.bounds import Range, check_ranges
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_msgs_py import (
-    FRAME_ID,
     PlanStamp,
     guarded,
     joint_states,
@@ -112,7 +113,11 @@ class ViewerNode(PlaneNode):
         self._gate.subscription(topics.LAYOUT, self._on_layout)
         self._gate.subscription(topics.TARGETS, self._on_targets)
         self._gate.subscription(topics.OUTCOME, self._on_outcome)
-        self.create_timer(1.0 / rate.rate_hz, guarded(self, "view", self._on_timer))
+        self.create_timer(
+            1.0 / rate.rate_hz,
+            guarded(self, "view", self._on_timer),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
 
     def _on_layout(self, message: PointCloud2) -> None:
         try:
@@ -191,7 +196,7 @@ class ViewerNode(PlaneNode):
 
     def _markers(self, plane: FocalPlane, angles: Angles) -> MarkerArray:
         ids = np.array(self._watched_ids(), dtype=np.int64)
-        header = Header(frame_id=FRAME_ID, stamp=self.get_clock().now().to_msg())
+        header = Header(frame_id=topics.frame_of(self), stamp=self.get_clock().now().to_msg())
         # first delete the outlines of robots that are not watched any more
         markers = [Marker(header=header, action=Marker.DELETEALL)]
         for row in plane.index_of(ids).tolist():

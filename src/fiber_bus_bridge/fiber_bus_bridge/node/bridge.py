@@ -8,6 +8,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -85,14 +87,20 @@ class BridgeNode(PlaneNode):
         self._work_group = MutuallyExclusiveCallbackGroup()
         self._subscribe()
         pause_s = _SOON_S if hardware.in_real_time or not scale else _TICK_S / scale
+        # simulated buses follow the clock of the node, as one of use_sim_time; real ones cannot
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(
-            pause_s, guarded(self, "tick", self._on_tick), callback_group=self._work_group
+            pause_s,
+            guarded(self, "tick", self._on_tick),
+            callback_group=self._work_group,
+            clock=steady if hardware.in_real_time else self.get_clock(),
         )
         self._timer.cancel()
         self.create_timer(
             _CHECK_PERIOD_S,
             guarded(self, "plans", self._check_plans),
             callback_group=self._work_group,
+            clock=steady,
         )
         self.create_timer(
             _REPEAT_PERIOD_S, guarded(self, "repeat", self._repeat), callback_group=self._work_group

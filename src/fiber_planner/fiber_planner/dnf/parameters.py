@@ -41,9 +41,10 @@ class DnfParameters:
             three times the time that the slowest robot needs alone, and at least 2.5 s.
         margin_mm: gap between the outlines at the goals, and with dnf_arms at every instant
             [mm].
-        sign: 'corrected', or 'printed' for the sign of the papers, with which neighbours
-            attract each other.
-        attraction: 'joint' towards the goal in joint space, or 'tip' as printed.
+        sign: sign of the repulsion: 'corrected', or 'printed' for that of the papers, with
+            which neighbours attract each other.
+        attraction: attraction of the target: 'joint' towards the goal in joint space, or 'tip'
+            as printed.
         adaptive: whether steps are shortened near neighbours so that no two come nearer
             than d; False is the fixed step of the papers.
 
