@@ -329,8 +329,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--target", default="", help="a table of tools/mutate.toml; all by default")
     parser.add_argument("--jobs", type=int, default=1, help="mutants at a time")
-    parser.add_argument("--report", type=Path, default=ROOT / "bench" / "results" / "mutate.md")
+    parser.add_argument("--report", type=Path, help="by default in bench/results")
     options = parser.parse_args()
+    name = "_".join(["mutate", *filter(None, [options.target])])
+    options.report = options.report or ROOT / "bench" / "results" / f"{name}.md"
     _prepare()
     table = tomllib.loads((ROOT / "tools" / "mutate.toml").read_text())
     suites = [Suite(target) for target in _targets(table, options.target)]
