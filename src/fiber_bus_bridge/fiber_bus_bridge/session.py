@@ -23,10 +23,11 @@ from fiber_bus_bridge.protocol import (
 )
 from fiber_bus_bridge.protocol.ending import end_plan
 from fiber_bus_bridge.protocol.loading import begin_plan
+from fiber_bus_bridge.robot_memory import RobotMemory
 from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.session_state import SessionState, session_state
 from fiber_bus_bridge.transactions import Transactions
-from fiber_core.array_types import Angles, Counts, Mask, Velocities
+from fiber_core.array_types import Angles, Codes, Counts, Mask, Velocities
 from fiber_core.clearance import Safety, hold_until_safe
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireMotion, WireUnits
@@ -162,11 +163,63 @@ class Session:
         self._require(Event.ENABLE, "enable or disable robots")
         self.protocol.plane = self.plane.with_enabled(enabled)
 
+    def memory(self, failed: Codes, starting: bool = False) -> RobotMemory:
+        """Return what must be remembered of the robots over a restart.
+
+        Args:
+            failed: Reason for which each robot is left out of plans, else OK, shape (n,).
+            starting: whether the verified robots are about to be sent a GO.
+        """
+        robots = self.robots
+        lost = robots["lost"] | (robots["verified"] if starting else False)
+        return RobotMemory(
+            robots["counts"].copy(), robots["placed"].copy(), lost, robots["boot"].copy(),
+            failed.copy(), self.buses["sequence"].copy(),
+        )  # fmt: skip
+
+    def recall(self, memory: RobotMemory) -> None:
+        """Take over what was remembered before a restart, before the robots are configured.
+
+        Robots that answer are believed more than any memory.
+
+        Raises:
+            SessionError: the robots were configured already.
+        """
+        if self.protocol.state is not State.UNCONFIGURED:
+            raise self._refusal("recall a memory")
+        robots = self.robots
+        placed = memory.placed
+        robots["counts"][placed] = memory.counts[placed]
+        robots["placed"], robots["lost"] = placed, memory.lost
+        robots["boot"] = memory.boot
+        self.buses["sequence"] = memory.sequence
+
+    def vouch(self, ids: ArrayLike) -> None:
+        """Believe that robots that do not answer rest where they were read last, or assumed.
+
+        Args:
+            ids: ids of the robots, shape (k,).
+
+        Raises:
+            SessionError: a robot does not exist, or robots are moving.
+        """
+        self._require(Event.ENABLE, "vouch for robots")
+        ids = np.asarray(ids, dtype=np.int64)
+        rows = self.plane.index_of(ids)
+        if (rows < 0).any():
+            raise SessionError(
+                f"robot {ids[rows < 0][0]} cannot be vouched for: the plane has no such robot"
+            )
+        self.robots["placed"][rows] = True
+        self.robots["lost"][rows] = False
+
     def configure(self, t: float) -> float:
         """Identify the robots, and send units, limits and speeds to them.
 
         Robots that do not answer, or answer with another serial number, remain unknown and
-        are obstacles at their assumed angles; a later call tries them again.
+        are obstacles where they were read last; a later call tries them again. Of a robot that was
+        never read, and that no memory and no operator vouches for, the place is not known: its
+        neighbours do not move.
 
         Raises:
             SessionError: robots are moving, or stopped and not cleared, or orders wait.

@@ -136,6 +136,7 @@ def test_every_robot_of_a_plan_has_its_own_reason():
     rig = Rig(8, enabled=np.arange(8) != 2)
     rig.robots.power([3], False, 0.0)
     rig.call("configure")
+    rig.session.vouch([3])  # or its neighbours would rest
     velocity = np.zeros((8, 2), dtype=np.int64)
     velocity[[0, 2, 3, 6], 0] = 400
     counts = np.where(velocity != 0, 1, 0)

@@ -24,8 +24,10 @@ from fiber_bus_bridge.node.disabled_parameter import (
 from fiber_bus_bridge.node.hardware import declare_hardware
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
 from fiber_bus_bridge.node.publishers import Publishers
+from fiber_bus_bridge.node.remembered import MemoryConfig, Remembered, memory_path
 from fiber_bus_bridge.node.settings import AttemptConfig, ExecutionConfig, StartConfig
 from fiber_bus_bridge.node.stage_watch import StageWatch
+from fiber_bus_bridge.node.vouched_parameter import declare_vouched, follow_vouched_parameter
 from fiber_bus_bridge.protocol import State
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.session_config import SessionConfig
@@ -75,7 +77,9 @@ class BridgeNode(PlaneNode):
         self._lock, self._stop_requested = threading.Lock(), threading.Event()
         self._time_s = self._due_s = 0.0
         self._others_since_s: dict[str, float] = {}  # claims of other bridges
-        self._availability = declare_availability(self, self.parameters, plane)
+        memory = memory_path(self.parameters.declare(MemoryConfig, read_only=True).value, hardware)
+        self._availability = declare_availability(self, self.parameters, plane, memory)
+        declare_vouched(self, self.parameters)
         self.parameters.finish()
         self._session.enable(self._availability.enabled)
         self._claim = self._claimed(execution.discovery_s)
@@ -85,6 +89,9 @@ class BridgeNode(PlaneNode):
         self._attempts = self._make_attempts(attempt_config)
         self._stopped = topics.STOPPED.publisher(self)
         self._work_group = MutuallyExclusiveCallbackGroup()
+        self._remembered = Remembered(
+            self._session, self._availability, hardware, memory, self._reporter.refuse
+        )
         self._subscribe()
         pause_s = _SOON_S if hardware.in_real_time or not scale else _TICK_S / scale
         # simulated buses follow the clock of the node, as one of use_sim_time; real ones cannot
@@ -105,7 +112,7 @@ class BridgeNode(PlaneNode):
         self.create_timer(
             _REPEAT_PERIOD_S, guarded(self, "repeat", self._repeat), callback_group=self._work_group
         )
-        self._configure()
+        self._find_robots()
         for line in hardware.lines:
             self.get_logger().info(line)
         self.get_logger().info(f"{plane.n} robots on {len(self._session.transactions.buses)} buses")
@@ -162,6 +169,7 @@ class BridgeNode(PlaneNode):
         own_group = MutuallyExclusiveCallbackGroup()
         topics.STOP.server(self, self._on_stop, callback_group=own_group)
         follow_disabled_parameter(self, self._disable, self._reporter.refuse)
+        follow_vouched_parameter(self, self._vouch, self._reporter.refuse)
 
     def _locked(self, hear: Callable[[Any], None]) -> Callable[[Any], None]:
         def receive(message: Any) -> None:
@@ -250,6 +258,11 @@ class BridgeNode(PlaneNode):
         return self._report_started()
 
     def _may_go(self) -> bool:
+        try:
+            self._remembered.save(starting=True)
+        except BridgeError as error:
+            self._reporter.refuse(f"no robot is started: {error}")
+            return False
         return not self._stop_requested.is_set()
 
     def _report_started(self) -> str:
@@ -286,8 +299,12 @@ class BridgeNode(PlaneNode):
         return self._session.state.value
 
     def _configure(self) -> str:
+        return self._find_robots(restore=True)
+
+    def _find_robots(self, restore: bool = False) -> str:
         self._session.configure(self._now_s())
-        self._availability.restore()
+        if restore:  # not at the start: robots that failed before a restart have failed
+            self._availability.restore()
         self._attempts.end_all(Reason.NOT_PLANNED, "configured")
         self._outgoing.publish_layout(always=True)
         self._publish_changes()
@@ -309,6 +326,23 @@ class BridgeNode(PlaneNode):
             self._lock.release()
         self._reporter.publish()
         self.get_logger().info(f"disabled by operators: {sorted(ids) or 'no robot'}")
+
+    def _vouch(self, ids: Sequence[int]) -> None:
+        if not self._lock.acquire(timeout=_ANSWER_S):
+            raise SessionError("robots cannot be vouched for while a plan is under way")
+        try:
+            self._session.vouch(ids)
+            self._save_memory()
+        finally:
+            self._lock.release()
+        self._reporter.publish()
+        self.get_logger().info(f"vouched for by operators: {sorted(ids) or 'no robot'}")
+
+    def _save_memory(self) -> None:
+        try:
+            self._remembered.save()
+        except BridgeError as error:
+            self._reporter.refuse(str(error))
 
     # --- motion --------------------------------------------------------------
 
@@ -340,6 +374,11 @@ class BridgeNode(PlaneNode):
 
     def _publish_changes(self, last: bool = False) -> None:
         """Publish the changes of a call; after a last call a plan gets no further attempt."""
+        self._publish_state(last)
+        if self._session.state is not SessionState.MOVING:
+            self._save_memory()
+
+    def _publish_state(self, last: bool) -> None:
         self._now_s()
         current = self._attempts.current
         self._outgoing.publish_frames(None if current is None else current.stamp)

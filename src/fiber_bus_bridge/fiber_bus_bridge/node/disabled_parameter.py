@@ -14,7 +14,7 @@ from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_node import NodeParameters
 
-__all__ = ["declare_availability", "follow_disabled_parameter"]
+__all__ = ["declare_availability", "follow_disabled_parameter", "ids_of"]
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,20 @@ _ABOUT = (
 )
 
 
-def declare_availability(node: Node, parameters: NodeParameters, plane: FocalPlane) -> Availability:
+def declare_availability(
+    node: Node, parameters: NodeParameters, plane: FocalPlane, memory: Path | None = None
+) -> Availability:
     """Declare `disabled`, `disabled_why` and `disabled_file`; return the availability of robots.
 
     With a file the list comes from the file; the parameter `disabled` then shows the list.
+
+    Args:
+        node: the node.
+        parameters: its parameters.
+        plane: the focal plane.
+        memory: file with the memory of the robots, beside which the list is kept if
+            `disabled_file` is not set; None to keep it in memory only. There, `disabled` overrides
+            the list.
 
     Raises:
         BridgeError: the list cannot be read, or names a robot that the plane does not have.
@@ -61,9 +71,10 @@ def declare_availability(node: Node, parameters: NodeParameters, plane: FocalPla
     # dynamic typing: an empty list has no element type
     about = ParameterDescriptor(description=_ABOUT, dynamic_typing=True)
     node.declare_parameter("disabled", None, about, ignore_override=True)
-    availability = Availability(plane, Path(file) if file else None)
-    if not file:
-        availability.disable(_ids(given), reason)
+    beside = None if memory is None else memory.with_name(f"{memory.stem}-disabled.yaml")
+    availability = Availability(plane, Path(file) if file else beside)
+    if not file and (given is not None or beside is None):
+        availability.disable(ids_of(given, "disabled"), reason)
     shown = Parameter("disabled", Parameter.Type.INTEGER_ARRAY, sorted(availability.disabled))
     node.set_parameters([shown])
     return availability
@@ -87,7 +98,7 @@ def follow_disabled_parameter(
             return SetParametersResult(successful=True)
         reason = named.get("disabled_why", node.get_parameter("disabled_why").value)
         try:
-            change(_ids(named["disabled"]), str(reason))
+            change(ids_of(named["disabled"], "disabled"), str(reason))
         except FiberError as error:
             refuse(str(error))
             return SetParametersResult(successful=False, reason=str(error))
@@ -96,12 +107,17 @@ def follow_disabled_parameter(
     node.add_on_set_parameters_callback(on_set)
 
 
-def _ids(value: object) -> list[int]:
+def ids_of(value: object, name: str) -> list[int]:
+    """Return the robot ids in the value of a parameter.
+
+    Raises:
+        BridgeError: the value is no list of ids.
+    """
     value = [] if value is None else value
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-        raise BridgeError(f"disabled is {value!r}, expected robot ids")
+        raise BridgeError(f"{name} is {value!r}, expected robot ids")
     ids = list(value)
     for entry in ids:
         if type(entry) is not int:
-            raise BridgeError(f"disabled holds {entry!r}, expected robot ids")
+            raise BridgeError(f"{name} holds {entry!r}, expected robot ids")
     return ids

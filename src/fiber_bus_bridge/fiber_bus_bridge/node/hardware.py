@@ -43,6 +43,7 @@ class Hardware:
         clock: returns the time of the buses [s], or -inf for simulated buses, whose time advances
             only with their traffic.
         slice_s: longest time for which moving robots are supervised in one call [s].
+        plant: socket of the plant with the robots, None without a plant.
         lines: what was read from the files of the plane, and what of them is not used.
     """
 
@@ -54,6 +55,7 @@ class Hardware:
     clock: Callable[[], float] = lambda: -np.inf
     slice_s: float = np.inf
     lines: tuple[str, ...] = ()
+    plant: Path | None = None
 
     @property
     def in_real_time(self) -> bool:
@@ -137,7 +139,8 @@ def plant_hardware(config: SimulationConfig, path: Path) -> Hardware:
     timing = bus_timing(config.clock)
     rehearse()
     buses = PlantBuses(path, plane.ids, addresses_of(plane), timing, _PLANT_S)
-    return Hardware(plane, WireUnits.for_plane(plane), start, buses, timing, lines=found.lines)
+    units = WireUnits.for_plane(plane)
+    return Hardware(plane, units, start, buses, timing, lines=found.lines, plant=path)
 
 
 def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardware:

@@ -10,6 +10,7 @@ from fiber_bus_bridge.availability import Availability
 from fiber_bus_bridge.frame_log import frame_log
 from fiber_bus_bridge.plan_result import PlanResult
 from fiber_bus_bridge.session import Session
+from fiber_bus_bridge.session_state import SessionState
 from fiber_core.array_types import Mask
 from fiber_core.outcomes import Reason
 from fiber_msgs_py import (
@@ -123,10 +124,14 @@ class Publishers:
         availability, ids = self._availability, self._session.plane.ids
         reasons = {f"robot {robot}": why for robot, why in sorted(availability.disabled.items())}
         unknown, failed = ~self._session.known, availability.failed != Reason.OK
+        lost = self._session.robots["lost"]
         text = (
             f"{len(reasons)} disabled by operators, {unknown.sum()} not found, "
-            f"{failed.sum()} failed"
+            f"{failed.sum()} failed, {lost.sum()} at unknown places"
         )
+        if self._session.state is not SessionState.MOVING:
+            for row in np.flatnonzero(lost)[:_NAMED]:
+                reasons[f"robot {ids[row]}"] = "place unknown: its neighbours rest"
         for row in np.flatnonzero(failed)[:_NAMED]:
             reasons[f"robot {ids[row]}"] = Reason(availability.failed[row]).name.lower()
         level = Level.WARN if unknown.any() or failed.any() else Level.OK

@@ -5,7 +5,9 @@ import numpy as np
 from fiber_bus_bridge.plan_result import PlanResult, evaluate
 from fiber_bus_bridge.protocol.context import Context
 from fiber_bus_bridge.protocol.states import Event
+from fiber_bus_bridge.protocol.tables import begin_sequences
 from fiber_bus_bridge.wire import Configuration, Opcode, RobotState, encode_config
+from fiber_core.array_types import Ints, Rows
 
 __all__ = ["clear", "configure", "end", "end_plan"]
 
@@ -19,6 +21,8 @@ def configure(c: Context) -> Event:
     identity = transactions.identities(np.arange(c.plane.n), t)
     rows = np.flatnonzero(identity.ok & (identity.serial == c.plane.ids))
     robots["known"] = False
+    read_rows: list[Rows] = []
+    sequences: list[Ints] = []
     for _ in range(_CONFIGS):
         todo = rows[~robots["known"][rows]]
         config = Configuration(
@@ -31,6 +35,11 @@ def configure(c: Context) -> Event:
         configured = (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)
         robots["known"][todo] = status.ok & configured
         robots["boot"][todo] = status.boot
+        read_rows.append(todo[status.ok])
+        sequences.append(status.sequence[status.ok])
+    # where a robot is that was never read, and that nothing vouches for, is not known
+    robots["lost"] |= ~robots["placed"]
+    begin_sequences(c.buses, c.bus[np.concatenate(read_rows)], np.concatenate(sequences))
     halted = np.isin(robots["state"], (RobotState.STOPPED, RobotState.FAULT)) & robots["known"]
     return Event.FOUND_STOPPED if halted.any() else Event.CONFIGURED
 

@@ -17,7 +17,7 @@ from fiber_bus_bridge.plan_result import LoadedPlan
 from fiber_bus_bridge.protocol.context import Context, Phase
 from fiber_bus_bridge.protocol.decisions import neighbours_of, not_loaded
 from fiber_bus_bridge.protocol.states import Event
-from fiber_bus_bridge.protocol.tables import begin_phase
+from fiber_bus_bridge.protocol.tables import SEQUENCES, begin_phase
 from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_load, encode_load
 from fiber_core.array_types import Bools, Codes, Mask, Rows
 from fiber_core.outcomes import Reason
@@ -37,7 +37,6 @@ __all__ = [
 
 _ROUNDS = 6  # fresh sequence numbers tried before nothing is started
 _TRIES = 2  # deliveries of an order under one sequence number
-_SEQUENCES = 15
 
 
 class Delivery(NamedTuple):
@@ -88,7 +87,7 @@ def load(c: Context, phase: Phase) -> Event:
     robots, buses = c.robots, c.buses
     stale = buses["stale"].copy()
     robots["verified"] &= ~stale[c.bus]
-    buses["sequence"] = np.where(stale, buses["sequence"] % _SEQUENCES + 1, buses["sequence"])
+    buses["sequence"] = np.where(stale, buses["sequence"] % SEQUENCES + 1, buses["sequence"])
     todo = np.flatnonzero(robots["wanted"] & stale[c.bus])
     # for the other buses these are, byte for byte, the frames already verified there
     phase.frames = _encode(c, phase.motion)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiber_bus_bridge.wire import RobotState, Statuses
-from fiber_core.array_types import Counts, Mask, Rows
+from fiber_core.array_types import Counts, Ints, Mask, Rows
 from fiber_core.outcomes import Reason
 
 __all__ = [
@@ -15,7 +15,9 @@ __all__ = [
     "ROBOT",
     "Buses",
     "Robots",
+    "SEQUENCES",
     "begin_phase",
+    "begin_sequences",
     "begin_watch",
     "new_buses",
     "new_robots",
@@ -33,6 +35,7 @@ ROBOT = np.dtype(
         ("boot", "i8"),  # boot counter at configuration, -1 before
         ("counts", "i8", (2,)),  # encoders [quanta]
         ("lost", "?"),  # moved at its last status, or was started since: its place is unknown
+        ("placed", "?"),  # its place was read, or is vouched for
         ("state", "i8"),  # RobotState, 0 without a reply
         ("fault", "i8"),
         ("alerts", "i8"),
@@ -57,8 +60,9 @@ ROBOT = np.dtype(
     ],
     align=True,
 )
+SEQUENCES = 15  # sequence numbers are 1..15
 # columns that stay true when the controller ends while robots are where they are
-REMEMBERED = ("boot", "counts", "lost", "failed")
+REMEMBERED = ("boot", "counts", "lost", "placed", "failed")
 
 BUS = np.dtype(
     [
@@ -88,6 +92,23 @@ def new_robots(counts: Counts) -> Robots:
 def new_buses(number: int) -> Buses:
     """Return a table of buses without traffic."""
     return np.zeros(number, dtype=BUS)
+
+
+def begin_sequences(buses: Buses, bus: Ints, sequence: Ints) -> None:
+    """Let buses without orders of this controller begin after the numbers that their robots hold.
+
+    A robot refuses the sequence number of the order that it executed last.
+
+    Args:
+        buses: the buses.
+        bus: bus of each robot that was read, shape (r,).
+        sequence: sequence number of the order that it accepted last, 0 for none, shape (r,).
+    """
+    for place in np.flatnonzero(buses["sequence"] == 0):
+        held = np.unique(sequence[bus == place])
+        after = (held.max(initial=0) + np.arange(SEQUENCES)) % SEQUENCES
+        free = ~np.isin(after + 1, held)
+        buses["sequence"][place] = after[int(np.argmax(free))]
 
 
 def begin_phase(robots: Robots, buses: Buses, wanted: Mask, blocked: Mask) -> None:
@@ -142,3 +163,4 @@ def observe(robots: Robots, rows: Rows, status: Statuses, t: float, quantum_rad:
     robots["fault"][rows] = status.fault
     robots["alerts"][rows] = status.alerts
     robots["lost"][rows] = moves
+    robots["placed"][rows] = True

@@ -1,0 +1,108 @@
+"""The memory of the robots on disk: recalled when the bridge starts, saved before it is needed."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fiber_bus_bridge.availability import Availability
+from fiber_bus_bridge.errors import BridgeError
+from fiber_bus_bridge.node.hardware import Hardware
+from fiber_bus_bridge.robot_memory import RobotMemory, fingerprint, load_memory, save_memory
+from fiber_bus_bridge.session import Session
+
+__all__ = ["MemoryConfig", "Remembered", "memory_path"]
+
+
+@dataclass(frozen=True)
+class MemoryConfig:
+    """Where the bridge remembers its robots over a restart.
+
+    Args:
+        memory: file with places, failures and sequence numbers of the robots; "auto" for one of
+            this user and plane, where the robots outlive the bridge; "none" for no file.
+    """
+
+    memory: str = "auto"
+
+
+def memory_path(config: MemoryConfig, hardware: Hardware) -> Path | None:
+    """Return the file of the memory, None for none.
+
+    The default of robots in a plant is beside its socket, that of robots on I2C adapters in
+    XDG_STATE_HOME, or ~/.local/state without one, with the fingerprint of the plane in its name.
+    """
+    if config.memory == "none":
+        return None
+    if config.memory != "auto":
+        return Path(config.memory)
+    if hardware.plant is not None:
+        return hardware.plant.with_name(hardware.plant.name + ".robots.json")
+    if not hardware.in_real_time:
+        return None  # the robots end with the bridge
+    base = os.environ.get("XDG_STATE_HOME")
+    folder = Path(base) if base else Path.home() / ".local" / "state"
+    return folder / "fiber_positioners" / f"robots-{fingerprint(hardware.plane)}.json"
+
+
+class Remembered:
+    """Keeps the memory of the robots of a session in a file.
+
+    Args:
+        session: the session, not configured yet.
+        availability: the robots that failed, which are recalled too.
+        hardware: the hardware of the robots.
+        path: the file; None for no memory.
+        warn: called with what is wrong with the file.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        availability: Availability,
+        hardware: Hardware,
+        path: Path | None,
+        warn: Callable[[str], None],
+    ):
+        self._session, self._availability, self._path = session, availability, path
+        self._saved: RobotMemory | None = None
+        if path is None:
+            return
+        memory = self._load(path, hardware, warn)
+        if memory is not None:
+            session.recall(memory)
+            availability.failed = memory.failed.copy()
+
+    def _load(
+        self, path: Path, hardware: Hardware, warn: Callable[[str], None]
+    ) -> RobotMemory | None:
+        session = self._session
+        try:
+            plant = hardware.plant
+            if plant is not None and path.exists() and path.stat().st_mtime < plant.stat().st_mtime:
+                return None  # of the robots of an earlier plant
+            quantum = session.units.quantum_prad
+            return load_memory(path, hardware.plane, quantum, len(session.buses))
+        except (BridgeError, OSError) as error:
+            warn(
+                f"{error}; no robot that does not answer is believed to be where it was, and its "
+                "neighbours rest until it is read or vouched for"
+            )
+            return None
+
+    def save(self, starting: bool = False) -> None:
+        """Save what has changed.
+
+        Args:
+            starting: whether the verified robots are about to be sent a GO.
+
+        Raises:
+            BridgeError: the file cannot be written.
+        """
+        if self._path is None:
+            return
+        memory = self._session.memory(self._availability.failed, starting)
+        if self._saved is not None and memory.same(self._saved):
+            return
+        save_memory(self._path, memory, self._session.plane, self._session.units.quantum_prad)
+        self._saved = memory

@@ -1,0 +1,173 @@
+"""What must be remembered of robots over a restart of the bridge, and the file that keeps it.
+
+A robot that does not answer stands where it was read last, if it rested then. If it was sent a GO
+since, nothing is known but the interval that its joints can reach, and its neighbours rest until it
+is read, or an operator vouches for its place. Only a memory on disk tells one from the other after
+a restart.
+
+The file is JSON: one list for each column in the order of `ids`, `format`, `plane` (a fingerprint
+of ids, buses and addresses), the size of a quantum, and a checksum of all of it.
+"""
+
+import hashlib
+import json
+import os
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fiber_bus_bridge.errors import BridgeError
+from fiber_core.array_types import Codes, Counts, Ints, Mask
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.outcomes import Reason
+
+__all__ = ["RobotMemory", "fingerprint", "load_memory", "save_memory"]
+
+_FORMAT = "robot memory of fiber_bus_bridge, 1"
+_LARGEST = 2**31 - 1  # quanta that a joint can be away from zero
+_COLUMNS = ("theta", "phi", "placed", "lost", "boot", "failed")
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMemory:
+    """Robots and buses as they were known last.
+
+    Args:
+        counts: joint positions read last, or vouched for [quanta], shape (n, 2).
+        placed: whether counts are of a reading, or vouched for, shape (n,).
+        lost: whether the robot was sent a GO since, shape (n,).
+        boot: boot counter, -1 if it was never read, shape (n,).
+        failed: Reason for which the robot is left out of plans, else OK, shape (n,).
+        sequence: sequence number of the last orders on each bus, 0 for none, shape (b,).
+    """
+
+    counts: Counts
+    placed: Mask
+    lost: Mask
+    boot: Ints
+    failed: Codes
+    sequence: Ints
+
+    def same(self, other: "RobotMemory") -> bool:
+        """Return whether another memory has the same content."""
+        return all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in ("counts", "placed", "lost", "boot", "failed", "sequence")
+        )
+
+
+def fingerprint(plane: FocalPlane) -> str:
+    """Return a text that differs between planes with other robots, buses or addresses."""
+    columns = np.stack([plane.ids, plane.bus, plane.address]).astype("<i8")
+    return hashlib.sha256(columns.tobytes() + plane.centers.astype("<f8").tobytes()).hexdigest()[
+        :16
+    ]
+
+
+def save_memory(path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad: int) -> None:
+    """Replace the file as a whole, on disk before the call returns.
+
+    Args:
+        path: the file; missing folders are created.
+        memory: the memory.
+        plane: the focal plane.
+        quantum_prad: one quantum [1e-12 rad].
+
+    Raises:
+        BridgeError: the file cannot be written.
+    """
+    content: dict[str, object] = {
+        "format": _FORMAT,
+        "plane": fingerprint(plane),
+        "quantum_prad": quantum_prad,
+        "ids": plane.ids.tolist(),
+        "theta": memory.counts[:, 0].tolist(),
+        "phi": memory.counts[:, 1].tolist(),
+        "placed": memory.placed.astype(int).tolist(),
+        "lost": memory.lost.astype(int).tolist(),
+        "boot": memory.boot.tolist(),
+        "failed": memory.failed.tolist(),
+        "sequence": memory.sequence.tolist(),
+    }
+    content["checksum"] = _checksum(content)
+    fresh = path.with_name(path.name + ".new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(fresh, "w", encoding="utf-8") as file:
+            json.dump(content, file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(fresh, path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)  # the new name is on disk, too
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise BridgeError(f"memory of the robots {path}: {error}") from error
+
+
+def load_memory(path: Path, plane: FocalPlane, quantum_prad: int, buses: int) -> RobotMemory | None:
+    """Return the memory in a file, None if there is no file.
+
+    Args:
+        path: the file.
+        plane: the focal plane.
+        quantum_prad: one quantum [1e-12 rad].
+        buses: number of buses.
+
+    Raises:
+        BridgeError: the file is damaged, or of another plane; names what is wrong.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, RecursionError) as error:
+        raise BridgeError(f"memory of the robots {path}: {error}") from error
+    try:
+        return _memory(content, plane, quantum_prad, buses)
+    except BridgeError as error:
+        raise BridgeError(f"memory of the robots {path}: {error}") from error
+
+
+def _memory(content: object, plane: FocalPlane, quantum_prad: int, buses: int) -> RobotMemory:
+    if not isinstance(content, dict) or content.get("format") != _FORMAT:
+        raise BridgeError(f"is not a {_FORMAT!r}")
+    if content.get("checksum") != _checksum(content):
+        raise BridgeError("its checksum is wrong")
+    for name, expected in (
+        ("plane", fingerprint(plane)),
+        ("quantum_prad", quantum_prad),
+        ("ids", plane.ids.tolist()),
+    ):
+        if content.get(name) != expected:
+            raise BridgeError(f"{name} differs: it is of another plane")
+    theta, phi, placed, lost, boot, failed = (_column(content, name, plane.n) for name in _COLUMNS)
+    if not np.isin(failed, [int(reason) for reason in Reason]).all():
+        raise BridgeError("failed holds a number that is no reason")
+    return RobotMemory(
+        np.stack([theta, phi], axis=1),
+        placed.astype(bool),
+        lost.astype(bool),
+        boot,
+        failed,
+        _column(content, "sequence", buses),
+    )
+
+
+def _column(content: dict[str, object], name: str, length: int) -> Ints:
+    values = content.get(name)
+    if not isinstance(values, list) or len(values) != length:
+        raise BridgeError(f"{name} is not a list of {length} numbers")
+    for value in values:
+        if type(value) is not int or abs(value) > _LARGEST:
+            raise BridgeError(f"{name} holds {value!r}")
+    return np.array(values, dtype=np.int64)
+
+
+def _checksum(content: dict[str, object]) -> int:
+    rest = {name: value for name, value in content.items() if name != "checksum"}
+    return zlib.crc32(json.dumps(rest, sort_keys=True).encode())

@@ -1,0 +1,172 @@
+"""The bridge remembers its robots over a restart, and believes no place that is not vouched for."""
+
+import json
+
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from rest_of_graph import COUNTS, PLANE, UNITS, Rest, problem_file, turning
+
+import fiber_bus_bridge.node.hardware
+from fiber_bus_bridge import BridgeError
+from fiber_bus_bridge.robot_memory import RobotMemory, load_memory, save_memory
+from fiber_core.outcomes import Reason
+from fiber_msgs_py import diagnostics, topics
+from fiber_node import RosClient
+
+pytestmark = pytest.mark.timeout(600)
+
+QUANTUM = UNITS.quantum_prad
+
+
+def some_memory():
+    rng = np.random.default_rng(1)
+    flags = rng.random((2, 7)) < 0.5
+    return RobotMemory(
+        rng.integers(-(2**31) + 1, 2**31, (7, 2)), *flags, rng.integers(-1, 9, 7),
+        rng.choice([int(reason) for reason in Reason], 7), np.array([5]),
+    )  # fmt: skip
+
+
+def test_the_file_gives_back_what_was_saved(tmp_path):
+    path, memory = tmp_path / "a" / "robots.json", some_memory()
+    assert load_memory(path, PLANE, QUANTUM, 1) is None
+    save_memory(path, memory, PLANE, QUANTUM)
+    assert load_memory(path, PLANE, QUANTUM, 1).same(memory)
+    assert [each.name for each in path.parent.iterdir()] == ["robots.json"]
+
+
+def test_a_damaged_file_or_one_of_another_plane_is_refused_by_name(tmp_path):
+    path = tmp_path / "robots.json"
+    save_memory(path, some_memory(), PLANE, QUANTUM)
+    with pytest.raises(BridgeError, match=r"robots\.json: plane differs"):
+        load_memory(path, PLANE.permuted(np.arange(6)), QUANTUM, 1)
+    with pytest.raises(BridgeError, match="quantum_prad differs"):
+        load_memory(path, PLANE, QUANTUM + 1, 1)
+    text, rng = path.read_text(), np.random.default_rng(2)
+    for _ in range(200):
+        at = int(rng.integers(len(text)))
+        damaged = text[:at] + str(rng.integers(10)) * int(rng.integers(0, 3)) + text[at + 1 :]
+        path.write_text(damaged)
+        if json.loads(text) == _parsed(damaged):
+            continue
+        with pytest.raises(BridgeError, match=r"robots\.json"):
+            load_memory(path, PLANE, QUANTUM, 1)
+
+
+def _parsed(text):
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None
+
+
+class Night(Rest):
+    """A bridge that can be ended at any moment; its robots are those of the bridge before."""
+
+    def __init__(self, peer, problem, made, **parameters):
+        self.given = dict(problem=problem, time_scale=0.2, attempts=1, **parameters)
+        super().__init__(peer, problem, time_scale=0.2, attempts=1, **parameters)
+        self.robots = made[0].positioners
+
+    def restart(self):
+        for stage in self.stages.values():
+            self.peer.node.destroy_subscription(stage._subscription)
+        self.peer.remove_node(self.bridge)
+        given = dict(self.given)
+        for messages in self.received.values():
+            messages.clear()
+        super().__init__(self.peer, given.pop("problem"), **given)
+
+    def left_out(self):
+        statuses = diagnostics.decode(self.received[topics.DIAGNOSTICS.name][-1])
+        return next(s for s in statuses if s.name == "bridge: left out").values
+
+
+@pytest.fixture
+def night(tmp_path, monkeypatch):
+    made, build = [], fiber_bus_bridge.node.hardware.simulated_buses
+    monkeypatch.setattr(
+        fiber_bus_bridge.node.hardware,
+        "simulated_buses",
+        lambda *given: made[0] if made else made.append(build(*given)) or made[0],
+    )
+    path = tmp_path / "robots.json"
+    with RosClient("rest") as peer:
+        made_night = Night(peer, problem_file(tmp_path), made, memory=str(path))
+        made_night.path = path
+        yield made_night
+
+
+def test_before_a_go_the_file_says_that_the_robots_may_be_anywhere(night):
+    night.ready(9, turning(ticks=300))
+    assert not load_memory(night.path, PLANE, QUANTUM, 1).lost.any()
+    assert night.call(topics.START).success
+    assert load_memory(night.path, PLANE, QUANTUM, 1).lost.all()
+    assert night.call(topics.STOP).success
+    night.end(9)
+    memory = load_memory(night.path, PLANE, QUANTUM, 1)
+    assert not memory.lost.any() and np.array_equal(memory.counts, night.counts())
+
+
+def test_without_a_place_on_disk_no_robot_is_started(night, monkeypatch):
+    night.ready(9)
+
+    def full(*_):
+        raise BridgeError("no space left on device")
+
+    monkeypatch.setattr("fiber_bus_bridge.node.remembered.save_memory", full)
+    night.call(topics.START)
+    result, reason, _ = night.end(9)
+    assert set(reason.tolist()) <= {Reason.STOPPED, Reason.OK}
+    assert np.array_equal(night.counts(), COUNTS)
+    night.until(lambda: "no space left on device" in night.status().text)
+
+
+def test_an_operator_vouches_for_a_robot_whose_place_is_not_known(night):
+    night.path.write_text("{")
+    night.robots.power([0], False, 0.0)
+    night.restart()
+    night.until(lambda: "place unknown" in night.left_out().get("robot 0", ""))
+    assert json.loads(night.path.read_text())["lost"][0] == 1
+    near = np.hypot(*(PLANE.centers - PLANE.centers[0]).T) < 12.0
+    neighbours = near & (PLANE.ids != 0)
+    assert neighbours.any()
+    night.ask(9, PLANE.ids, PLANE.centers + 3.0)
+    night.ready(9)
+    night.call(topics.START)
+    assert np.all(night.end(9)[1][neighbours] == Reason.UNSAFE_AS_LOADED)
+
+    # an operator has looked where robot 0 is
+    assert night.bridge.set_parameters([Parameter("vouched", value=[0])])[0].successful
+    night.until(lambda: "place" not in str(night.left_out().get("robot 0")))
+    assert not load_memory(night.path, PLANE, QUANTUM, 1).lost.any()
+    bad = night.bridge.set_parameters([Parameter("vouched", value=[99])])[0]
+    assert not bad.successful and "robot 99 cannot be vouched for" in bad.reason
+    counts, motion = night.counts(), turning(ticks=300)
+    night.ready(20, type(motion)(UNITS, counts, motion.offsets, motion.ticks, motion.velocity))
+    assert night.call(topics.START).success
+    night.end(20)
+    night.until(lambda: (night.counts()[neighbours] != counts[neighbours]).any(axis=1).all())
+
+
+def test_failed_robots_and_places_survive_a_restart(night):
+    night.robots.power([3], False, 0.0)
+    night.ask(9, PLANE.ids, PLANE.centers + 3.0)
+    night.ready(9)
+    assert night.call(topics.START).success
+    night.end(9)
+    night.until(lambda: night.left_out().get("robot 3") == "not_acknowledged")
+    memory = load_memory(night.path, PLANE, QUANTUM, 1)
+    assert memory.failed[3] == Reason.NOT_ACKNOWLEDGED and not memory.lost.any()
+    counts = night.counts()
+    night.restart()
+    night.until(lambda: night.left_out().get("robot 3") == "not_acknowledged")
+    assert np.array_equal(night.counts(), counts)
+    # it rested when it fell silent, so its place is known, and its neighbours move
+    motion = turning()
+    night.ready(20, type(motion)(UNITS, counts, motion.offsets, motion.ticks, motion.velocity))
+    assert night.call(topics.START).success
+    night.end(20)
+    others = PLANE.ids != 3
+    night.until(lambda: (night.counts()[others] != counts[others]).any(axis=1).all())
