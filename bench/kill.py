@@ -156,7 +156,7 @@ class Campaign:
         self._back_s = np.inf
         first = 0 if self._is_new(line) else begin.next
         after = self._truth.since(first)
-        unordered = after.controller > begin.controller.max(initial=0)
+        unordered = after.controller > begin.bridge
         # the bridge that was killed before the client called start is not the one that it called
         ordered = self._is_new(line) or line.get("called_s", -np.inf) > line["back_s"]
         # after a plan beside other clients the robots may have moved on

@@ -11,6 +11,7 @@ from fiber_node import BRIDGE, claims
 
 __all__ = ["missing_parts"]
 
+_UNNAMED = "_NODE_NAME_UNKNOWN_"  # as rmw names the node of an endpoint that it does not know
 _TARGET_RECEIVERS = ("planner", "bridge")
 
 
@@ -70,7 +71,11 @@ def _iterate_missing(
         yield "a connection to every subscription of targets"
         return
     names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in found}
+    unseen = []
     for name in (*_TARGET_RECEIVERS, *also):
         status = statuses.get(name)
         if status is None or status.values.get("node") not in names:
-            yield f"{name} to subscribe to targets"
+            unseen.append(name)
+    # a node that was paused for longer than its lease comes back without its name
+    if len(unseen) > [info.node_name for info in found].count(_UNNAMED):
+        yield from (f"{name} to subscribe to targets" for name in unseen)

@@ -40,6 +40,8 @@ STAGES = ("planner", "discretizer", "bridge")  # a plan ends when one of these n
 
 _STAMPS_KEPT = 8  # attempts of one plan count as plans of their own
 
+_FRESH_S = 2.5  # for which diagnostics tell that their node is there
+
 _Entry = TypeVar("_Entry")
 
 
@@ -90,6 +92,7 @@ class PlaneMonitor:
         self._angles_at_rest: Angles | None = None  # when last no robot moved
         self._attempts = AttemptTable()
         self._statuses: dict[str, diagnostics.Status] = {}
+        self._heard_s: dict[str, float] = {}
         self.refusals: dict[PlanStamp, list[PlaneRefusal]] = {}
         self.session: str | None = None
         self._limit = RateLimit()
@@ -159,7 +162,11 @@ class PlaneMonitor:
 
     @property
     def statuses(self) -> dict[str, diagnostics.Status]:
-        """The newest diagnostics by name, of the nodes that are in the graph."""
+        """The newest diagnostics by name, of the nodes that are in the graph.
+
+        A node that was paused for longer than its lease is in the graph without its name, and is
+        known by its diagnostics, which come each second.
+        """
         found = self.node.get_node_names_and_namespaces()
         present = {f"{namespace.rstrip('/')}/{name}" for name, namespace in found}
         # the status of a role tells the name of its node
@@ -169,7 +176,7 @@ class PlaneMonitor:
         return {
             name: status
             for name, status in self._statuses.items()
-            if name.partition(":")[0] in roles
+            if name.partition(":")[0] in roles or self._heard_s[name] > self._clock() - _FRESH_S
         }
 
     def attempts(self, stamp: PlanStamp) -> list[PlanStamp]:
@@ -263,6 +270,7 @@ class PlaneMonitor:
                 continue  # of another plane
             before = self._statuses.get(status.name)
             self._statuses[status.name] = status
+            self._heard_s[status.name] = self._clock()
             self._on_status(status, before)
 
 

@@ -278,7 +278,7 @@ class PlantServer:
         since = int(columns["since"][0])
         first, start, moves, controller, verified = self._plant.true_movements(since)
         return pack(
-            ANSWERS, Kind.TRUTH, now_s=self._plant.now_s, first=first,
-            quantum_rad=truth.quantum_rad, start=start, position=memory["position"],
+            ANSWERS, Kind.TRUTH, now_s=self._plant.now_s, bridge=self._plant.controller,
+            first=first, quantum_rad=truth.quantum_rad, start=start, position=memory["position"],
             state=memory["state"], controller=controller, verified=verified, **moves._asdict(),
         )  # fmt: skip

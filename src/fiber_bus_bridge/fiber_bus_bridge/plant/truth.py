@@ -24,6 +24,7 @@ class Truth(NamedTuple):
 
     Args:
         now_s: time of the plant [s].
+        bridge: number of the bridge that is or was connected, from 1, and 0 before the first.
         first: number of the first movement.
         quantum_rad: size of one encoder count [rad].
         start: encoders before the first movement [quanta], shape (n, 2).
@@ -35,6 +36,7 @@ class Truth(NamedTuple):
     """
 
     now_s: float
+    bridge: int
     first: int
     quantum_rad: float
     start: Counts
@@ -100,9 +102,9 @@ class PlantTruth:
             got["velocity"].reshape(r, 2, -1 if r else 0),
         )  # fmt: skip
         return Truth(
-            float(got["now_s"][0]), int(got["first"][0]), float(got["quantum_rad"][0]),
-            got["start"].reshape(-1, 2), got["position"].reshape(-1, 2), got["state"],
-            moves, got["controller"], got["verified"],
+            float(got["now_s"][0]), int(got["bridge"][0]), int(got["first"][0]),
+            float(got["quantum_rad"][0]), got["start"].reshape(-1, 2),
+            got["position"].reshape(-1, 2), got["state"], moves, got["controller"], got["verified"],
         )  # fmt: skip
 
 
