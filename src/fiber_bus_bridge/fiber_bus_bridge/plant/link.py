@@ -69,7 +69,7 @@ class PlantLink:
             self._socket, self._unpacker = made, Unpacker(ANSWERS)
             return
 
-    def ask(self, kind: Kind, within_s: float | None = None, **columns: ArrayLike) -> Columns:
+    def ask(self, kind: Kind, within_s: float | None = None, /, **columns: ArrayLike) -> Columns:
         """Send a request and return the columns of its answer.
 
         Args:
