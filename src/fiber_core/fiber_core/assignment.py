@@ -99,13 +99,9 @@ class Assignment:
                     f"spacing {self.spacing_mm:.4g} mm"
                 )
             case Reason.TARGET_ON_OBSTACLE:
-                other = self.blocker[row]
-                if other >= self.plane.n:
-                    return f"cannot be reached: obstacle {other - self.plane.n} is in the way"
-                return (
-                    f"cannot be reached: robot {self.plane.ids[other]}, which cannot move, "
-                    "is in the way"
-                )
+                other = int(self.blocker[row])
+                fixed = "" if other >= self.plane.n else ", which cannot move,"
+                return f"cannot be reached: {self.plane.name_of(other)}{fixed} is in the way"
             case _:
                 return "accepted"
 
@@ -215,7 +211,7 @@ def _refuse_blocked(
 ) -> None:
     # Turns of a joint do not change the outlines: one configuration represents each elbow.
     # stuck: robots that cannot move; reason and blocker are filled in.
-    fixed = np.concatenate([stuck, np.ones(len(plane.obstacles), dtype=np.bool_)])
+    fixed = np.concatenate([stuck, np.ones(plane.fixtures, dtype=np.bool_)])
     a, b = pairs.astype(np.int64).reshape(-1, 2).T
     facing = np.concatenate([np.stack([a, b], axis=1), np.stack([b, a], axis=1)])
     facing = facing[fixed[facing[:, 1]] & (facing[:, 0] < plane.n)]

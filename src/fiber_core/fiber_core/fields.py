@@ -123,7 +123,7 @@ def _arrange(
     what: str,
 ) -> Angles:
     # places for the robots `moves`, all others standing where they are
-    fixed = np.zeros(len(plane.obstacles), dtype=np.bool_)
+    fixed = np.zeros(plane.fixtures, dtype=np.bool_)
     moves_all = np.concatenate([moves, fixed])
     angles = np.concatenate([standing, np.zeros((len(fixed), 2))])
     queue = rng.permutation(np.flatnonzero(moves))

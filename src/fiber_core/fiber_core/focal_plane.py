@@ -11,6 +11,7 @@ from fiber_core import bounds
 from fiber_core.array_types import Angles, Floats, Ids, Ints, Mask, Points, Rows, Velocities
 from fiber_core.errors import LayoutError
 from fiber_core.validation import frozen_array
+from fiber_core.walls import checked_walls
 
 __all__ = ["FIXED_JOINT_RAD", "FocalPlane", "addresses_on"]
 
@@ -52,6 +53,8 @@ class FocalPlane:
         envelope_mm: D of the papers, the distance of tips from which the navigation function
             keeps them apart, and which random targets keep [mm]; by default the spacing.
         name: preset or file from which this plane was made.
+        walls: fixed convex polygons, as petal edges and cameras: corners in order [mm], shape
+            (w, c, 2), a shorter polygon repeats its last corner; two corners are a line.
 
     Raises:
         LayoutError: a shape does not fit or a value is out of range; names the robot.
@@ -73,6 +76,7 @@ class FocalPlane:
     spacing_mm: float
     envelope_mm: float
     name: str
+    walls: Floats
 
     def __init__(
         self,
@@ -92,6 +96,7 @@ class FocalPlane:
         spacing_mm: float = 0.0,
         envelope_mm: float | None = None,
         name: str = "",
+        walls: ArrayLike | None = None,
     ):
         n = np.size(ids)
         bounds.check_number(n, "number of robots", 0, bounds.MAX_ROBOTS, LayoutError)
@@ -112,6 +117,7 @@ class FocalPlane:
             ("obstacles", obstacles, (None, 3)),
         ):
             self._set(field, frozen_array(value, np.float64, shape, field, LayoutError))
+        self._set("walls", checked_walls(np.zeros((0, 1, 2)) if walls is None else walls))
         self._set("enabled", frozen_array(enabled, np.bool_, (n,), "enabled", LayoutError))
         self._set("spacing_mm", spacing_mm)
         self._set("envelope_mm", spacing_mm if envelope_mm is None else envelope_mm)
@@ -183,6 +189,19 @@ class FocalPlane:
         """Number of robots."""
         return len(self.ids)
 
+    @property
+    def fixtures(self) -> int:
+        """Number of fixed bodies: first the obstacles, then the walls."""
+        return len(self.obstacles) + len(self.walls)
+
+    def name_of(self, body: int) -> str:
+        """Return what a row of bodies is: robot and id, or obstacle or wall and its number."""
+        if body < self.n:
+            return f"robot {self.ids[body]}"
+        number = body - self.n
+        discs = len(self.obstacles)
+        return f"obstacle {number}" if number < discs else f"wall {number - discs}"
+
     @cached_property
     def reach_mm(self) -> Floats:
         """Radius of the disc about the centre that no part of a robot ever leaves [mm], (n,)."""
@@ -233,7 +252,7 @@ class FocalPlane:
         rows = {
             field.name: getattr(self, field.name)[order]
             for field in fields(self)
-            if field.name not in ("ids", "obstacles", "spacing_mm", "envelope_mm", "name")
+            if field.name not in ("ids", "obstacles", "walls", "spacing_mm", "envelope_mm", "name")
         }
         return replace(self, ids=np.arange(len(order)), **rows)
 

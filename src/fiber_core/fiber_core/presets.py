@@ -173,6 +173,7 @@ class PlaneColumns(TypedDict, total=False):
     theta_radius: ArrayLike
     enabled: ArrayLike
     obstacles: ArrayLike
+    walls: ArrayLike | None
     bus: ArrayLike | None
     address: ArrayLike | None
     spacing_mm: float

@@ -101,6 +101,7 @@ def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
         "speed_rad_s": plane.speeds,
         "limits_rad": plane.limits,
         "disc_mm": plane.obstacles,
+        "wall_mm": plane.walls,
         "phi_outline_mm": plane.phi_vertices,
         "theta_outline_mm": plane.theta_vertices,
         "theta_radius_mm": plane.theta_radius,
@@ -144,7 +145,7 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
     """Return the problem in named arrays.
 
     Args:
-        data: named arrays, as from problem_columns; outlines, discs, buses, spacing,
+        data: named arrays, as from problem_columns; outlines, discs, walls, buses, spacing,
             envelope and name may be missing.
         name: name of the plane if the arrays hold none.
 
@@ -179,6 +180,7 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
         spacing_mm=float(frozen_array(spacing, np.float64, (), "spacing_mm", LayoutError)),
         envelope_mm=float(frozen_array(envelope, np.float64, (), "envelope_mm", LayoutError)),
         name=str(data.get("name", name)),
+        walls=data.get("wall_mm"),
     )
     return Problem(plane, data["start_rad"], data["target_mm"])
 

@@ -14,7 +14,7 @@ from fiber_msgs_py.table import column_names, decode_table, encode_table
 
 __all__ = ["decode", "encode"]
 
-_ROBOT, _DISC = 0, 1  # kinds of row: robots first, then fixed discs
+_ROBOT, _DISC, _WALL = 0, 1, 2  # kinds of row: robots first, then fixed discs, then walls
 
 # lengths [m]
 _METRES = ("x", "y", "arm_theta", "arm_phi", "arm_radius", "theta_radius", "spacing", "envelope")
@@ -27,8 +27,9 @@ _COLUMNS = (
     | dict.fromkeys(_METRES + _RADIANS, "<f8")
     | _UNITS
 )
-# vertices x0, y0, x1, y1, ... [m]; a theta link without an outline has no such column
-_OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8"}
+# vertices x0, y0, x1, y1, ... [m]; a theta link without an outline and a plane without walls have
+# no such column
+_OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8", "wall": "<f8"}
 
 
 def encode(
@@ -51,8 +52,9 @@ def encode(
     n, discs = plane.n, plane.obstacles
     vertices = {"phi_outline": plane.phi_vertices, "theta_outline": plane.theta_vertices}
     outlines = [(name, "<f8", (2 * v.shape[1],)) for name, v in vertices.items() if v.shape[1]]
-    rows = np.zeros(n + len(discs), dtype=[*_COLUMNS.items(), *outlines])
-    robots, fixed = rows[:n], rows[n:]
+    corners = [("wall", "<f8", (2 * plane.walls.shape[1],))] if len(plane.walls) else []
+    rows = np.zeros(n + plane.fixtures, dtype=[*_COLUMNS.items(), *outlines, *corners])
+    robots, fixed, walls = np.split(rows, [n, n + len(discs)])
     robots["kind"], robots["enabled"] = _ROBOT, plane.enabled
     for name, values in {"id": ids, "bus": plane.bus, "address": plane.address}.items():
         robots[name] = values
@@ -73,6 +75,9 @@ def encode(
     robots["theta_speed"], robots["phi_speed"] = plane.speeds.T
     fixed["kind"], fixed["id"] = _DISC, np.arange(len(discs))
     fixed["x"], fixed["y"], fixed["arm_radius"] = discs.T / 1e3
+    walls["kind"], walls["id"] = _WALL, np.arange(len(walls))
+    if len(walls):
+        walls["wall"] = plane.walls.reshape(len(walls), -1) / 1e3
     rows["spacing"], rows["envelope"] = plane.spacing_mm / 1e3, plane.envelope_mm / 1e3
     for name in _UNITS:
         value = getattr(units, name)
@@ -92,11 +97,14 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
     """
     rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES)
     kind, ids = rows["kind"], rows["id"]
-    refuse(kind > _DISC, "layout", "kind", ids, kind, "is neither 0 (robot) nor 1 (disc)")
+    why = "is neither 0 (robot), 1 (disc) nor 2 (wall)"
+    refuse(kind > _WALL, "layout", "kind", ids, kind, why)
     n = int(np.count_nonzero(kind == _ROBOT))
     if n == 0:
         raise MessageError("layout", "robots, expected at least 1", field="has", value=0)
     refuse(kind[:n] != _ROBOT, "layout", "kind", ids, kind, "comes before the last robot")
+    discs = int(np.count_nonzero(kind == _DISC))
+    refuse(kind[n : n + discs] != _DISC, "layout", "kind", ids[n:], kind[n:], "precedes a disc")
     for name in (*_UNITS, "spacing", "envelope"):
         changed = rows[name] != rows[name][0]
         refuse(
@@ -107,17 +115,17 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
             rows[name],
             f"is not the {rows[name][0]} of the other rows",
         )
-    robots, fixed = rows[:n], rows[n:]
+    robots, fixed, walls = np.split(rows, [n, n + discs])
     checked_ids(robots["id"], "layout")
     refuse(robots["enabled"] > 1, "layout", "enabled", ids, robots["enabled"], "is neither 0 nor 1")
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what is infinite in mm is refused
-            return _plane(robots, fixed), _units(rows[0])
+            return _plane(robots, fixed, walls), _units(rows[0])
     except LayoutError as error:
         raise MessageError("layout", f"is not a focal plane: {error}") from None
 
 
-def _plane(robots: np.ndarray, fixed: np.ndarray) -> FocalPlane:
+def _plane(robots: np.ndarray, fixed: np.ndarray, walls: np.ndarray) -> FocalPlane:
     n = len(robots)
     return FocalPlane(
         ids=robots["id"],
@@ -131,6 +139,7 @@ def _plane(robots: np.ndarray, fixed: np.ndarray) -> FocalPlane:
         theta_radius=robots["theta_radius"] * 1e3,
         enabled=robots["enabled"],
         obstacles=_stacked(fixed, "x", "y", "arm_radius") * 1e3,
+        walls=_vertices(walls, "wall") if len(walls) else None,
         bus=robots["bus"],
         address=robots["address"],
         spacing_mm=float(robots["spacing"][0]) * 1e3,

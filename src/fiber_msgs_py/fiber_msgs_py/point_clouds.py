@@ -87,17 +87,17 @@ def arms_cloud(plane: FocalPlane, angles: Angles, states: Codes) -> np.ndarray:
 
 
 def plane_cloud(plane: FocalPlane) -> np.ndarray:
-    """Return the centres of all robots, then those of obstacles, in metres.
+    """Return the centres of all robots, then those of obstacles and the corners of walls [m].
 
     Args:
         plane: the focal plane.
 
     Returns:
-        Structured array x, y, z, state, rgb, shape (n + obstacles,).
+        Structured array x, y, z, state, rgb, shape (n + obstacles + corners,).
     """
-    xy = np.concatenate([plane.centers, plane.obstacles[:, :2]])
+    xy = np.concatenate([plane.centers, plane.obstacles[:, :2], *plane.walls])
     states = np.where(plane.enabled, ViewState.RESTING, ViewState.DISABLED)
-    return _cloud(xy, np.append(states, np.full(len(plane.obstacles), ViewState.DISABLED)))
+    return _cloud(xy, np.append(states, np.full(len(xy) - plane.n, ViewState.DISABLED)))
 
 
 def points_cloud(xy_mm: ArrayLike, state: ViewState) -> np.ndarray:

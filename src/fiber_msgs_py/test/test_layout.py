@@ -9,6 +9,7 @@ from fiber_core.errors import FiberError
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import MessageError, layout
 
+LISTS = ("phi_outline", "theta_outline", "wall")
 UNITS = WireUnits(tick_us=60_000, quantum_prad=4_000_000_000, velocity_bits=16, duration_bits=12)
 
 
@@ -21,7 +22,7 @@ def raw_rows(message):
             {
                 "names": [f.name for f in message.fields],
                 "formats": [
-                    (types[f.datatype], (f.count,)) if "outline" in f.name else types[f.datatype]
+                    (types[f.datatype], (f.count,) if f.name in LISTS else ())
                     for f in message.fields
                 ],
                 "offsets": [f.offset for f in message.fields],
@@ -119,3 +120,24 @@ def test_a_plane_without_robots_is_not_sent(plane, stamp):
     raw_rows(message)["kind"] = 1
     with pytest.raises(MessageError, match="has 0 robots"):
         layout.decode(message)
+
+
+def test_walls_are_rows_after_the_discs(plane, stamp):
+    walls = np.array([[[0.0, 0.0], [1.5, 0.0], [1.5, 2.0]], [[9.0, 9.0], [9.0, 12.0], [9.0, 12.0]]])
+    message = layout.encode(replace(plane, walls=walls), UNITS, stamp)
+    found, _ = layout.decode(message)
+    np.testing.assert_allclose(found.walls, walls, rtol=1e-15)
+    np.testing.assert_allclose(found.obstacles, plane.obstacles, rtol=1e-15)
+    rows = np.array(raw_rows(message))
+    assert rows["kind"].tolist() == [0, 0, 0, 1, 1, 2, 2]
+    assert "wall" not in raw_rows(layout.encode(plane, UNITS, stamp)).dtype.names
+    for column, value, words in (
+        ("wall", [0.0, 0.0, 0.004, 0.0, np.nan, 0.001], "wall 1: corners must be"),
+        ("kind", 1, "precedes a disc"),
+        ("kind", 3, "neither 0 .robot., 1 .disc. nor 2 .wall."),
+    ):
+        faulty = rows.copy()
+        faulty[column][6] = value
+        message.data = faulty.tobytes()
+        with pytest.raises(MessageError, match=words):
+            layout.decode(message)

@@ -61,7 +61,7 @@ def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[Angles, Code
     plane = problem.plane
     options, count = _options(problem)
     pairs = neighbour_pairs(plane, margin_mm).astype(np.int64, order="C")
-    free = np.concatenate([count > 0, np.zeros(len(plane.obstacles), dtype=bool)])
+    free = np.concatenate([count > 0, np.zeros(plane.fixtures, dtype=bool)])
     pairs = pairs[free[pairs].any(axis=1)]
     clash = _clashes(bodies_of(plane), pairs, options, count, margin_mm)
     pairs, clash = pairs[clash.any(axis=(1, 2))], clash[clash.any(axis=(1, 2))]
@@ -95,7 +95,7 @@ def conflicting_goals(problem: Problem, seeking: Mask, margin_mm: float) -> Mask
     plane = problem.plane
     options, count = _options(problem)
     count[~seeking] = 0
-    is_obstacle = np.arange(plane.n + len(plane.obstacles)) >= plane.n
+    is_obstacle = np.arange(plane.n + plane.fixtures) >= plane.n
     free = np.append(count > 0, is_obstacle[plane.n :] & False)
     static = is_obstacle | np.append(~plane.enabled, is_obstacle[plane.n :])
     pairs = neighbour_pairs(plane, margin_mm).astype(np.int64, order="C")
@@ -175,7 +175,7 @@ def _clashes(bodies, pairs, options, count, margin):
                     continue
                 if (i == _STAYS and (b >= n or j == _STAYS)) or (b >= n and j != _STAYS):
                     continue  # neither robot moves
-                theta, phi = options[b, j] if b < n else options[a, i]
+                theta, phi = (options[b, j, 0], options[b, j, 1]) if b < n else (0.0, 0.0)
                 gap = pair_gap_below(
                     bodies, a, b, options[a, i, 0], options[a, i, 1], theta, phi, margin
                 )

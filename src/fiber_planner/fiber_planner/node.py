@@ -8,9 +8,10 @@ from typing import ClassVar
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
-from fiber_core.array_types import Ids, Pairs
+from fiber_core.array_types import Pairs
 from fiber_core.assignment import Assignment, assign
 from fiber_core.errors import FiberError
+from fiber_core.focal_plane import FocalPlane
 from fiber_msgs_py import (
     Attempt,
     PlanStamp,
@@ -138,7 +139,7 @@ class PlannerNode(PlaneNode):
 
     def _publish(self, result: PlanStageResult, attempt: Attempt, session: str) -> None:
         ids, motion, is_held = result.problem.plane.ids, result.planned.motion, result.held
-        self._warn_of_tangled(result.planned.tangled, ids, attempt)
+        self._warn_of_tangled(result.planned.tangled, result.problem.plane, attempt)
         self._held.publish(
             held.encode(ids[is_held], result.reason[is_held], Stage.PLANNER, attempt.stamp)
         )
@@ -159,12 +160,9 @@ class PlannerNode(PlaneNode):
         for robot in assignment.refused_ids:
             self.get_logger().warning(f"plan {attempt}: {assignment.explain(int(robot))}")
 
-    def _warn_of_tangled(self, tangled: Pairs, ids: Ids, attempt: Attempt) -> None:
+    def _warn_of_tangled(self, tangled: Pairs, plane: FocalPlane, attempt: Attempt) -> None:
         for pair in tangled:
-            names = " and ".join(
-                f"robot {ids[row]}" if row < len(ids) else f"obstacle {row - len(ids)}"
-                for row in pair
-            )
+            names = " and ".join(plane.name_of(int(row)) for row in pair)
             self.get_logger().warning(f"plan {attempt}: {names} start too close to each other")
 
 

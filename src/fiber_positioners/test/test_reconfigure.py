@@ -2,11 +2,13 @@
 
 import json
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fiber_core.assignment import assign
+from fiber_core.clearance import gaps, neighbour_pairs
 from fiber_core.errors import FiberError
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Outcome, Reason
@@ -197,3 +199,20 @@ def test_a_plane_from_a_table_tells_what_the_preset_supplied(tmp_path):
     assert "2 robots, 0 disabled" in logged[0] and "from preset desi" in logged[0]
     assert any("remark" in line for line in logged[1:])
     assert reconfigure(random_problem(plane, seed=1)).report["reached"] == 2
+
+
+@pytest.mark.parametrize("planner", ["direct", "dnf_arms", "dnf"])
+def test_no_arm_touches_a_wall(planner):
+    plane = preset("desi_outlines", 37)
+    sides = plane.centers + np.array([5.2, 3.0])  # between a robot and two of its neighbours
+    walls = np.stack([sides[::3], sides[::3] + [0.6, 0.0], sides[::3] + [0.3, 0.6]], axis=1)
+    plane = replace(plane, walls=walls)
+    result = reconfigure(random_problem(plane, 3), planner=planner)
+    assert result.certificate.ok
+    assert (result.outcome == Outcome.REACHED).sum() >= (37 if planner == "direct" else 20)
+    pairs = neighbour_pairs(plane)
+    pairs = pairs[pairs[:, 1] >= plane.n]
+    times = np.linspace(0.0, result.motion.makespan_s, 400)
+    assert min(gaps(plane, pairs, result.motion(t)).min() for t in times) >= 0.05
+    held = result.recording.problem.plane.walls
+    assert np.allclose(held, walls)

@@ -33,7 +33,7 @@ def closest_approaches(plane: FocalPlane, motion: SegmentMotion, tick_s: float) 
     closest = np.argsort(gap, kind="stable")[:_CLOSEST]
     rows = np.unique(pairs[closest])
     rows = rows[rows < plane.n]
-    renumbered = np.concatenate([np.zeros(plane.n), len(rows) + np.arange(len(plane.obstacles))])
+    renumbered = np.concatenate([np.zeros(plane.n), len(rows) + np.arange(plane.fixtures)])
     renumbered[rows] = np.arange(len(rows))
     fine_gap, fine_s = _smallest_gaps(
         plane.permuted(rows),

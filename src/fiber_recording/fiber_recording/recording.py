@@ -229,7 +229,7 @@ class Recording:
         for name, rows in rows_of_part or [("phases", 0)]:
             if rows != n:
                 raise RecordingError(f"{name} has {rows} robots, the plane has {n}")
-        last = n + len(self.problem.plane.obstacles) - 1
+        last = n + self.problem.plane.fixtures - 1
         for name, value, high in (
             ("measured.row", self.measured.row, n - 1),
             ("events.row", self.events.row, n - 1),

@@ -20,12 +20,13 @@ _known: WeakKeyDictionary[FocalPlane, "Bodies"] = WeakKeyDictionary()
 
 
 class Bodies(NamedTuple):
-    """Robots followed by obstacles, one row each: the input of the distance kernels.
+    """Robots followed by obstacles and walls, one row each: the input of the distance kernels.
 
     An obstacle is a body without arms whose phi outline is one vertex rounded by the
-    radius of the disc. Vertices are hulls: convex, counter-clockwise, the first
-    ``count`` of a row in use. ``disc`` is a circle around them: x, y in the frame of
-    the link and a radius, the rounding not included. ``reach`` is the distance of the
+    radius of the disc; a wall is one whose phi outline is its polygon. Vertices are
+    hulls: convex, counter-clockwise, the first ``count`` of a row in use. ``disc`` is a
+    circle around them: x, y in the frame of the link and a radius, the rounding not
+    included. ``reach`` is the distance of the
     farthest vertex from the origin of the link, the rounding not included.
 
     Args:
@@ -63,7 +64,7 @@ class Bodies(NamedTuple):
 
 
 def bodies_of(plane: FocalPlane) -> Bodies:
-    """Return the outlines of all robots of a plane, then of its obstacles as rows n, n+1, ...
+    """Return the outlines of all robots, then of obstacles and walls as rows n, n + 1, ...
 
     Args:
         plane: the focal plane.
@@ -74,20 +75,27 @@ def bodies_of(plane: FocalPlane) -> Bodies:
 
 
 def _build(plane: FocalPlane) -> Bodies:
-    discs = plane.obstacles
-    nothing = np.zeros(len(discs))
+    discs, walls = plane.obstacles, plane.walls
+    nothing = np.zeros(plane.fixtures)
+    middles = 0.5 * (walls.min(axis=1) + walls.max(axis=1))
 
-    def rows(of_robots: Floats, of_obstacles: Floats) -> Floats:
-        return np.concatenate([of_robots, of_obstacles])
+    def rows(of_robots: Floats, of_fixtures: Floats) -> Floats:
+        return np.concatenate([of_robots, of_fixtures])
 
-    def padded(vertices: Floats) -> Floats:
-        return rows(vertices, np.zeros((len(discs), *vertices.shape[1:])))
+    def padded(vertices: Floats, of_walls: Floats) -> Floats:
+        most = max(vertices.shape[1], of_walls.shape[1] if len(of_walls) else 0)
+        shapes = (vertices, np.zeros((len(discs), 1, 2)), of_walls)
+        return np.concatenate([_lengthened(each, most) for each in shapes])
 
-    center = rows(plane.centers, discs[:, :2])
+    center = rows(plane.centers, np.concatenate([discs[:, :2], middles]))
     arm1, arm2 = rows(plane.arms[:, 0], nothing), rows(plane.arms[:, 1], nothing)
-    phi_hull, phi_count, phi_disc, phi_reach = _hulls(padded(plane.phi_vertices))
-    phi_radius = rows(plane.phi_radius, discs[:, 2])
-    theta_hull, theta_count, theta_disc, theta_reach = _hulls(padded(plane.theta_vertices))
+    phi_hull, phi_count, phi_disc, phi_reach = _hulls(
+        padded(plane.phi_vertices, walls - middles[:, None])
+    )
+    phi_radius = rows(plane.phi_radius, np.append(discs[:, 2], np.zeros(len(walls))))
+    theta_hull, theta_count, theta_disc, theta_reach = _hulls(
+        rows(plane.theta_vertices, np.zeros((plane.fixtures, *plane.theta_vertices.shape[1:])))
+    )
     theta_count[plane.n :] = 0
     theta_radius = rows(plane.theta_radius, nothing)
 
@@ -107,6 +115,11 @@ def _build(plane: FocalPlane) -> Bodies:
     for column in bodies:
         column.setflags(write=False)
     return bodies
+
+
+def _lengthened(vertices: Floats, most: int) -> Floats:
+    # the same outlines with as many vertices as the longest one: the last one is repeated
+    return vertices[:, np.minimum(np.arange(most), vertices.shape[1] - 1)]
 
 
 @nb.njit(cache=True)

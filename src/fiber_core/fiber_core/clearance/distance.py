@@ -190,7 +190,7 @@ def sampled_gaps(plane: FocalPlane, pairs: ArrayLike, angles: ArrayLike) -> Floa
     angles = np.asarray(angles, dtype=float)
     theta, both = angles[:, 0], angles[:, 0] + angles[:, 1]
     poses = np.stack([np.cos(theta), np.sin(theta), np.cos(both), np.sin(both)], axis=-1)
-    obstacles = np.zeros((len(plane.obstacles), *poses.shape[1:]))
+    obstacles = np.zeros((plane.fixtures, *poses.shape[1:]))
     obstacles[..., ::2] = 1.0  # the cosines of angles of 0
     pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
     return _posed_gaps(bodies_of(plane).table, pairs, np.concatenate([poses, obstacles]))

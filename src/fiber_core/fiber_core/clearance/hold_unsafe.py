@@ -155,7 +155,7 @@ class _Search:
 
     def _of_bodies(self, robots: Mask) -> Mask:
         # the same of robots and obstacles; obstacles are never meant
-        return np.append(robots, np.zeros(len(self.plane.obstacles), dtype=bool))
+        return np.append(robots, np.zeros(self.plane.fixtures, dtype=bool))
 
     def certificate(self) -> Certificate:
         return certificate_of(

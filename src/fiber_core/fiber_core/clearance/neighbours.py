@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from fiber_core.array_types import Ints, Offsets, Pairs, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.ragged import Parts
+from fiber_core.walls import distances_to_walls
 
 __all__ = ["Neighbours", "most_neighbours", "neighbour_pairs", "neighbours_of"]
 
@@ -46,7 +47,7 @@ def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> Pairs:
 
     Returns:
         Rows a < b in increasing order, int32, shape (p, 2). Rows from n on are the
-        obstacles; two obstacles are never a pair.
+        obstacles, then the walls; two fixed bodies are never a pair.
     """
     if plane.n == 0:
         return np.zeros((0, 2), dtype=np.int32)
@@ -61,10 +62,25 @@ def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> Pairs:
         with_obstacle = np.stack([np.concatenate(near), obstacle], axis=1).astype(close.dtype)
         close = np.concatenate([close, with_obstacle])
     centers = np.concatenate([plane.centers, plane.obstacles[:, :2]])
-    reach = np.concatenate([reach, radius])
     apart = np.hypot(*(centers[close[:, 0]] - centers[close[:, 1]]).T)
-    close = close[apart <= reach[close].sum(axis=1) + slack_mm]
+    close = close[apart <= np.concatenate([reach, radius])[close].sum(axis=1) + slack_mm]
+    close = np.concatenate([close, _near_walls(plane, robots, slack_mm)])
     return close[np.lexsort(close.T[::-1])].astype(np.int32)
+
+
+def _near_walls(plane: FocalPlane, robots: cKDTree, slack_mm: float) -> Pairs:
+    # robots with reach discs that come within the slack of a wall
+    walls, reach = plane.walls, plane.reach_mm
+    if not len(walls):
+        return np.zeros((0, 2), dtype=np.int64)
+    middles = 0.5 * (walls.min(axis=1) + walls.max(axis=1))
+    around = np.hypot(*np.moveaxis(walls - middles[:, None], -1, 0)).max(axis=1)
+    near = robots.query_ball_point(middles, around + reach.max() + slack_mm)
+    number = np.repeat(np.arange(len(walls)), [len(found) for found in near])
+    robot = np.concatenate(near).astype(np.int64)
+    apart = distances_to_walls(plane.centers[robot], walls[number])
+    close = apart <= reach[robot] + slack_mm
+    return np.stack([robot, plane.n + len(plane.obstacles) + number], axis=1)[close]
 
 
 def neighbours_of(

@@ -92,7 +92,7 @@ class Safety:
         """
         pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
         speeds = point_speeds(levers_of(plane), fastest_rad_s)
-        moves = np.append(speeds > 0.0, np.zeros(len(plane.obstacles), dtype=bool))
+        moves = np.append(speeds > 0.0, np.zeros(plane.fixtures, dtype=bool))
         one_moves = np.flatnonzero(moves[pairs[:, 0]] != moves[pairs[:, 1]])
         at_start = np.full(len(pairs), np.inf)
         if len(one_moves):

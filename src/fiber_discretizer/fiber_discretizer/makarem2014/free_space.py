@@ -38,7 +38,7 @@ class FreeSpace:
         Args:
             robots: the robots, shape (n,).
         """
-        fixed = np.zeros(len(self.plane.obstacles), dtype=bool)
+        fixed = np.zeros(self.plane.fixtures, dtype=bool)
         return np.any(np.append(robots, fixed)[self.pairs], axis=1)
 
     def move(self, robots: Mask, angles: Floats) -> None:

@@ -24,7 +24,7 @@ def hold_on_samples(free_space: FreeSpace) -> Mask:
         The robots held, shape (n,). Pairs that are too close although both rest remain so.
     """
     n, pairs = free_space.plane.n, free_space.pairs
-    free = np.zeros(n + len(free_space.plane.obstacles), dtype=bool)
+    free = np.zeros(n + free_space.plane.fixtures, dtype=bool)
     free[:n] = np.any(free_space.angles != free_space.angles[:, :, :1], axis=(1, 2))
     held = np.zeros(n, dtype=bool)
     violated = np.zeros(len(pairs), dtype=bool)

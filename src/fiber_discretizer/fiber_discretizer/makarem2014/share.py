@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Floats, Mask
-from fiber_core.clearance import levers_of
+from fiber_core.clearance import bodies_of, levers_of
 from fiber_core.focal_plane import FocalPlane
 
 __all__ = ["joint_shares", "lever_arms_mm", "tip_distances_mm"]
@@ -44,7 +44,7 @@ def joint_shares(
         robots: robots that may still leave their profile, shape (n,), m of them.
         cap_rad: share of a joint without neighbours [rad].
     """
-    fixed = np.append(~robots, np.ones(len(plane.obstacles), dtype=bool))
+    fixed = np.append(~robots, np.ones(plane.fixtures, dtype=bool))
     row = np.where(fixed, -1, np.cumsum(~fixed) - 1)
     shares = lever_arms_mm(plane, joint, phi, robots)
     _divide_free_space(np.asarray(pairs, dtype=np.int64), free_mm, row, shares, cap_rad)
@@ -110,13 +110,14 @@ def tip_distances_mm(plane: FocalPlane, pairs: ArrayLike, angles: ArrayLike) -> 
 
     Args:
         plane: the focal plane.
-        pairs: rows a, b as from neighbour_pairs, shape (p, 2); an obstacle's tip is its centre.
+        pairs: rows a, b as from neighbour_pairs, shape (p, 2); the tip of a
+            fixed body is its centre.
         angles: joint angles at each sample [rad], shape (n, 2, t).
     """
     theta, phi = np.moveaxis(np.asarray(angles, dtype=float), 1, 0)
     tips = plane.centers.T[:, :, None]
     tips = tips + _polar(plane.arms[:, :1], theta) + _polar(plane.arms[:, 1:], theta + phi)
-    discs = plane.obstacles[:, :2].T[:, :, None]
+    discs = bodies_of(plane).center[plane.n :].T[:, :, None]
     x, y = np.concatenate([tips, np.repeat(discs, tips.shape[2], axis=2)], axis=1)
     a, b = np.asarray(pairs).T
     return np.hypot(x[a] - x[b], y[a] - y[b])

@@ -91,7 +91,7 @@ class SegmentPlan:
         Args:
             pairs: the pairs, shape (k,).
         """
-        found = np.zeros(self.plane.n + len(self.plane.obstacles), dtype=bool)
+        found = np.zeros(self.plane.n + self.plane.fixtures, dtype=bool)
         found[self.pairs[pairs].ravel()] = True
         return found[: self.plane.n]
 

@@ -34,7 +34,7 @@ class Selection:
     ):
         self.plan, self.rows, self._max_segments = plan, rows, max_segments
         in_conflict = plan.in_conflict
-        provisional = np.zeros(plan.plane.n + len(plan.plane.obstacles), dtype=bool)
+        provisional = np.zeros(plan.plane.n + plan.plane.fixtures, dtype=bool)
         provisional[: plan.plane.n] = in_conflict & ~plan.is_rounded
         provisional[rows] = False
         self._ignored = np.any(provisional[plan.pairs], axis=1)

@@ -62,7 +62,7 @@ class DirectPlanner:
         result.q.setflags(write=False)
         reason = result.reason[back]
         reason[problem.asked & plane.enabled & ~inside] = Reason.START_OUTSIDE_LIMITS
-        rows = np.concatenate([order, np.arange(plane.n, plane.n + len(plane.obstacles))])
+        rows = np.concatenate([order, np.arange(plane.n, plane.n + plane.fixtures)])
         return PlannedMotion(
             SampledMotion(result.time_s, result.q[: plane.n]),
             result.goal[back],

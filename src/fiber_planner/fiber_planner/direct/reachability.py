@@ -39,12 +39,12 @@ def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
     angles, valid = kinematics.inverse(plane, problem.targets)
     valid &= plane.enabled[:, None]
     result = np.asarray(valid.any(axis=1))
-    fixed = np.concatenate([~plane.enabled, np.ones(len(plane.obstacles), dtype=bool)])
+    fixed = np.concatenate([~plane.enabled, np.ones(plane.fixtures, dtype=bool)])
     pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
     pairs = pairs[fixed[pairs[:, 0]] != fixed[pairs[:, 1]]]
     near = neighbours_of(plane.n, pairs, by_row=True)
     robots = np.flatnonzero(result & (near.parts.counts > 0))
-    standing = np.concatenate([problem.start, np.zeros((len(plane.obstacles), 2))])
+    standing = np.concatenate([problem.start, np.zeros((plane.fixtures, 2))])
     result[robots] = _reachable(
         bodies_of(plane), levers_of(plane), robots, near,
         standing, plane.limits, angles, valid, margin_mm,

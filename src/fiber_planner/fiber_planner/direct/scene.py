@@ -68,7 +68,7 @@ def scene_of(problem: Problem, seed: int = 0) -> Scene:
     """
     plane = problem.plane
     bodies = bodies_of(plane)
-    movable = np.concatenate([plane.enabled, np.zeros(len(plane.obstacles), dtype=bool)])
+    movable = np.concatenate([plane.enabled, np.zeros(plane.fixtures, dtype=bool)])
     pairs = neighbour_pairs(plane).astype(np.int64)
     pairs = pairs[movable[pairs].any(axis=1)]
     options, option_count = _options(problem)

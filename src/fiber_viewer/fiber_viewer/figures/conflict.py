@@ -11,7 +11,7 @@ from fiber_core.array_types import Angles, Pairs, Rows, Times
 from fiber_core.clearance import gaps
 from fiber_core.focal_plane import FocalPlane
 from fiber_recording.recording import Recording
-from fiber_viewer.figures.plane import draw_discs
+from fiber_viewer.figures.plane import draw_fixtures
 from fiber_viewer.figures.style import PLANNED
 from fiber_viewer.outlines import outlines
 
@@ -106,7 +106,7 @@ def _draw_moment(
         axes.plot(*recording.problem.targets[row], "+", color="black", ms=9)
         x, y = plane.centers[row]
         axes.annotate(str(plane.ids[row]), (x, y), ha="center", va="top", size=8)
-    draw_discs(axes, plane.obstacles)
+    draw_fixtures(axes, plane)
     title = f"{t:.3f} s"
     if len(pairs):
         title += f"   {gaps(plane, pairs, angles).min():.3f} mm"

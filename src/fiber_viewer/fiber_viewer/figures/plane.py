@@ -2,18 +2,19 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Floats
+from fiber_core.array_types import Angles
+from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.problem import Problem
 from fiber_recording.recording import Recording
 from fiber_viewer.figures.style import COLORS, states_of
 
-__all__ = ["before_and_after", "draw_discs", "outcomes", "plane"]
+__all__ = ["before_and_after", "draw_fixtures", "outcomes", "plane"]
 
 
 def _draw_arms(axes: Axes, problem: Problem, angles: Angles, states: NDArray[np.str_]) -> None:
@@ -29,19 +30,22 @@ def _draw_arms(axes: Axes, problem: Problem, angles: Angles, states: NDArray[np.
     ):
         lines.set_gid(name)
         axes.add_collection(lines)
-    draw_discs(axes, plane.obstacles)
+    draw_fixtures(axes, plane)
     axes.set_aspect("equal")
     axes.autoscale_view()
     axes.set_xlabel("x [mm]")
 
 
-def draw_discs(axes: Axes, discs: Floats) -> None:
-    """Draw fixed discs.
+def draw_fixtures(axes: Axes, plane: FocalPlane) -> None:
+    """Draw the fixed discs and walls of a plane.
 
     Args:
         axes: where to draw.
-        discs: x, y and radius of each disc [mm], shape (k, 3).
+        plane: the focal plane.
     """
+    walls = list(plane.walls)
+    axes.add_collection(PolyCollection(walls, facecolors="#999999", edgecolors="#555555", lw=0.6))
+    discs = plane.obstacles
     if not len(discs):
         return
     width = 2 * discs[:, 2]
@@ -133,7 +137,7 @@ def outcomes(recording: Recording) -> Figure:
                 zorder=2 + order * notable,
                 label=f"{name} ({chosen.sum()})",
             )
-    draw_discs(axes, recording.problem.plane.obstacles)
+    draw_fixtures(axes, recording.problem.plane)
     axes.set_aspect("equal")
     axes.set_xlabel("x [mm]")
     axes.set_ylabel("y [mm]")

@@ -87,18 +87,29 @@ export function drawMark(ctx, camera, recording, row, t) {
   ctx.stroke();
 }
 
-/** Draws fixed discs. */
-export function drawDiscs(ctx, camera, plane) {
+/** Draws fixed discs and walls. */
+export function drawFixtures(ctx, camera, plane) {
   for (let k = 0; k < plane.discs.length; k += 3) {
     const at = camera.toPixel(plane.discs[k], plane.discs[k + 1]);
     disc(ctx, at, Math.max(1, plane.discs[k + 2] * camera.scale), colors.disabled);
   }
+  ctx.fillStyle = ctx.strokeStyle = colors.disabled;
+  ctx.lineWidth = 1.2;
+  for (const corners of plane.walls) {
+    ctx.beginPath();
+    for (let k = 0; k < corners.length; k += 2) ctx.lineTo(...camera.toPixel(corners[k], corners[k + 1]));
+    ctx.closePath();
+    ctx.fill();
+    ctx.stroke();
+  }
 }
 
-/** Returns the outlines of a body: a robot, or a fixed disc. */
+/** Returns the outlines of a body: a robot, a fixed disc or a wall. */
 export function hullsOf(plane, body, angles) {
   if (body < plane.n) return outlinesOf(plane, body, angles[2 * body], angles[2 * body + 1]);
-  const at = 3 * (body - plane.n);
+  const number = body - plane.n, discs = plane.discs.length / 3;
+  if (number >= discs) return [{ points: plane.walls[number - discs], radius: 0 }];
+  const at = 3 * number;
   return [{ points: plane.discs.slice(at, at + 2), radius: plane.discs[at + 2] }];
 }
 

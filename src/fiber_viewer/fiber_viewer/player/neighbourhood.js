@@ -4,7 +4,7 @@ import { bodyName } from "./recording.js";
 import { Camera } from "./camera.js";
 import { cleared, colors, label, write } from "./theme.js";
 import { gapBetween } from "./clearance.js";
-import { drawDiscs, drawGap, drawMark, drawRing, drawRobot, drawTarget, hullsOf, reachOf } from "./drawing.js";
+import { drawFixtures, drawGap, drawMark, drawRing, drawRobot, drawTarget, hullsOf, reachOf } from "./drawing.js";
 
 const MOMENTS = 6;
 
@@ -157,7 +157,7 @@ export function momentsAround(time, ends) {
 
 function drawScene(ctx, camera, recording, robots, angles, t, targets = true) {
   const { plane } = recording;
-  drawDiscs(ctx, camera, plane);
+  drawFixtures(ctx, camera, plane);
   const near = [];
   for (let row = 0; row < plane.n; row++) {
     const [x, y] = [plane.center[2 * row], plane.center[2 * row + 1]];

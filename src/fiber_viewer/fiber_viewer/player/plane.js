@@ -2,7 +2,7 @@
 import { STATE_NAMES, stateAt } from "./recording.js";
 import { Camera } from "./camera.js";
 import { cleared, colors } from "./theme.js";
-import { drawDiscs, drawMark, drawRing, drawRobot, drawTarget, reachOf } from "./drawing.js";
+import { drawFixtures, drawMark, drawRing, drawRobot, drawTarget, reachOf } from "./drawing.js";
 
 const OUTLINES_FROM_PX = 6; // least width of an arm to draw its outline
 const ARMS_PER_PATH = 250; // longer paths are slower to stroke
@@ -33,6 +33,9 @@ export class PlanePanel {
     };
     this.reach.forEach((reach, row) => include(plane.center[2 * row], plane.center[2 * row + 1], reach));
     for (let k = 0; k < plane.discs.length; k += 3) include(...plane.discs.subarray(k, k + 3));
+    for (const corners of plane.walls) {
+      for (let k = 0; k < corners.length; k += 2) include(corners[k], corners[k + 1], 0);
+    }
     this.camera.fit(left, bottom, right, top);
     this.fitted = true;
     this.app.redraw();
@@ -51,7 +54,7 @@ export class PlanePanel {
     [this.camera.width, this.camera.height] = [width, height];
     if (!this.fitted || (resized && this.whole)) this.fit();
     const { recording, robots } = this.app, { plane } = recording;
-    drawDiscs(ctx, this.camera, plane);
+    drawFixtures(ctx, this.camera, plane);
     const seen = this.visible();
     if (this.camera.scale >= this.outlinesFrom) {
       for (const row of seen) drawRobot(ctx, this.camera, recording, row, angles, t);

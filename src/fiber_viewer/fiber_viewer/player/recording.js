@@ -61,9 +61,17 @@ function planeOf(arrays) {
     speeds: arrays.speed_rad_s.data,
     bus: arrays.bus.data,
     discs: arrays.disc_mm.data,
+    walls: wallsOf(arrays.wall_mm),
     phi: outline("phi_outline_mm", "radius_mm"),
     theta: outline("theta_outline_mm", "theta_radius_mm"),
   };
+}
+
+// Walls: corners x, y, x, y, ... of each fixed polygon [mm]; older recordings have none.
+function wallsOf(array) {
+  if (!array) return [];
+  const size = 2 * array.shape[1];
+  return Array.from({ length: array.shape[0] }, (_, k) => array.data.slice(k * size, (k + 1) * size));
 }
 
 // The planner's trajectory: angle k of profile p is angles[p * times.length + k].
@@ -164,10 +172,12 @@ export function reasonOf(recording, row) {
   return reason === "ok" ? outcome : `${outcome}: ${reason}`;
 }
 
-/** Returns the name of a member of a pair: the id of a robot, or the number of a disc. */
+/** Returns the name of a member of a pair: the id of a robot, or the number of a disc or a wall. */
 export function bodyName(recording, body) {
   const { n, ids } = recording.plane;
-  return body < n ? String(ids[body]) : `disc ${body - n}`;
+  if (body < n) return String(ids[body]);
+  const number = body - n, discs = recording.plane.discs.length / 3;
+  return number < discs ? `disc ${number}` : `wall ${number - discs}`;
 }
 
 /** Returns the kind and the detail of an event, in words. */

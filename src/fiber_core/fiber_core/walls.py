@@ -1,0 +1,83 @@
+"""Walls: fixed convex polygons that arms must not touch, as petal edges and cameras."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fiber_core import bounds
+from fiber_core.array_types import Floats, Points
+from fiber_core.errors import LayoutError
+from fiber_core.validation import frozen_array
+
+__all__ = ["checked_walls", "distances_to_walls", "padded_walls"]
+
+_MOST_CORNERS = 64
+_STRAIGHT_RAD = 1e-9  # a turn to the other side that is rounding
+
+
+def checked_walls(walls: ArrayLike) -> Floats:
+    """Return walls as a read-only array [mm], shape (w, c, 2).
+
+    Args:
+        walls: corners of each wall in order, either way round [mm], shape (w, c, 2), c >= 1.
+
+    Raises:
+        LayoutError: a corner is out of bounds, or a polygon is not convex; names the wall.
+    """
+    checked = frozen_array(walls, np.float64, (None, None, 2), "walls", LayoutError)
+    if not 1 <= checked.shape[1] <= _MOST_CORNERS:
+        raise LayoutError(f"walls have {checked.shape[1]} corners, expected 1 to {_MOST_CORNERS}")
+    most = bounds.MAX_COORDINATE_MM
+    bad = ~(np.abs(checked) <= most).all(axis=(1, 2))  # nan is outside
+    if bad.any():
+        at = int(np.argmax(bad))
+        raise LayoutError(
+            f"wall {at}: corners must be {-most:.6g} to {most:.6g} mm, got {checked[at].tolist()}"
+        )
+    for number, corners in enumerate(checked):
+        if not _is_convex(corners):
+            raise LayoutError(
+                f"wall {number} is not convex: split it into convex parts, or into its edges as "
+                f"lines of two corners; got {corners.tolist()} mm"
+            )
+    return checked
+
+
+def padded_walls(polygons: list[Points]) -> Floats:
+    """Return polygons with different numbers of corners as one array, shape (w, c, 2).
+
+    Args:
+        polygons: corners of each [mm], shape (c, 2), c >= 1; the last one is repeated.
+    """
+    most = max((len(polygon) for polygon in polygons), default=1)
+    rows = [np.concatenate([p, np.repeat(p[-1:], most - len(p), axis=0)]) for p in polygons]
+    return np.stack(rows) if rows else np.zeros((0, 1, 2))
+
+
+def distances_to_walls(points: Points, walls: Floats) -> Floats:
+    """Return the distance of points from walls [mm], 0 inside, shape (k,).
+
+    Args:
+        points: one point for each wall [mm], shape (k, 2).
+        walls: the walls [mm], shape (k, c, 2).
+    """
+    ends = np.roll(walls, -1, axis=1)
+    along, to = ends - walls, points[:, None] - walls
+    length2 = (along**2).sum(axis=2)
+    share = np.clip((to * along).sum(axis=2) / np.where(length2 > 0.0, length2, 1.0), 0.0, 1.0)
+    from_edges = np.hypot(*np.moveaxis(to - share[..., None] * along, -1, 0)).min(axis=1)
+    cross = along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]
+    turning = (cross >= 0.0).all(axis=1) | (cross <= 0.0).all(axis=1)
+    area = np.abs((walls[..., 0] * ends[..., 1] - walls[..., 1] * ends[..., 0]).sum(axis=1))
+    return np.where(turning & (area > 0.0), 0.0, from_edges)
+
+
+def _is_convex(corners: Points) -> bool:
+    # a convex polygon turns to one side only, and once around; a point or a line has no inside
+    edges = np.diff(corners, axis=0, append=corners[:1])
+    edges = edges[(edges != 0.0).any(axis=1)]
+    if len(edges) <= 2:
+        return True
+    (x, y), (u, v) = edges.T, np.roll(edges, -1, axis=0).T
+    turns = np.arctan2(x * v - y * u, x * u + y * v)
+    to_one_side = (turns >= -_STRAIGHT_RAD).all() or (turns <= _STRAIGHT_RAD).all()
+    return bool(to_one_side and abs(abs(turns.sum()) - 2 * np.pi) < 1e-6)
