@@ -20,6 +20,7 @@ from fiber_core import (
 )
 from fiber_core.clearance import Safety, neighbour_pairs
 
+NUMBERS = ("spacing_mm", "envelope_mm")
 EXTREMES = (0.0, -1.0, np.nan, np.inf, -np.inf, 1e-300, 1e12, 1e25, 2.0**63, "many", None)
 COLUMNS = [f.name for f in fields(FocalPlane) if f.name not in ("name", "enabled")]
 
@@ -28,9 +29,10 @@ COLUMNS = [f.name for f in fields(FocalPlane) if f.name not in ("name", "enabled
 @pytest.mark.parametrize("column", COLUMNS)
 def test_a_layout_with_an_extreme_value_works_or_is_refused(column, extreme):
     plane = replace(preset("desi_outlines", 7), obstacles=[[60.0, 0.0, 1.0]])
+    plane = replace(plane, walls=[[[60.0, 9.0], [61.0, 9.0], [61.0, 10.0]]])
     rng = np.random.default_rng(COLUMNS.index(column))
     value = extreme
-    if column != "spacing_mm":
+    if column not in NUMBERS:
         given = np.array(getattr(plane, column), dtype=object if extreme is None else None)
         given = given.astype(object)
         given[tuple(rng.integers(given.shape))] = extreme
@@ -40,10 +42,11 @@ def test_a_layout_with_an_extreme_value_works_or_is_refused(column, extreme):
         changed = replace(plane, **{column: value})
     except LayoutError as error:
         assert (
-            column == "spacing_mm"
+            column in NUMBERS
             or "robot" in str(error)
             or column in str(error)
             or ("obstacle" in str(error))
+            or "wall" in str(error)
         )
         return
     start = np.zeros((7, 2))
