@@ -3,8 +3,16 @@
 ros2 launch fiber_bringup focal_plane.launch.py preset:=desi robots:=500
 """
 
+from typing import Any
+
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, SetEnvironmentVariable
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    GroupAction,
+    SetEnvironmentVariable,
+    Shutdown,
+)
 from launch.conditions import UnlessCondition
 from launch.substitutions import (
     EnvironmentVariable,
@@ -12,22 +20,27 @@ from launch.substitutions import (
     LaunchConfiguration,
     PathJoinSubstitution,
 )
-from launch_ros.actions import Node
+from launch_ros.actions import Node, PushRosNamespace, SetParameter
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackagePrefix, FindPackageShare
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the launch arguments, the environment and the nodes."""
-    config = PathJoinSubstitution([FindPackageShare("fiber_bringup"), "config"])
-    parameters = PathJoinSubstitution([config, "focal_plane.yaml"])
+    parameters = LaunchConfiguration("params_file")
+    scope = [
+        *_environment(),
+        PushRosNamespace(LaunchConfiguration("namespace")),
+        SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
+        _plant(parameters),
+        *_control(parameters),
+        *_observers(parameters),
+    ]
     return LaunchDescription(
         [
             *_arguments(),
-            *_environment(),
-            _plant(parameters),
-            *_control(parameters),
-            *_observers(parameters),
+            *_arguments_of_all_nodes(),
+            GroupAction(scope),
         ]
     )
 
@@ -89,6 +102,32 @@ def _arguments() -> list[DeclareLaunchArgument]:
     ]
 
 
+def _arguments_of_all_nodes() -> list[DeclareLaunchArgument]:
+    return [
+        DeclareLaunchArgument(
+            "namespace", default_value="", description="namespace of all nodes, as north"
+        ),
+        DeclareLaunchArgument(
+            "params_file",
+            default_value=PathJoinSubstitution(
+                [FindPackageShare("fiber_bringup"), "config", "focal_plane.yaml"]
+            ),
+            description="file with the parameters of the nodes",
+        ),
+        DeclareLaunchArgument(
+            "use_sim_time", default_value="false", description="follow the time on /clock"
+        ),
+        DeclareLaunchArgument(
+            "log_level", default_value="info", description="level of the log: debug, info, warn"
+        ),
+        DeclareLaunchArgument(
+            "use_respawn",
+            default_value="false",
+            description="start nodes again that end; false: such a node ends the launch",
+        ),
+    ]
+
+
 def _environment() -> list[SetEnvironmentVariable]:
     # values of the environment win, as a profile of another machine or another range
     profile = PathJoinSubstitution([FindPackageShare("fiber_node"), "config", "fastdds.xml"])
@@ -104,7 +143,18 @@ def _environment() -> list[SetEnvironmentVariable]:
     ]
 
 
-def _plant(parameters: PathJoinSubstitution) -> ExecuteProcess:
+def _process() -> dict[str, Any]:
+    """Return what all nodes have in common as processes."""
+    respawn = LaunchConfiguration("use_respawn")
+    return {
+        "ros_arguments": ["--log-level", LaunchConfiguration("log_level")],
+        "respawn": respawn,
+        "respawn_delay": 2.0,
+        "on_exit": [Shutdown(reason="a node has ended", condition=UnlessCondition(respawn))],
+    }
+
+
+def _plant(parameters: LaunchConfiguration) -> ExecuteProcess:
     """Return the process of the simulated robots, which outlives the bridge."""
     folder = PathJoinSubstitution([FindPackagePrefix("fiber_bus_bridge"), "lib"])
     return ExecuteProcess(
@@ -120,6 +170,7 @@ def _plant(parameters: PathJoinSubstitution) -> ExecuteProcess:
             ["--faults=", LaunchConfiguration("faults")],
             ["--time-scale=", LaunchConfiguration("time_scale")],
             ["--socket=", LaunchConfiguration("plant")],
+            ["--name=", LaunchConfiguration("namespace")],
         ],
         name="plant",
         output="screen",
@@ -127,7 +178,7 @@ def _plant(parameters: PathJoinSubstitution) -> ExecuteProcess:
     )
 
 
-def _control(parameters: PathJoinSubstitution) -> list[Node]:
+def _control(parameters: LaunchConfiguration) -> list[Node]:
     """Return the nodes that plan and move."""
     return [
         Node(
@@ -135,6 +186,7 @@ def _control(parameters: PathJoinSubstitution) -> list[Node]:
             executable="bridge",
             name="bridge",
             output="screen",
+            **_process(),
             parameters=[
                 parameters,
                 {
@@ -162,6 +214,7 @@ def _control(parameters: PathJoinSubstitution) -> list[Node]:
             executable="planner",
             name="planner",
             output="screen",
+            **_process(),
             parameters=[
                 parameters,
                 {"planner": ParameterValue(LaunchConfiguration("planner"), value_type=str)},
@@ -172,12 +225,13 @@ def _control(parameters: PathJoinSubstitution) -> list[Node]:
             executable="discretizer",
             name="discretizer",
             output="screen",
+            **_process(),
             parameters=[parameters],
         ),
     ]
 
 
-def _observers(parameters: PathJoinSubstitution) -> list[Node]:
+def _observers(parameters: LaunchConfiguration) -> list[Node]:
     """Return the nodes that only receive and record or show."""
     return [
         Node(
@@ -185,6 +239,7 @@ def _observers(parameters: PathJoinSubstitution) -> list[Node]:
             executable="recorder",
             name="recorder",
             output="screen",
+            **_process(),
             parameters=[
                 parameters,
                 {
@@ -200,6 +255,7 @@ def _observers(parameters: PathJoinSubstitution) -> list[Node]:
             executable="viewer",
             name="viewer",
             output="screen",
+            **_process(),
             parameters=[parameters],
         ),
     ]

@@ -86,7 +86,11 @@ def declared(new_domain):
 def test_every_argument_is_declared_and_used():
     arguments = {call.args[0].value for call in calls("DeclareLaunchArgument")}
     of_nodes = {name for typed in nodes().values() for name in typed}
-    assert arguments == of_nodes | set(plant_arguments())
+    of_all = {"namespace", "params_file", "use_sim_time", "log_level", "use_respawn"}
+    for name in of_all:
+        assert f"LaunchConfiguration('{name}')" in ast.unparse(TREE), name
+    arguments -= of_all
+    assert arguments == of_nodes | set(plant_arguments()) - of_all
     known = {"preset", "robots", "seed", "layout", "problem", "planner", "time_scale", "folder"}
     assert known | {"starts", "disabled_file", "plant", "faults", "spacing_mm"} == arguments
 
@@ -95,6 +99,7 @@ def test_arguments_have_the_type_of_the_parameter_they_set(declared):
     defaults = {
         call.args[0].value: keywords(call)["default_value"].value
         for call in calls("DeclareLaunchArgument")
+        if isinstance(keywords(call)["default_value"], ast.Constant)
     }
     for node, typed in nodes().items():
         for name, kind in typed.items():
@@ -123,7 +128,10 @@ def test_the_plant_has_the_options_that_the_launch_file_gives_it(tmp_path, monke
     monkeypatch.setattr(main, "_serve", lambda options: served.append(options))
     served = []
     given = plant_arguments()
-    assert {name for name in given if name in nodes()["bridge"]} == set(given) - {"faults"}
+    assert {name for name in given if name in nodes()["bridge"]} == set(given) - {
+        "faults",
+        "namespace",
+    }
     values = {"robots": "7", "seed": "3", "time_scale": "0.5", "faults": "stall", "plant": "auto"}
     parameters = SHARE / "config" / "focal_plane.yaml"
     options = [f"{option}{values.get(name, '')}" for name, option in given.items()]
