@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Everything a user needs: `make demo`, `make test`. `make help` lists the rest.
 #
 # Where ROS 2 Jazzy is sourced, its own python3, rclpy and colcon are used and no .venv is made:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The environment of every test process, set before rclpy and the messages are imported.
 
 A ROS domain of its own, on loopback, and messages that check the values assigned to them, which is

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Measure the buses: one plan of a whole plane is loaded, verified and started, with faults too.
 
 Bus time is simulated by the formulas of the standard, from the first LOAD to the end of GO. Its

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Discretize the same trajectories in several ways and write tables: segments, safety, speed.
 
 Four tables. *methods*: lines of each joint inside the same corridors, not rounded and not

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Compare the navigation function as printed, corrected and with priorities, and `direct`.
 
 One row for each variant and plane, over some random fields: robots that arrive and when,

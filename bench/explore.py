@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Explore the protocol: every fate of every message and every mishap, within a number of faults.
 
 The steps of the real controller run with the firmware of the simulated robots; a rule that is

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Send random and mutated bytes to a positioner and to the decoders of the bridge.
 
 No input may cause a crash, and an accepted frame must be, byte for byte, the frame that the encoder

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Kill, pause and disturb the processes of a small plane at random moments; judge by the truth.
 
 Each run makes a plan with installed executables, and at a random moment of one of its stages one

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Make the table of a kill campaign from the lines that `bench/kill.py` leaves."""
 
 import argparse

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Take a focal plane through one reconfiguration without ROS, and print one JSON line.
 
 The same command as `fiber-positioners plan`, for a clone that is not installed.

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Run planners on many planes and seeds, down to the bytes: arrivals, makespan, clearance.
 
 Every plan is discretized and rounded as it would be sent, and the motion decoded from that is

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Measure computing time and memory against the number of robots, and plot them.
 
 Each size is planned, discretized and certified several times in a process of its own. Times are

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Run campaigns of seeded faults on a small plane; judge each by the true motion of the robots.
 
 A campaign configures a plane, carries out one planned reconfiguration and one HOME during faults,

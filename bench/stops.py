@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Measure the time between the first and the last stop when one of many moving robots fails.
 
 All robots on two full buses turn; one robot fails at a random instant, and all robots with

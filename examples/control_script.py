@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Control software for the ROS graph: send targets, follow, start, disable a robot, stop in motion.
 
 The client uses the stock messages of the graph and nothing else. Start a graph first, with

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A whole instrument from tables: robots, fixed discs and targets.
 
 Run it with `python examples/layout_from_csv.py`. The tables beside it are made up; the columns

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A layout study: how close may robots stand, and how long may their arms be?
 
 Run it with `python examples/layout_study.py`; ROBOTS=37 and SEEDS=1 make it smaller. The command

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An instrument of your own in 20 lines: 300 robots with arms of 3.5 and 3 mm, 3 % disabled.
 
 Run it with `python examples/own_instrument.py`; ROBOTS=61 makes it smaller, OUT=folder moves files.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A planner of your own behind the planner interface, compared with the planner "direct".
 
 This one moves every robot straight to its goal, one ring of robots after the other, from the

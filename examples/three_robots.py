@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Three robots by hand: a plane array by array, two robots that pass each other, one at rest.
 
 Run it with `python examples/three_robots.py`.

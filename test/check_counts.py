@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fail when fewer tests ran than expected: a runner that finds no tests says nothing."""
 
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A focal plane of a few dozen robots, some of them disabled, for the tests of the graph."""
 
 import numpy as np

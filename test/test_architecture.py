@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The architecture: which package may import which, and what every package must ship.
 
 An arrow A -> B means: A may import B, and everything that B may import. A compartment is a

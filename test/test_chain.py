@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a plan to its orders, on cores alone: every robot with a certified plan gets orders."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Functions and modules stay short enough to be read at once."""
 
 import ast
@@ -48,7 +49,9 @@ def test_no_function_is_long_without_a_reason():
 
 
 def test_no_module_is_long():
-    sizes = {path.relative_to(ROOT): len(path.read_text().splitlines()) for path in SOURCES}
+    sizes = {  # without the line of the license
+        path.relative_to(ROOT): len(path.read_text().splitlines()) - 1 for path in SOURCES
+    }
     assert not {path: size for path, size in sizes.items() if size > MOST_MODULE_LINES}
 
 

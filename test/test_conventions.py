@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What ROS tools look for in a package: changelog, maintainer, license, groups of diagnostics."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The code in the docs: every Python block runs, every command in a block exists.
 
 A block that is no program of its own has the info string ``python fragment`` and is only

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every example runs to its end with small sizes and says what it did."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command bench/explore.py: it prints what it has visited, and fails when a rule is broken."""
 
 import importlib

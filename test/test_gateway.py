@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The action and the service of the gateway, used by a plain rclpy client through types only."""
 
 import importlib.util

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole graph in one process, used through its topics and services only."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages made to end nodes, sent on every topic of a real graph, at rest and in motion."""
 
 import array

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two planes in one ROS domain, as an operator meets them: names, parameters, answers, stops.
 
 The observer is a plain rclpy node that knows topic names and message types and nothing else of this

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The installed executables as processes: they take a plane to targets and leave nothing behind."""
 
 import json

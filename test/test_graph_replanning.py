@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole graph when robots cannot be commanded: the others are planned again around them."""
 
 import numpy as np

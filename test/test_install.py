@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The wheel: the packages that need no ROS, installed alone, plan a field where ROS is missing."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A short kill campaign: processes are killed and paused in motion, and the truth is the judge."""
 
 import importlib.util

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mutants: what is planted and what is left alone."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a program with default qualities of service sees of the graph, and the command show."""
 
 import contextlib

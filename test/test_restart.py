@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A restart of the bridge beside robots that fell silent in motion: no arms touch in the truth."""
 
 import numpy as np

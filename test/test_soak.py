@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The campaigns of bench/soak.py: they pass, they repeat, and they detect what must not happen."""
 
 import importlib

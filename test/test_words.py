@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The prose of the repository keeps to plain English: a subject is a noun.
 
 In short: "robot", "pair", "bus", "node" are said and not

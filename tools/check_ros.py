@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check that a sourced ROS 2 Jazzy has all packages that the workspace needs."""
 
 import sys

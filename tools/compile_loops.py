@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run a small plane through the installed nodes, so that every loop is compiled and cached.
 
 It runs the nodes themselves, because a loop is compiled for the types of its arrays, and an array

@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Which lines the tests reach: coverage.sh FOLDER PYTHON [SUITE...]
 # Compiled loops do not run as Python and are left out of the count (see pyproject.toml).
 set -eu

@@ -1,3 +1,4 @@
+-- SPDX-License-Identifier: Apache-2.0
 -- Wireshark dissector of the wire format between bridge and positioners (docs/wire-format.md).
 --
 -- Opens buses.pcap of a capture (link type 209): copy this file into the folder "Personal Lua

@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Print the Python to make an environment with: the one asked for, or the first that will do.
 # Names are looked up on the PATH, then among the versions that pyenv holds.
 set -u

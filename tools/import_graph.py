@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Draw which package imports which, from the imports themselves, into docs/architecture.md.
 
 Between two marker lines of that page stands a Mermaid graph; this command writes it anew, or with

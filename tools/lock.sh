@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Resolve requirements into exact versions: lock.sh REQUIREMENTS LOCK [PYTHON]
 # Run it with the oldest Python supported: its newest packages also serve the later ones.
 set -eu

@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Make an environment with exactly the packages of a lock file: make_venv.sh FOLDER LOCK [PYTHON]
 set -eu
 folder=$1 lock=$2

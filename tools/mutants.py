@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mutants: the small mistakes that can be planted in a module, one edit of its text each.
 
 The operators are those of PIT (https://pitest.org) as far as Python has them: a comparison shifted

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mutation tests: plants small mistakes, one at a time, and counts those that the tests notice.
 
 A mutant is imported from memory, in a process of its own that is forked after the large libraries

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report of a mutation run, a Markdown file: the share killed by module, and the survivors."""
 
 from argparse import Namespace

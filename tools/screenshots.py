@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Take the pictures of docs/images from the recording of `make demo`, with headless Chromium.
 
 The figures are drawn from the same recording. Another recording, of a plan with faults, gives one

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Draw the states of the controller's protocol, from their table, into docs/protocol.md.
 
 Between two marker lines of that page stand a Mermaid state diagram and the tables of states and

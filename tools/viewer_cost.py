@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Measure what a viewer and a recorder cost the control graph.
 
 Takes a plane through the same reconfigurations in four settings: the graph alone, with a

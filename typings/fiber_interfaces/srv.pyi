@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from builtin_interfaces.msg import Time
 
 class Start:

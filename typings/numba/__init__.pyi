@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the project uses of numba: a compiled function is called like the Python function."""
 
 from collections.abc import Callable

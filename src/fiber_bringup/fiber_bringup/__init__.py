@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starts the node graph of a focal plane: in one process, as processes, or with ros2 launch."""
 
 from fiber_bringup.errors import ProcessError

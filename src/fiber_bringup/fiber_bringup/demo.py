@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Take a simulated focal plane through one reconfiguration with the installed nodes.
 
 Makes a problem, starts plant, bridge, planner, discretizer and recorder as processes on this

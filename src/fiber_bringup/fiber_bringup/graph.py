@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole node graph in one process, for scripts, notebooks and tests."""
 
 import signal

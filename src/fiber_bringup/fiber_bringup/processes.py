@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plant and nodes as processes: started from the installed executables, watched, and ended."""
 
 import json

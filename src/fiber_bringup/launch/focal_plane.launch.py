@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plant, bridge, planner, discretizer, recorder and viewer of one focal plane, on this machine.
 
 ros2 launch fiber_bringup focal_plane.launch.py preset:=desi robots:=500

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plans of a small plane with a recorder in the graph: done, home, replaced, stopped."""
 
 import numpy as np

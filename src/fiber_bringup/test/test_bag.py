@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag holds what the recording holds, read by an independent library and by ROS."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The commands by which operators take robots out of use and put them back."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The end of a graph in one process: by an exception in a node, and by an interrupt."""
 
 import signal

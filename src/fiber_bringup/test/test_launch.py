@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Launch file, parameter file and nodes agree, checked without launching."""
 
 import array

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorder in a running graph: its recordings agree with the graph and the frames."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bus bridge: orders become bytes, bytes go over I2C, robots move, outcomes come back."""
 
 from fiber_bus_bridge.availability import Availability

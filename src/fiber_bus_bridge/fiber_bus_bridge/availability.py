@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Availability of the robots of a plane: which can be commanded, and why the others cannot."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The file with the list of robots that operators have disabled."""
 
 import os

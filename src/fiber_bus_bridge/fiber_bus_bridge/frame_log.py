@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bus traffic as the table that the topic `frames` carries."""
 
 from collections.abc import Iterable

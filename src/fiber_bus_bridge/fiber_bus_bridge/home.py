@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Orders that bring robots home: phi to its upper limit, theta still."""
 
 import numpy as np

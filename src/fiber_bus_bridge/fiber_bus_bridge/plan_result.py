@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plan as a session executes it, and the result of each robot."""
 
 from dataclasses import dataclass, replace

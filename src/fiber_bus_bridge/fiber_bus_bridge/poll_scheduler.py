@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Division of the time of each bus between the roll call and reading the status of robots."""
 
 from copy import copy

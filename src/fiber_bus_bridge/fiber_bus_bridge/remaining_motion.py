@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Orders for the remaining part of a motion in which all robots were stopped together."""
 
 import numpy as np

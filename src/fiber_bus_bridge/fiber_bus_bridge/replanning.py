@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The attempts of a plan: whether another attempt is worthwhile, and the combined result."""
 
 import numpy as np

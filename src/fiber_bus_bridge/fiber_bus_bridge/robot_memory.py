@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What must be remembered of robots over a restart of the bridge, and the file that keeps it.
 
 A robot that does not answer stands where it was read last, if it rested then. If it was sent a GO

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A controller's session with a focal plane: configure, submit orders, start, advance, stop."""
 
 from collections.abc import Callable

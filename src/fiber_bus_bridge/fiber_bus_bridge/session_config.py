@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of a session: tolerances, timeouts, and the period of the heartbeat."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """States of a session and the calls that each state allows."""
 
 from enum import Enum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reliable transactions with robots over buses: retries, checked replies, counters, traffic."""
 
 from collections.abc import Callable, Sequence

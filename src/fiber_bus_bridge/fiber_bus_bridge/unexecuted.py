@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The result of a plan that was ended before any of its orders was accepted."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make the helper modules in this folder importable."""
 
 import sys

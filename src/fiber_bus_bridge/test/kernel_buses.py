@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A mock of the kernel's I2C adapters, by umockdev, with simulated robots on them.
 
 It works only inside `umockdev-wrapper`, which redirects /dev/i2c-N and its ioctls to the mock.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests of the bridge node in real time on mock devices, run by `test_node_devices.py`.
 
 Not collected directly: they work only inside `umockdev-wrapper`.

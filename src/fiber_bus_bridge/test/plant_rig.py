@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plant in a thread of the test, and the same robots without one."""
 
 import threading

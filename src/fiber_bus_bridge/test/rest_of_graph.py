@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bridge node, and a test in place of the other nodes of the graph."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small plane of simulated robots, its buses, and a session with it."""
 
 from dataclasses import replace

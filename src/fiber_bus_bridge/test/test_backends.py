@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests that every bus backend must pass: simulated buses and adapters of the Linux kernel."""
 
 import os

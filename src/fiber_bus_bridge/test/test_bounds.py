@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Absurd settings of a session and of a simulation are refused by name."""
 
 from dataclasses import fields

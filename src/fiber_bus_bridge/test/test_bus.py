@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time on the wire, topologies, and the transfer of messages on simulated buses."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Captures hold, for independent readers, every byte on the buses, with legal times."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decisions of the protocol, as functions of the tables.
 
 Equivalent mutant, left alive: the comparison of boot counters in `stopping.stop`. A robot that

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The dissector for Wireshark agrees with the decoder of the package, field by field."""
 
 import shutil

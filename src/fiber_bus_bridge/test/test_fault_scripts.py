@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The protocol under scripted faults: which message is lost, when, and what the robots then do."""
 
 from dataclasses import replace

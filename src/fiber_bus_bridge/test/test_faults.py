@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of lines, bits and robots, and how the transactions deal with them."""
 
 import numpy as np

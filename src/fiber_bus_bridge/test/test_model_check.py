@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The model check of the protocol: no rule is broken, and planted mistakes are found."""
 
 import numpy as np

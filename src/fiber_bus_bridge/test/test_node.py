@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bridge node by itself: the tests send orders and call services."""
 
 import re

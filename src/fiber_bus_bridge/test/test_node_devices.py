@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bridge node on I2C adapters: devices /dev/i2c-N that umockdev mocks."""
 
 import errno

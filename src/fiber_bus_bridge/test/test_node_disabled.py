@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operators disable and enable robots through the parameters of the bridge."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bridge takes layout and starts from files of any format, and logs what it does not use."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bridge remembers its robots over a restart, and believes no place that is not vouched for."""
 
 import json

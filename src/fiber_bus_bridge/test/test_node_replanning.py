@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replanning around a robot that cannot be commanded; a test plays planner and operator.
 
 Robot 0 is stretched towards robot 4, which passes after robot 0 has folded.

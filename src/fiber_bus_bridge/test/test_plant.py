@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plant as a process of its own: the same bytes, a time of its own, and its true motion."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Polls: robots in turn, within the time that the roll call leaves of half of each step."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated positioners: accepted and refused frames, states, and final positions."""
 
 import numpy as np

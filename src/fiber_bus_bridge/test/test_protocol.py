@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The table of states and events, and the course of plans through it."""
 
 import numpy as np

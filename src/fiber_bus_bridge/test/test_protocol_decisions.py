@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The decisions of the protocol, from tables alone."""
 
 import numpy as np

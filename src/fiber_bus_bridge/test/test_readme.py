@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The example in the README runs."""
 
 import re

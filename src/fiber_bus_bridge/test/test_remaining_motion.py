@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Orders after a stop: they end where and when the interrupted orders end, within the limits."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The attempts of a plan are combined, and failed or disabled robots are left out of plans."""
 
 import numpy as np

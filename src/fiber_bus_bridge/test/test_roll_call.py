@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The roll call: a bit for each robot of a bus, pulled low while it carries out its order."""
 
 import numpy as np

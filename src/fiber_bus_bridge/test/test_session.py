@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sessions: the calls allowed in each state, and the result of every robot of a plan."""
 
 from dataclasses import replace

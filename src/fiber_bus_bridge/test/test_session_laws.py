@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of sessions that no fault may break: what is commanded, when, and how plans end."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load, verify, go: the robots that are started, and the robots that are held with a reason."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stops during a motion: when all robots stop, and which robots resume."""
 
 import numpy as np

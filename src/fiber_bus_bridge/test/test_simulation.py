@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated plant: faults requested by name, and its separation from run-time code."""
 
 import subprocess

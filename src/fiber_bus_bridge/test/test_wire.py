@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Wire format: golden bytes with their meaning, a slow reference, and malformed frames."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames and errors of all buses together, from the counters in the diagnostics."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A client of the focal-plane graph: it sends targets, starts the plan, and reads the outcome."""
 
 import time

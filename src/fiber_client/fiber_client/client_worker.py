@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A client of the graph in a thread: carries out requests, and receives messages all the time."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Take robots out of use and put them back: the list of disabled robots of the bus bridge."""
 
 import argparse

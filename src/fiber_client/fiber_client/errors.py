@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors of the clients of the graph."""
 
 from fiber_core.errors import FiberError

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `gateway`: the action `reconfigure` and the service `start_plan`, over the client.
 
 It needs the package `fiber_interfaces`, which is built where a compiler is.

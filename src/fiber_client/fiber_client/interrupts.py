@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SIGTERM as an interrupt, for a client that has to stop its robots before it ends."""
 
 import signal

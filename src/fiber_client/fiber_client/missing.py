@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a client still misses before it can use the graph."""
 
 from collections.abc import Iterator, Mapping, Sequence

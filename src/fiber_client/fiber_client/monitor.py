@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a client receives from the graph: the plane, its motion, and the plans under way."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Take a running focal plane to new targets: plan, start, wait for the outcome, print it.
 
 TARGETS is a table (.csv, .ecsv, .fits) with columns id, x_mm, y_mm, a problem.npz, or

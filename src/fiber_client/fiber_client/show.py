@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Print a topic of the graph as a table: outcome, layout, targets, segments or held.
 
 The newest message is shown: the last one that was published, and of targets, of which none is kept,

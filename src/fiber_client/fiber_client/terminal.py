@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress, alerts and tables of results in a terminal or a log."""
 
 import sys

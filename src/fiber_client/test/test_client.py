@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """PlaneClient alone: a test publishes what the nodes of the graph would."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The output and the exit code of the command reconfigure, given the outcome of the robots."""
 
 import io

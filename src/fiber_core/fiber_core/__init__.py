@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The focal plane of fibre positioners, the motions of its robots, and their certificates.
 
 Lengths are in mm, angles in rad counter-clockwise, times in s; phi = 0 is the stretched arm.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names of array types that state the shape and the unit of an array.
 
 In the shapes, n stands for all robots, k for some of them, p for pairs, m for segments and t for

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Assignments: which targets a focal plane accepts, and why it refuses the others."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bounds of input values: what lies outside them is a mistake of unit or a damaged file.
 
 The bounds are far from every instrument that exists. Inside them all loops end and all arrays

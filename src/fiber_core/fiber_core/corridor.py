@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corridors: the interval of angles in which each joint may move at each instant of a motion."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Focal planes of instruments that no preset describes."""
 
 from collections.abc import Sequence

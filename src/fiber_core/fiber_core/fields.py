@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random fields: a start and targets that all robots can take at the same time."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The focal plane: its robots, where they stand, how they are built, and the fixed obstacles."""
 
 from dataclasses import dataclass, fields, replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A log of the frames on the buses: the table that is published, recorded and replayed."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sites of a hexagonal grid, numbered from the centre outwards."""
 
 from numbers import Real

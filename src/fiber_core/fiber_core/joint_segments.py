@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Segments of all joints: what motions in rad and s and motions in wire counts have in common."""
 
 from collections.abc import Iterable, Mapping

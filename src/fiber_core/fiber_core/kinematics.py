@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Forward and inverse kinematics: joint angles to elbow and tip, and back."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Metrics: the figures of a plan, with lower bounds for comparison."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Motions of all joints in time: sampled profiles and constant-velocity segments.
 
 A motion is called: ``motion(t)`` gives joint angles, ``motion.velocity(t)`` joint

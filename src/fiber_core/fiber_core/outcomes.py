@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outcomes and reasons: the codes with which every stage reports how a robot ended a plan."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Presets: focal planes of known instruments, built from a table of their figures."""
 
 from collections.abc import Mapping

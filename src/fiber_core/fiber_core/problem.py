@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Problems and plans, and the exchange files that hold them."""
 
 from collections.abc import Mapping, Sequence

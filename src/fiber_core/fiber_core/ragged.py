@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ragged arrays: parts of different lengths, one after another in a flat array.
 
 The segments of all profiles, the bytes of all frames and the knots of all polylines are stored

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read-only arrays of a known shape and kind, checked once where values enter."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Walls: fixed convex polygons that arms must not touch, as petal edges and cameras."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whole-number units of time and angle in which orders travel on a bus.
 
 A segment on the wire is a whole number of ticks and a whole number of velocity

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random motions, robots with clocks that differ, and a Safety with the same gap for all pairs."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every reason for which a target is refused, one by one, and targets that are accepted."""
 
 from dataclasses import replace

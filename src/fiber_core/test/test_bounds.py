@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Input values out of bounds are refused by name, and inside the bounds all computations end."""
 
 from dataclasses import fields, replace

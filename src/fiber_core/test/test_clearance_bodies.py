@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outlines as the kernels read them: hulls, circles around them, reaches, and the table."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The certificate against dense sampling, and against collisions that sampling misses."""
 
 from dataclasses import replace

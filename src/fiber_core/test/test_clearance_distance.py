@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the gap between outlines, and of neighbour pairs."""
 
 import gc

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Holding robots until the rest of a motion is certified."""
 
 from dataclasses import replace

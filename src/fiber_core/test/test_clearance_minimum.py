@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The smallest gap of a motion against gaps that are known by a formula."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The neighbours of each robot are those of its pairs, in a fixed order."""
 
 import numpy as np

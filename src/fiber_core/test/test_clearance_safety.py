@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The required gap is enough for wrong clocks and late starts and stops, and no more."""
 
 from dataclasses import replace

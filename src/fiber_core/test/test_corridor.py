@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corridors have walls of one shape, the low wall below the high wall; others are refused."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The focal plane of a made-up instrument is built from a few figures."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Damaged problem and plan files: a value or an error of this project, nothing else."""
 
 import random

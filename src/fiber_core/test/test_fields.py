@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of random fields: valid at both ends, uniform, repeatable, on every instrument."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A focal plane refuses bad columns, and every plane obeys some laws."""
 
 from dataclasses import FrozenInstanceError, fields

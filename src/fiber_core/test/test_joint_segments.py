@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of both kinds of motion: what is said of some robots changes no other robot."""
 
 import numpy as np

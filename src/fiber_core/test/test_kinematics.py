@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of forward and inverse kinematics, and their singular points."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Metrics are the figures of a plan; the lower bound is the time of the slowest robot alone."""
 
 import json

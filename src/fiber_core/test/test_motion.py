@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of motions: continuous, velocity is the derivative, robots independent of each other."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reasons of several stages are combined, and a plan's outcome is read by robot id."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figures of the presets, and the grid on which their robots stand."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exchange files are read as they were written, by this or by another program."""
 
 from dataclasses import fields, replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of ragged arrays: the same as for a list of arrays."""
 
 import numpy as np

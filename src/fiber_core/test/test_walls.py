@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Walls: refused where they are not convex, and kept clear of by every stage of a plan."""
 
 from dataclasses import replace

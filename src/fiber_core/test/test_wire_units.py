@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Motions in whole numbers: the decoded motion is exactly that of the numbers."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The discretizer: from planned trajectories to certified orders in whole wire units."""
 
 from fiber_discretizer.discretize import Discretization, discretize

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The corridor of a joint: how far it can turn at each sample without touching a neighbour.
 
 A turn by x changes the gap by lever * x at most, so a step of gap / lever touches no neighbour:

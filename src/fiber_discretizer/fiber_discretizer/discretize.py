@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a planned trajectory to certified orders."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The discretization stage of a plan, as the node and the pipeline without ROS run it."""
 
 from dataclasses import dataclass

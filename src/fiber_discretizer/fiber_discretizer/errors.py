@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors of the discretizer."""
 
 from collections.abc import Iterable

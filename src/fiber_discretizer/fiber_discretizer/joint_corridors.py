@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corridors of the orders that are sent: how far each joint could turn among the others."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The discretizer as a node: a trajectory in, certified segments in whole wire units out."""
 
 from functools import partial

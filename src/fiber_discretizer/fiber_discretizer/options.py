@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Options of the discretizer, with their defaults."""
 
 from collections.abc import Callable

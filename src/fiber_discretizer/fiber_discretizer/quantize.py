@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Round piecewise-linear profiles to whole wire units without losing their goals."""
 
 from dataclasses import astuple, dataclass

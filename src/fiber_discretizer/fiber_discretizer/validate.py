@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check a planned trajectory before it is discretized."""
 
 import numpy as np

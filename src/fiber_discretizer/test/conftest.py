@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shared by the tests of this package: the settings of properties and small synthetic planes."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A trajectory that no order can express is refused, and so are absurd options, at once."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corridors and free intervals: free of neighbours inside, and as wide as that allows."""
 
 import numpy as np

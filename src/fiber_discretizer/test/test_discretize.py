@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From trajectories to orders: certified, on their goals, or at rest with a reason."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The discretization stage: robots outside the trajectory rest, the first reason is kept."""
 
 import numpy as np

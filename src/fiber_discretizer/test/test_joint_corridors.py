@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corridors of sent orders: no robots meet inside, and neighbours are at their walls."""
 
 import itertools

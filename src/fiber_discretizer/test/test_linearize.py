@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Line fits: inside their corridors, as fast as allowed, with as few lines as their method has."""
 
 import numpy as np

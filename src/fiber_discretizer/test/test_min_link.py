@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The minimum-link path against references without windows or hulls."""
 
 import numpy as np

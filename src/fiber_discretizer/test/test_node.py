@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The discretizer node, with the rest of the graph played by the test."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rounding: whole units inside their fields, and end errors below a micrometre or so."""
 
 import numpy as np

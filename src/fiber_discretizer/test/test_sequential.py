@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sequential discretization: a safe motion stays safe, and hard cases."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shares of the free space: safe by the rule "safe", contact by the rule "printed"."""
 
 import numpy as np

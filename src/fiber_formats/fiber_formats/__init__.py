@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Layouts, present angles and targets from the files of many instruments, and results to files.
 
 `read_layout`, `read_starts` and `read_targets` find the format by the content of the files; what a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checked columns of one table: everything that is wrong is collected and refused at once."""
 
 import difflib

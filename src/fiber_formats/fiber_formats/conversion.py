@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Convert any format into our own columns."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The one error that every reader and writer of this package raises."""
 
 from fiber_core.errors import FiberError

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of a FITS file: every binary or text table HDU."""
 
 import io

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a format is: a name, a test of the content, and a reader for each kind of data it holds."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Focal planes from columns, with the figures of a preset for what the columns lack."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A problem from files, or a random one on the plane of a file or of an instrument."""
 
 import os

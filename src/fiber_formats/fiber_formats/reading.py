@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find the format of files by their content, and read a layout, starts or targets from them."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What readers return: columns as found in a file, and planes, starts and targets of them."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Columns of results in the form of an instrument, added to our own."""
 
 from collections.abc import Callable, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results as a table: one row for every robot, with outcome, reason, place, error and angles."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files as bytes, text and tables, whatever their suffix: plain or gzip, text or FITS."""
 
 import os

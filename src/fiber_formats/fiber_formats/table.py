@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A table of a file: named columns of texts or numbers, with what is missing in each."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables in text: CSV with commas, semicolons, tabs or blanks, and ECSV. Nothing is repaired.
 
 Blank lines and lines that begin with # are skipped. A quote that is not closed on its line and a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write tables as CSV, ECSV or FITS, plain or gzip, by the suffix of the path."""
 
 import gzip

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of a yanny parameter file (.par): structures declared in C, and their rows.
 
 Declarations are read for the names of columns; a column declared as an array of numbers has

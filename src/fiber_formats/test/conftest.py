@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shared by the tests of this package: settings of properties, made-up files, and real ones."""
 
 import os

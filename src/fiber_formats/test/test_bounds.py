@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A layout file with an absurd value is refused with its robot, or read and usable."""
 
 import subprocess

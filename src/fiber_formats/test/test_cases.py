@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every file of the folder of cases, with the right answer; skips where the folder is absent."""
 
 import numpy as np

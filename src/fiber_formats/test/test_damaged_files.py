@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that are no files, end early, or claim to be what they are not."""
 
 import gzip

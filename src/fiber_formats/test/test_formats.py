@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every format, on a small made-up file in the shape of a real one."""
 
 import gzip

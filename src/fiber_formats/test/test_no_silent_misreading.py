@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A table with columns renamed, dropped, reordered or encoded anew is never misread in silence.
 
 Each drawn damage leaves one of three: the very same plane, a refusal, or a plane that lacks exactly

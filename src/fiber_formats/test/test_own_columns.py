@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of our own columns: every container, and every kind of damage."""
 
 import gzip

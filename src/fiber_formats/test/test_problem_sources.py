@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A problem comes from a problem file, a layout table or a preset."""
 
 import numpy as np

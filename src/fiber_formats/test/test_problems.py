@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Problems from files, and random ones where files do not give everything."""
 
 import numpy as np

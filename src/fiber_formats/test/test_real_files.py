@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The readers on real files of the observatories; skips where their folder is absent."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results written and read back, and tables converted into our own columns."""
 
 import numpy as np

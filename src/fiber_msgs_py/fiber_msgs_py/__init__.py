@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stock ROS messages to and from the types of the core, with topic names and QoS.
 
 One module for each message, with ``encode`` and ``decode``; ``topics`` has their topics.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The attempts of a plan: which plan a stamp belongs to, and which attempt of the plan it names."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A guard round the callbacks of a node: an unexpected exception is reported, the node lives on.
 
 A message may come from any program, and one that no decoder was made for must not end a node that

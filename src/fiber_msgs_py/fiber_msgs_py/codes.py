@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check codes in messages: a number in a table must be a member of its enumeration."""
 
 from enum import IntEnum

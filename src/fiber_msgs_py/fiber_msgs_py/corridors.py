@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corridors: how far each joint could turn while all others move as ordered.
 
 For viewers; no node acts on them.

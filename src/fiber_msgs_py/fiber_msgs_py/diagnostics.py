@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostics: counters and alerts of a node or a bus, for any ROS tool."""
 
 from collections.abc import Iterable, Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors in messages."""
 
 from fiber_core.errors import FiberError

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames: the bytes that went over each bus, with bus, address and simulated time.
 
 A table and not a UInt8MultiArray: a table has a header for the plan's stamp and names its

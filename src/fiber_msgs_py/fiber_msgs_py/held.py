@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Held: the robots of a plan that a stage holds, with reasons.
 
 Each stage publishes its table, even an empty one, before its main output and with the

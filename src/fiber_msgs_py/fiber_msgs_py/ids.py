@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check robot ids in messages: whole numbers that fit a message, each once."""
 
 import numpy as np

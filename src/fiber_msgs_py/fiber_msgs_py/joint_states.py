@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joint states: joint angles and velocities by the robots' encoders."""
 
 import array

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names of joints in messages: `p0042/theta` and `p0042/phi` are the joints of robot 42."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Layout: the robots and obstacles of the focal plane, and the units of its orders."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outcome: how every robot of a plan ended, with reasons and errors."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Point clouds for 3D viewers: points along all arms, the centres of the plane, the targets.
 
 Tables of points in metres for the topics view/arms, view/plane and view/targets. They are sent

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress: how far a stage is with an attempt of a plan.
 
 A DiagnosticStatus: stock tools show it as it is. Its values are named: the fraction done, the

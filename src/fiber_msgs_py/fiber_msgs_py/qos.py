@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Qualities of service by purpose. All are reliable: a plan needs every message."""
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A limit to the rate of log lines about messages that other nodes send."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Segments: the orders of a plan in whole wire units, as the bus bridge loads them.
 
 Each row says where its segment begins, so orders that were made for other positions of the joints

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The session of a bridge: an id that its messages carry, and all messages derived from them.
 
 Stock messages have no place for an id, but all of them have names: the fields of a table, the

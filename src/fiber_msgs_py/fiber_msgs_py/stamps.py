@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stamp that names a plan, and the frame of every message."""
 
 from dataclasses import dataclass

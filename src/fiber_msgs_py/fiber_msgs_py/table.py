@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of numbers as PointCloud2: one row for each point, named columns, read without a copy."""
 
 import array

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Targets: where the fibre of each robot should go.
 
 A plan that is tried again, around robots that could not be commanded, gets targets with a stamp of

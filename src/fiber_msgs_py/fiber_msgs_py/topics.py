@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every topic and service of the graph: name, message type, quality of service."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trajectory: the sampled motion of a plan, one JointTrajectory for the whole plane."""
 
 import array

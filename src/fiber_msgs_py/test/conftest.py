@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plane of three robots with everything a layout can carry, and a plan's stamp."""
 
 import numpy as np

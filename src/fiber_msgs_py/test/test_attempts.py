@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Attempts of plans: their stamps, their numbers, and the table that finds the plan of a stamp."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corridors: walls come back in single precision, and impossible corridors are refused."""
 
 import numpy as np

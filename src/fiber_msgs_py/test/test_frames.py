@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames: every byte of a batch comes back in its place."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Damaged messages: every decoder returns a value or raises a MessageError, nothing else."""
 
 import array

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Layout: a plane comes back unchanged; it travels in metres."""
 
 from dataclasses import fields, replace

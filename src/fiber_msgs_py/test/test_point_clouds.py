@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Point clouds for 3D viewers: points in metres, with the state and the colour of their robots."""
 
 import numpy as np

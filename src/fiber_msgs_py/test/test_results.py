@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages about the course of a plan: joint states, outcome, held, progress, diagnostics."""
 
 import array

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Segments: orders in wire units come back unchanged, and a lost row is noticed."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables: faults that every codec over PointCloud2 must refuse, and differences it accepts."""
 
 import array

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Targets: they come back unchanged, or are refused by robot and value."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Topics, their qualities of service, and the stamps that name plans."""
 
 import pytest

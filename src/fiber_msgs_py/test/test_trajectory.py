@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trajectory: a sampled motion comes back unchanged, or is refused by robot and value."""
 
 import array

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shared parts of all nodes: parameters, progress and diagnostics, the plane, the main loop."""
 
 from fiber_node.accepted_attempts import AcceptedAttempts

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The attempts of plans that the bridge has accepted: a stage works on these and on no others."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Claims: which node of a graph has a role of which there can be one, such as planner.
 
 A claim is a subscription of a topic that carries nothing, named by role and id. Every node sees it

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The parameters of a node, declared from the dataclasses of its core."""
 
 import difflib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The newest layout and joint states of the focal plane, for the nodes that plan with them."""
 
 from collections.abc import Callable

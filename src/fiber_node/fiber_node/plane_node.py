@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The base of all nodes of the graph: its namespace, and the parameters that it was given."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node that does one thing after another and receives messages in between."""
 
 import os

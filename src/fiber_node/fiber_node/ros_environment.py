@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ROS domain and the range of discovery: this machine only, where not set otherwise."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A gate for messages: those of a session that is open in this graph pass, others are refused."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An executor that knows when its last callback has returned."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Long work of a node, in a thread of its own: callbacks return at once and the node answers."""
 
 import threading

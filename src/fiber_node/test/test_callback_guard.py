@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exceptions that escape callbacks, and floods of refused messages, on real nodes."""
 
 import pytest

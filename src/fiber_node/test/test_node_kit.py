@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The shared parts of nodes, on real nodes in a domain of their own."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of a node: declared from dataclasses, checked at every change, named when unknown.
 
 A node with parameters runs in a thread; a plain rclpy client asks it, as any tool does.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node that follows /clock: a missing clock is named, and stamps are those of the clock."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The executor of nodes: it ends when stopped, waits for callbacks, raises what escapes them."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Planners: from targets to a collision-free motion of a focal plane.
 
 `plan_targets` is the whole planning stage: it checks targets, plans and gives every robot a

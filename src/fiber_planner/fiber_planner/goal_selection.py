@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Goal selection: the elbow and turn of each robot, such that no two robots overlap at the end."""
 
 import numba as nb

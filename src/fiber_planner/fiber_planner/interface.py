@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The planner interface: the problem that goes in, the planned motion that comes out.
 
 A planner is an object with a `name` and a method `plan`. It reads a `fiber_core.Problem`

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The planner node: targets in, one trajectory for the whole plane out."""
 
 from collections.abc import Sequence

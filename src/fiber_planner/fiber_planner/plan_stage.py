@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The planning stage: check the targets, plan the accepted ones, give each robot a reason.
 
 `plan_targets` is the stage as the pipeline without ROS runs it. The planner node runs its two

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shared by the tests of this package: small planes, random fields, densely sampled motions."""
 
 from dataclasses import replace

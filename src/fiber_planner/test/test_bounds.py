@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Slow robots and fixed joints do not hold others; absurd parameters are refused by name."""
 
 from dataclasses import fields, replace

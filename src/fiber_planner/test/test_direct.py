@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the direct planner: the certificate is the judge of every plan."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the parts of the direct planner: sampling, collision cost, pieces, reachability."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws that every plan of the navigation function keeps, and its hard cases."""
 
 import numpy as np

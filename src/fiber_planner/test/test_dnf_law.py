@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The navigation function: its gradient, its sign, its barrier, its steps."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Priorities resolve the deadlocks of the plain control law and keep its laws."""
 
 import numpy as np

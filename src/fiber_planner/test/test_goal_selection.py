@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the choice of goals: fast where free, clear where crowded, refused where blocked."""
 
 from itertools import product

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The registry, and what planners take and give."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The planner node alone: a test plays the rest of the graph."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The planning stage: checked targets, the plan of the accepted ones, one reason per robot."""
 
 import numpy as np

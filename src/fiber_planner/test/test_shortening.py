@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of shortening: a plan is replaced by a shorter one in which as many robots arrive."""
 
 import numpy as np

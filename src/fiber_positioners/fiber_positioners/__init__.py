@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plan and carry out reconfigurations of a focal plane of fibre positioners, without ROS.
 
 from fiber_positioners import preset, random_problem, reconfigure

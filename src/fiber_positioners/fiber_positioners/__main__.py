@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`python -m fiber_positioners`: the command fiber-positioners."""
 
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a problem to certified orders: the planner and the discretizer, without buses."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Planes from files, and problems to solve: random ones, and targets from a table."""
 
 import logging

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One reconfiguration from the problem to the outcome of every robot."""
 
 from dataclasses import dataclass

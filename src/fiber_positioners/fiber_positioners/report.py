@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reports as JSON: plain numbers and strings, null for what is not finite."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Orders carried out by simulated positioners on simulated buses, in simulated time."""
 
 import time

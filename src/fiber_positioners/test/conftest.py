@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A reconfiguration of a small plane that the tests of this package share."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command prints results on stdout, progress on stderr, and refuses errors in one line."""
 
 import csv

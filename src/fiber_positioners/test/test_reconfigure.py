@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A reconfiguration gives every robot an outcome, repeats to the byte, and is saved whole."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A study carries out each case of its grid with several draws and reports their spread."""
 
 import numpy as np

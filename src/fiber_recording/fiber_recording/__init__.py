@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of plans: the values, the file, and how they are built from the frames on the buses.
 
 No module that this file imports needs ROS. The recorder (`node`), `bag` and `settled_replay` do.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write a recording as a rosbag2 folder (mcap), for ros2 bag, RViz, PlotJuggler and Foxglove.
 
 The topics are those of the graph: layout, targets, trajectory, segments, corridors, joint_states

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Builds the recording of one plan from its frame log and from what else is known of the plan."""
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads encoder readings, bus load and faults from the frames of a plan."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The smallest gap between neighbours in a motion, and the time of that gap."""
 
 import numpy as np

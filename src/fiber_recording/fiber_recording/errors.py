@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors of this package."""
 
 from fiber_core.errors import FiberError

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Example recordings of random motions, for trying the player and the figures, and for tests.
 
 A quick look at the player, without ROS and without a simulation::

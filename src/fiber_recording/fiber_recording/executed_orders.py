@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finds the orders that robots started, and when they were stopped, in the frames of a plan."""
 
 from collections.abc import Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `recorder`: writes a recording of every plan that ends.
 
 The recorder is a process of its own, which publishes nothing that the plan depends on. While

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The phases of a plan, and the motion that robots executed in them.
 
 A phase is the part of a plan between a start and the next stop.

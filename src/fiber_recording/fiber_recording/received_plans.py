@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keeps the messages that the recorder received, by plan and by attempt of a plan."""
 
 from collections.abc import Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recording of one plan: the source of the player, the figures and the bag."""
 
 from collections.abc import Mapping

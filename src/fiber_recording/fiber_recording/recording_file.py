@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes and reads recordings: one .npz file of plain arrays, which numpy and a browser can read.
 
 The file has the arrays of a problem.npz under the same names, so it can be opened as a problem,

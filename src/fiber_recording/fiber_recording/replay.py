@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Follows the frames of a plan as robots do, and returns the motion that robots executed."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replays a plan that a client of the graph followed, once the client has all its frames."""
 
 from numpy.typing import ArrayLike

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads the status replies of robots back from the frames of a plan."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finds when a robot stopped from where it stopped on the way of its orders."""
 
 import numpy as np

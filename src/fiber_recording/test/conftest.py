@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two example recordings, and simulated plans to compare replays with the true motion."""
 
 from dataclasses import replace as changed

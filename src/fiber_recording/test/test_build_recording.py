@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recording is built from the frame log of a session, without ROS."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Closest approaches are found, and none is closer than the bound of the certificate."""
 
 import numpy as np

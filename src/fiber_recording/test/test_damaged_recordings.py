@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Damaged recordings: a recording or an error of this project, nothing else."""
 
 import copy

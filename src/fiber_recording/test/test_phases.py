@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The executed motion is that of the orders, with stops and rests between phases."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorder groups messages by attempt and plan, in whatever order they come."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recording is the same after saving and loading, and files of older versions still open."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replay of frames: a robot starts the last order it acknowledged, at a GO with its number."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replays of plans with faults agree with the true motion of the simulated robots."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shows recordings of a focal plane: the player in a browser, figures, and a live view."""
 
 from fiber_viewer.figures import before_and_after

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `viewer`: a live view of the focal plane for RViz, Foxglove and PlotJuggler.
 
 The viewer is a process of its own, and the other nodes do not depend on it. It subscribes to the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outlines of robots as closed lines, for figures and for the live view."""
 
 import numpy as np

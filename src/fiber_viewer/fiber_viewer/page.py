@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write a page that plays a recording in a browser, from disk, without network or libraries."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draw the plane before and after a plan, from problem.npz and plan.npz."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two example recordings: one that ran to its end, and one that was stopped and resumed."""
 
 import pytest

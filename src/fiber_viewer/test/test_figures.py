@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figures show the numbers of the recording: assertions on data and artists."""
 
 from dataclasses import replace

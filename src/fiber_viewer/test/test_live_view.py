@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The live view shows arms in their places, and costs nothing without a subscriber."""
 
 import numpy as np

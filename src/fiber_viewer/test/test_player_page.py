@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page, opened from disk in a browser, and used with mouse and keys."""
 
 import io

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scripts of the page, run by Node, agree with Python at random robots and times."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the project uses of scipy.spatial."""
 
 from typing import Any, Literal, overload

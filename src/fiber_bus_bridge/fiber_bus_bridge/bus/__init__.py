@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The buses: topology, timing, and the backend that carries messages on real adapters."""
 
 from fiber_bus_bridge.bus.backend import Ack, BusBackend, Exchange, Replies

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The interface of a set of buses, simulated or real."""
 
 from dataclasses import dataclass

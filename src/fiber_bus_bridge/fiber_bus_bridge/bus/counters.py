@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counters of the traffic and the errors of each bus, for diagnostics."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Real buses: messages to /dev/i2c-N through the Linux kernel."""
 
 import errno

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ways to free the lines of a stuck bus."""
 
 from enum import IntEnum

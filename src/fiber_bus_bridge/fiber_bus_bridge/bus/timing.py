@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Duration of a message on an I2C bus, by the figures of the standard."""
 
 from dataclasses import dataclass

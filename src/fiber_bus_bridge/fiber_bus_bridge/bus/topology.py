@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Distribution of robots over buses and addresses."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bus traffic as files for other tools: VCD waveforms and pcap packets."""
 
 from fiber_bus_bridge.capture.pcap import write_pcap

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages as packets of link type 209 (I2C Linux) for Wireshark."""
 
 import struct

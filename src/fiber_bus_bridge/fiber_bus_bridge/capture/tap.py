@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A tap on buses: the traffic is kept and written to files."""
 
 from pathlib import Path

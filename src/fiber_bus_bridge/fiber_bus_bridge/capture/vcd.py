@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Waveforms as VCD for PulseView, GTKWave and sigrok."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Edges of SDA and SCL for each message, with the minimum times of the standard."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bus bridge as a ROS node."""
 
 from fiber_bus_bridge.node.bridge import BridgeNode, main

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plans from their targets to their orders: accepted or refused, then awaited, then ended."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The orders of a plan, its attempts one after another, and its outcome."""
 
 import threading

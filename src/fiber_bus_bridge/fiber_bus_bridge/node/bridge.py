@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bus bridge as a node: segments in, frames on the buses, outcomes out."""
 
 import threading

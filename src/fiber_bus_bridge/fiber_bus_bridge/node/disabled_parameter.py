@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The parameters by which operators disable and enable robots."""
 
 from collections.abc import Callable, Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The hardware of the bridge: simulated buses, here or in a plant, or I2C adapters; its clock."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plans that the bridge has accepted: their targets, and the robots that the stages hold."""
 
 from dataclasses import dataclass, field

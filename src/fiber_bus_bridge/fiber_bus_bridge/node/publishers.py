@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The topics that the bridge publishes: layout, encoders, frames, outcomes; and its diagnostics."""
 
 from collections.abc import Iterator

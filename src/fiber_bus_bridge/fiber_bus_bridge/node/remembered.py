@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The memory of the robots on disk: recalled when the bridge starts, saved before it is needed."""
 
 import os

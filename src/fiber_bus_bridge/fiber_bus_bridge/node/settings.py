@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of the bridge that belong to no core: its pace, its captures, and its attempts."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which planner and discretizer work on a plan, and whether they are still in the graph."""
 
 import time

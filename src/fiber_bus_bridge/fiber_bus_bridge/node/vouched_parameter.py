@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The parameter by which operators vouch for the places of robots that do not answer."""
 
 from collections.abc import Callable, Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated plant as a process of its own, which outlives the bridge.
 
 `PlantProcess` serves buses and robots on a local socket; `PlantBuses` is the bus backend of a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bus backend of a bridge whose robots are in the process of a plant."""
 
 import logging

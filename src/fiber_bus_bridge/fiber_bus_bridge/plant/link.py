@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The connection of a bridge or a reader with a plant: one request, one answer."""
 
 import socket

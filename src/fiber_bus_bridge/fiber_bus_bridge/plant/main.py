@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run the simulated plant of a focal plane: its robots and buses, served on a local socket.
 
 A bridge connects with the parameter `plant`. The plant outlives it: when the bridge is killed the

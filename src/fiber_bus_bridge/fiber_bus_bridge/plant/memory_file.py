@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The memory of the robots in a file, which outlives a plant that is killed."""
 
 import fcntl

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages between a bridge and a plant: a kind, and columns of plain numbers.
 
 A message is a header (mark, kind, number of columns), the number of bytes of each column, and the

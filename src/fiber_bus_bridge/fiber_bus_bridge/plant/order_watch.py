@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Watch over loaded orders: which controller loaded each one, and whether it read it back."""
 
 import numpy as np

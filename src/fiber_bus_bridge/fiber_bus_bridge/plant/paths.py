@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The path of a plant's socket, in a folder that only its owner can read."""
 
 import os

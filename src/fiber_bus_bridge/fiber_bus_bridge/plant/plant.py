@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plant: simulated buses and robots, the rule of their time, and their true motion."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A rehearsal: a small plane is moved once, so that all loops are compiled before robots wait."""
 
 import logging

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The server of a plant: one bridge and any number of readers of the truth on a local socket."""
 
 import fcntl

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The true motion of the robots, asked from a plant."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The protocol of a controller: LOAD, VERIFY, certify, GO, countdown, motion, STOP, resume."""
 
 from fiber_bus_bridge.protocol.context import Certifier, Context, Phase, Transition, Watch

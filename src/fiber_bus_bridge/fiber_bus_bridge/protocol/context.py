@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the steps of the protocol share: the tables, the plan, and the phase under way."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decisions of the protocol as functions of the tables; none of them uses a bus."""
 
 import numpy as np

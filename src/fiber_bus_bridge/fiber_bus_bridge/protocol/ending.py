@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps at rest: configure, clear, and the end of a plan."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps before the GO: only an order that was loaded, verified and certified can be started.
 
 A GO reaches a whole bus and starts every order loaded there under its sequence number. So a robot

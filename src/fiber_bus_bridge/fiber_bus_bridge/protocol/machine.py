@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The machine: runs the function of each state, and enters the state that its event leads to."""
 
 from collections.abc import Callable

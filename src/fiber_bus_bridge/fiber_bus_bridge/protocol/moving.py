@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The step of a motion: supervise the robots until all have arrived."""
 
 from fiber_bus_bridge.protocol.context import Context, Phase, Watch

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps of a synchronised start: no robot moves until all have confirmed the GO.
 
 GO is never repeated blindly. It is repeated only to a robot that reports LOADED, with the time left

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """States and events of the protocol, and the table that says which state follows.
 
 A new step of the protocol is a state, its rows in `TRANSITIONS`, and one function in `steps`.

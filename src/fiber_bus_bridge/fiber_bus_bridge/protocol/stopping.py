@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps that stop robots: all together after a failure, with a resume, or for good."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One step of the supervision of robots that count down or move: heartbeats, roll call, polls.
 
 Each step sends heartbeats on all buses, calls the roll, reads the status of the next few robots of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tables of a controller: a row for each robot, and a row for each bus."""
 
 from typing import TypeAlias

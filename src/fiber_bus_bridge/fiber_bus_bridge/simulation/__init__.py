@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated plant: positioners, their buses, noise and faults.
 
 The plant speaks the wire format and nothing else. Code that drives real buses does not import it.

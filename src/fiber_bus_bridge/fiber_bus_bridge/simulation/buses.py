@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated buses with simulated positioners, in simulated time."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of a simulated focal plane: robots, clocks, buses and faults."""
 
 from dataclasses import dataclass

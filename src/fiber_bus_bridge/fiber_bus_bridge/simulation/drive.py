@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Execution of a stored order by a positioner: whole numbers on its own clock."""
 
 import numpy as np

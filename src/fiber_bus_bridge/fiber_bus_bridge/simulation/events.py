@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Events that happen to positioners: power cuts, deafness, damaged memory, jams."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of buses and robots over time: a schedule drawn from a seed."""
 
 from collections.abc import Iterable

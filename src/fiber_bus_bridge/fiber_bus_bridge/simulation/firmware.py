@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Firmware of a simulated positioner: check the received bytes, then act or refuse."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The lines of one simulated bus over time: messages in turn, stuck lines, stretched clocks."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Memory of the simulated positioners: a table with one record for each robot."""
 
 from typing import Protocol, TypeAlias

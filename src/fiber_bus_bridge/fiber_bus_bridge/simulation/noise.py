@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bit errors: a batch as the robots receive it on a noisy wire, and errors in the replies."""
 
 from dataclasses import dataclass

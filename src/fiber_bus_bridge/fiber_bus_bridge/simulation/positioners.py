@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated positioners of a focal plane; they know only the bytes they receive."""
 
 from collections.abc import Iterable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """True motion of the simulated robots, for judges that must not believe the robots' reports."""
 
 from typing import NamedTuple

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The wire format: pure functions that encode tables as frames and decode frames."""
 
 from fiber_bus_bridge.wire.codes import (

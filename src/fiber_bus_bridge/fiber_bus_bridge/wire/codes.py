@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The numbers of the wire format: opcodes, robot states, faults, alerts, limits."""
 
 from enum import IntEnum, IntFlag

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands and configuration as bytes: every frame to a robot except LOAD."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checksums of the wire format, one byte at a time, compiled.
 
 CRC-16-CCITT (polynomial 0x1021, initial value 0xFFFF) guards every frame that makes a

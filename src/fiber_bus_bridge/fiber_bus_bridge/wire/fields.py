@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Types of bytes and whole numbers on the wire, and places of the fields of a record."""
 
 from typing import TypeAlias

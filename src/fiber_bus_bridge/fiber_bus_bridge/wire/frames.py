@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames as one table: the target of each frame, and the bytes of all frames end to end."""
 
 from collections.abc import Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Orders as bytes: the motion of one robot, stored until a GO starts it.
 
 A LOAD frame is ``opcode 4 bits | sequence 4 | theta segments 4 | phi segments 4``,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replies of robots as bytes: the status and the identity.
 
 A robot answers a plain read with its status. The first five bytes, closed by a packet

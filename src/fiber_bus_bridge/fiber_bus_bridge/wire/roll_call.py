@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The roll call: one read that every robot of a bus answers with a bit of its own.
 
 A robot pulls SDA low only to send a 0, so what several robots send at once arrives as the AND

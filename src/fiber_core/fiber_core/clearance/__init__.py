@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Clearance: outlines, the gaps between them, and the certificate that they stay apart."""
 
 from fiber_core.clearance.certificate import (

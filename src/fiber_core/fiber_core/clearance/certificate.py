@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Certificates: the proof that a motion keeps gaps, limits and speeds in continuous time."""
 
 from dataclasses import dataclass

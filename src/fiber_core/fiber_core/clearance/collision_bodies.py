@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outlines of every robot and obstacle as plain arrays that compiled loops can read."""
 
 from typing import NamedTuple

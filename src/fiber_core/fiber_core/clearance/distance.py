@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gaps between the outlines of pairs of robots, at one instant or at many."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signed separation of two convex polygons, each in its own turned frame.
 
 The signed separation of two convex sets is the largest value, over all unit

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make a motion safe by holding a few robots where they are."""
 
 import numpy as np

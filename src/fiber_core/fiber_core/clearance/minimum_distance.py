@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The smallest gap of a pair over a whole motion, bracketed from below and from above."""
 
 import heapq

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Neighbours: the pairs of robots and obstacles that can come close to each other."""
 
 from typing import NamedTuple

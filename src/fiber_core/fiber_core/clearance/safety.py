@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Safety: the clearance that is asked for, timing errors included."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recursive bisection: a straight line from end to end, cut where it leaves its corridor most.
 
 The discretization of Makarem et al. (SPIE 2014, arXiv 1410.1181), in the manner of Douglas and

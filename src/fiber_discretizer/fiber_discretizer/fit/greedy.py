@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Greedy fit: straight lines from sample to sample, each as long as its corridor allows."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fit sampled joint profiles with few straight lines that stay inside a corridor."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The path with the fewest straight lines inside a corridor, both ends fixed, in linear time.
 
 A minimum-link path in a corridor that only goes forward in time (Suri, Computer Vision,

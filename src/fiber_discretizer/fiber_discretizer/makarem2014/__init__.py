@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The discretization of Makarem et al. (2014), arXiv 1410.1181, with its errata corrected."""
 
 from fiber_discretizer.makarem2014.seven_steps import discretize_makarem2014

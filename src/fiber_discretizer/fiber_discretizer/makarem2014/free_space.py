@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How much neighbours may approach each other at the samples of a motion that is still changed."""
 
 import numpy as np

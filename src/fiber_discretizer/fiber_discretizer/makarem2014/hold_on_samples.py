@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Choose the robots that rest where a planned trajectory brings robots too close."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The seven steps of the paper: each of two neighbours has half of the space between them.
 
 Makarem et al. 2014 (SPIE, arXiv 1410.1181) as it is understood here: planned trajectory;

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How far a joint may leave its planned profile: its share of the free space, as an angle.
 
 The paper calls the result the margin of a motor.

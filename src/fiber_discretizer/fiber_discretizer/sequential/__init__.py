@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sequential discretization: robot after robot, each with all the space that the others leave.
 
 `search` has the order in which robots are discretized, `candidates` the motions that each

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The motions that a robot can select from, straightest first."""
 
 import numpy as np

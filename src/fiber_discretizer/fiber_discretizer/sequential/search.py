@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The order in which robots are discretized: each has the space that the others leave.
 
 The paper gives each of two neighbours half of the space between them, though most robots

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The motion of all robots while it is made, and the pairs that are not proven safe."""
 
 from typing import NamedTuple

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Select for each robot the motion with the fewest segments that is proven safe."""
 
 import numpy as np

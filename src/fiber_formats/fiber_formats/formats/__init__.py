@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The formats of instruments; each module holds one, as its FORMAT."""
 
 from fiber_formats.formats import (

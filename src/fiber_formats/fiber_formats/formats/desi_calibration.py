@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """DESI: table of the calibration with its history (`calib-*.csv`); the newest row a robot counts.
 
 Places are offset_x_cs5, offset_y_cs5 in the focal plane; offset_t is in the frame of the petal,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the tables of DESI have in common: petals, and geometry that a plane cannot express yet."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """DESI: state of the whole plane on one night (`fp-*.ecsv` of desihub/fpoffline).
 
 Robots are the rows of DEVICE_TYPE POS. The zero of theta is OFFSET_T in the frame of the petal,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """DESI: targets of a fiberassign tile, FITS or a table with the same columns.
 
 A row has no target where FIBERASSIGN_X and FIBERASSIGN_Y are not numbers. DEVICE_TYPE, where it

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JUST: sites of the robots, three numbers a row without header.
 
 The first number is the same in every row and has no documented meaning; the others are x and y

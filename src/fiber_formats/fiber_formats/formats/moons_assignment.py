@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MOONS: an assignment of robots to targets, seven numbers a row without header.
 
 Radius [mm] and angle [deg] of the robot, radius and angle of its target, three flags. 1000000

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Our own columns, in CSV, ECSV or FITS; units are part of the names.
 
 A layout needs `x_mm` and `y_mm`; `LAYOUT_COLUMNS` lists the others, which are optional. Targets

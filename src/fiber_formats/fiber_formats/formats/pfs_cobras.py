@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """PFS: geometry of cobras (XML of one or several modules), and the table of interference limits.
 
 Lengths are in pixels of Pixel_scale um. Theta counts from the CCW stop, CCW_Global_base_ori_z,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """PFS: targets of a pfsConfig or pfsDesign: pfiNominal [mm] of each cobraId.
 
 A row with a pfiNominal that is not a number has no target; a row without cobraId, or with one from

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Our own problem.npz: present angles and targets of a whole problem."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SDSS-V: confSummary, a yanny file with three rows a robot, one for each fibre.
 
 The start of a robot are alpha and beta, counted from the lower stops of its joints. A robot has a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SDSS-V: positionerTable and wokCoords, and optionally fiducialCoords and gfaCoords, together.
 
 The place of a robot is that of its hole in wokCoords plus dx, dy. Alpha counts from alphaOffset

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The direct planner: straight motions at full speed, and local search for robots in conflict."""
 
 from fiber_planner.direct.parameters import DirectParameters

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Certificate of a plan during the search; only robots that changed are certified again."""
 
 from dataclasses import replace

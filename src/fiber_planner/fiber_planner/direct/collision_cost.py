@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Collision cost: how deep and how long two moving robots are closer than they may be."""
 
 import numba as nb

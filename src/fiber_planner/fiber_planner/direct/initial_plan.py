@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The initial plan: the goal of every robot, straight motions, the gaps to keep."""
 
 from dataclasses import replace

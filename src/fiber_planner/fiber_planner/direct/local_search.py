@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Local search: robots in conflict try other profiles until no pair is in conflict."""
 
 from typing import NamedTuple

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Moves of the local search: new profiles of both joints of a robot, sampled at random."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of the direct planner, their defaults and ranges."""
 
 from dataclasses import dataclass

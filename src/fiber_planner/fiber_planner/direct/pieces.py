@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sampled profiles as constant-velocity segments, one for each straight piece."""
 
 import numba as nb

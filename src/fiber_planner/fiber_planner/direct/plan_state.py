@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plan that the local search improves, and the cost of one robot's profile in it."""
 
 from typing import NamedTuple

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The planner `direct`: straight motions for all robots, and local search where they collide."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random profiles of one joint on the time grid."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reachability test: which targets can be attained among static obstacles, by any planner."""
 
 import math

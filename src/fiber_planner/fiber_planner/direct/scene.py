@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scene of the local search: outlines, limits, neighbours and goal options of all robots."""
 
 from typing import NamedTuple

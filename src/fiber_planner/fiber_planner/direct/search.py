@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The search for a plan: straight motions, local search, longer makespans, best effort."""
 
 import math

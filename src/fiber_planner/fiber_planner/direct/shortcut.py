@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shortcuts: breakpoints that are not needed to avoid a collision leave the profiles."""
 
 import numba as nb

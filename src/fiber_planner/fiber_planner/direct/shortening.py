@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shorter plans: further searches at shorter makespans, for as long as the effort lasts."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The random number generator of the local search: splitmix64 (Steele, Lea, Flood, OOPSLA 2014)."""
 
 from typing import TypeAlias

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makespans that are tried for a first plan, in units of the time of the slowest robot alone."""
 
 import numpy as np

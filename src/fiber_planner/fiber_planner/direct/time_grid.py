@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The time grid: instants at which profiles may change speed, in whole ticks of the wire."""
 
 import math

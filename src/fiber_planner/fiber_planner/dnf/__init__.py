@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The dnf planners: the decentralized navigation function of Makarem et al. 2014."""
 
 from fiber_planner.dnf.parameters import DnfParameters, DnfPriorityParameters

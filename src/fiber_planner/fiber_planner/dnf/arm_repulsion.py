@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Repulsion between whole arms: every link repels the links of the neighbours.
 
 Our extension, not in the papers: r of the navigation function becomes d plus the gap between two

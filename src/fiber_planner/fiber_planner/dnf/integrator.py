@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One time step of the control law: the wanted steps of all joints, and the steps made."""
 
 import math

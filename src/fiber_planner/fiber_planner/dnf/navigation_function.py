@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The navigation function of a robot: attraction to its goal, repulsion between neighbours.
 
 Equations 1 to 4 of Makarem et al. (SPIE 2014, arXiv 1410.1181), errata handled as

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The dnf planners: every robot follows its own navigation function (Makarem et al. 2014a)."""
 
 from typing import Protocol

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Priorities between robots that block each other: they resolve the deadlocks of the control law.
 
 Two robots that push against each other with equal strength stand still for ever. Tao et

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Repulsion between tips, as in the papers: only tips repel, and only tips are kept apart.
 
 Proof that no two tips ever come within d. Let r > d be the distance of tips i and j at the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Command line arguments: lists and ranges of numbers, and errors in one line."""
 
 import argparse

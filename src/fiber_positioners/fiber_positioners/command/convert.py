@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The subcommand `convert`: the files of an instrument into a table of our own columns."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The entry point of the command: reads the subcommand and reports errors in one line."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The subcommand `plan`: one reconfiguration, one JSON line."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The subcommand `player`: from a recording to a page."""
 
 import argparse

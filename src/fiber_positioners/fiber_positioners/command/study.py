@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The subcommand `study`: a grid of instruments, a table, a CSV file and a picture."""
 
 import argparse

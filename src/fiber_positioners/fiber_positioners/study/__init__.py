@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Studies: reconfigurations over a grid of instrument parameters, with several draws each."""
 
 from fiber_positioners.study.cases import Case, Row, grid, study_rows

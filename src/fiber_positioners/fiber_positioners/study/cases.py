@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The cases of a study: instruments and planners over a grid of parameters."""
 
 import itertools

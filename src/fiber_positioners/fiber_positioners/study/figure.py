@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of a study: its figures over the parameter that varies most."""
 
 from collections.abc import Sequence

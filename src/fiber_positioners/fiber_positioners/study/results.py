@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The results of a study: summaries of each case, as a table, as CSV and as JSON."""
 
 import csv

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of a recording, for papers and for the night log; each function returns a Figure."""
 
 from fiber_viewer.figures.conflict import conflict, conflict_rows

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draw the figures of a recording, as PDF and PNG.
 
 The figures are: plane, outcomes, conflict (a closest approach at six moments), velocities and

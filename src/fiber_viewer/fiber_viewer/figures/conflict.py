@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robots that come near each other, at six moments, as figure 5 of Makarem et al. (2014b)."""
 
 import numpy as np

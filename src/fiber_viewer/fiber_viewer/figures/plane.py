@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of the whole focal plane: at one instant, before and after a plan, and the outcomes."""
 
 import numpy as np

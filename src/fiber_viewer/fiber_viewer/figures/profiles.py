@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Velocity and position profiles of both joints: planned, ordered and measured."""
 
 import numpy as np

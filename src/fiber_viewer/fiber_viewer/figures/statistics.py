@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures for the night log: clearances, makespan, segments and bus load of a plan."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Colours and names of outcomes and curves, the same in all figures and in the player."""
 
 import numpy as np

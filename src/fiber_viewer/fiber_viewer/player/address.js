@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Time, watched robots and panel in the address line, so that a link shows the same view.
 
 /** Returns the parts of an address such as "#t=1.25&robots=12,40&panel=2&theme=dark". */

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The page: opens the embedded recording, keeps the time, and redraws the panels.
 import { fromBase64 } from "./npz.js";
 import { STATE_NAMES, openRecording, stateAt } from "./recording.js";

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Axes of a plot: from numbers to pixels, with round ticks and a frame.
 import { colors, write } from "./theme.js";
 

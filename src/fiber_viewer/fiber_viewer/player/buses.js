@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Panel 6: the load of each bus, and its events.
 import { cleared, colors, write } from "./theme.js";
 import { disc, line } from "./drawing.js";

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The part of the focal plane that a canvas shows: y points up, both axes have the same scale.
 
 export class Camera {

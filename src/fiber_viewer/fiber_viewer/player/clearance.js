@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The gap between the outlines of two robots, and its place. It is only for drawing: the
 // certificate is made in Python (fiber_core.clearance) before any robot moves.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Draws robots with their outlines, targets, patrol regions, and the gap between two robots.
 import { forward, outlinesOf } from "./kinematics.js";
 import { gapBetween } from "./clearance.js";

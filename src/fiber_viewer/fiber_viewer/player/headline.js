@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The head of the page: outcomes, makespan and clearance of the plan.
 import { bodyName } from "./recording.js";
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Actions of the keyboard; page.html lists them in its help.
 
 const STEPS = 200; // steps of the arrow keys from begin to end

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Joint angles at a time, and places of elbows and tips. The tests compare the numbers with
 // fiber_core.kinematics and fiber_core.motion.SegmentMotion.
 //

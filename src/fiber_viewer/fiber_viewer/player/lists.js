@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Lists to choose from: closest approaches, faults, and robots that did not reach their targets.
 import { HELD, FAILED, bodyName, eventText, faultsOf, reasonOf, stateAt, stopsOf } from "./recording.js";
 

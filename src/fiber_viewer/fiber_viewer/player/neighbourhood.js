@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Panels 2 and 3: the watched robots among their neighbours, now and at six moments.
 import { anglesOfAll } from "./kinematics.js";
 import { bodyName } from "./recording.js";

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Reads .npz files, zips of numpy arrays, as numpy.savez_compressed writes them.
 
 const END_OF_DIRECTORY = 0x06054b50;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The executed motion of a recording: its orders, cut where robots stopped, and the rests between
 // phases. The same as fiber_recording.phases in Python.
 import { unroll } from "./kinematics.js";

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Panel 1: the whole focal plane. Arms are lines, or outlines if they are large enough.
 import { STATE_NAMES, stateAt } from "./recording.js";
 import { Camera } from "./camera.js";

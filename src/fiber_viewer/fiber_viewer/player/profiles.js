@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Panels 4 and 5: velocity and position profiles of both joints of the first watched robot.
 import { angleAt, velocityAt } from "./kinematics.js";
 import { pausesOf } from "./phases.js";

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Opens a recording: from the bytes of the file to typed arrays. docs/recording.md describes the file.
 import { readNpz } from "./npz.js";
 import { motionOf } from "./phases.js";

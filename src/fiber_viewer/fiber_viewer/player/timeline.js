@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The line at the bottom: number of moving robots, closest approaches, faults, and the time.
 import { MOVING, faultsOf, stateAt } from "./recording.js";
 import { pausesOf } from "./phases.js";

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A model check of the protocol: its real steps, with every fate of every message, within a bound.
 
 The controller is the real one, and so is the firmware of the simulated robots. Not modelled: the

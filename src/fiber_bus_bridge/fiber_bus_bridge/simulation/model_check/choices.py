@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Buses on which the fate of every message, and every mishap of a robot or a bus, is a choice."""
 
 from collections.abc import Callable

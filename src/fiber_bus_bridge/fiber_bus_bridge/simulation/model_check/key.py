@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The state of a system as bytes that do not depend on the time of day."""
 
 import numpy as np

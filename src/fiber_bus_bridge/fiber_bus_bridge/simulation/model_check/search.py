@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exhaustive search through the protocol: every choice of fates and mishaps, within a bound."""
 
 from collections import Counter

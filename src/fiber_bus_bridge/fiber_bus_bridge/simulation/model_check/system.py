@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A controller with a few robots as one state of a search: copied, compared, and judged."""
 
 import copy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What really happens to robots, judged by the rules that the protocol must keep."""
 
 from dataclasses import dataclass, field
