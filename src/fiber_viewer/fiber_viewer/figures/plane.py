@@ -44,8 +44,11 @@ def draw_fixtures(axes: Axes, plane: FocalPlane) -> None:
         axes: where to draw.
         plane: the focal plane.
     """
-    walls = list(plane.walls)
-    axes.add_collection(PolyCollection(walls, facecolors="#999999", edgecolors="#555555", lw=0.6))
+    if len(plane.walls):
+        walls = PolyCollection(
+            list(plane.walls), facecolors="#999999", edgecolors="#555555", lw=0.6
+        )
+        axes.add_collection(walls)
     discs = plane.obstacles
     if not len(discs):
         return
