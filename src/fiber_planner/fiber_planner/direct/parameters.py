@@ -47,6 +47,7 @@ class DirectParameters:
         "intervals": Range(4, 1024, whole=True),
         "stretch": Range(1.0, 10.0),  # times that of the slowest robot; memory grows with it
         "effort": Range(0.0, 1e6),  # 200 times the default: hours for 5000 robots
+        "shortening": Range(0.0, 1e6),
         "budget_s": Range(0.0, float("inf")),
         "seed": Range(0, 2**32 - 1, whole=True),
     }
