@@ -93,7 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(remove_ros_args(sys.argv if argv is None else argv)[1:])
     use_loopback()
     try:
-        with RosClient("show") as client:
+        with RosClient("show", args=argv) as client:
             messages = _newest(client, options.topic, options.timeout)
     except FiberError as error:
         print(f"show: {error}", file=sys.stderr)
