@@ -72,3 +72,12 @@ def test_a_budget_ends_the_further_searches(plans):
     problem, first, _ = plans[0]
     best = plan(problem, 1e6, budget_s=3.0)
     assert makespan_s(best) <= makespan_s(first)
+
+
+def test_a_loose_plane_is_not_searched_again():
+    plane = preset("desi", 2000)
+    rng = np.random.default_rng(0)
+    problem = random_problem(plane.with_enabled(rng.random(plane.n) >= 0.15), rng)
+    first, best = plan(problem, 0.0), plan(problem, 300.0)
+    assert makespan_s(first) > 1.02 * lower_bound_s(problem)  # there would be something to search
+    assert best.motion.angles.tobytes() == first.motion.angles.tobytes()

@@ -31,8 +31,8 @@ class DirectParameters:
             and unfold.
         effort: moves that the local search may evaluate, per robot of the plane. It
             bounds the computing time without a clock, so that a plan is repeatable.
-        shortening: moves that further searches for shorter makespans may evaluate, per robot, once
-            a plan is found; 0 returns the first plan.
+        shortening: moves that further searches for shorter makespans of a crowded plane may
+            evaluate, per robot, once a plan is found; 0 returns the first plan.
         budget_s: computing time after which the best certified plan so far is returned [s].
             The plan then depends on the speed of the machine.
         seed: of the random numbers.

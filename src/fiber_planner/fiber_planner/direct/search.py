@@ -131,22 +131,20 @@ class Search:
         self._restore()
         return self._result()
 
-    def begin_at(self, stretch: float, crowded: bool, released: Bools) -> None:
-        """Begin a search at one makespan, for `go_on`.
+    def begin_at(self, stretch: float, released: Bools) -> None:
+        """Begin a search at one makespan of a crowded plane, for `go_on`.
 
         Args:
             stretch: the makespan, in units of the time that the slowest robot needs alone.
-            crowded: whether arms fold on their way from the beginning.
             released: robots that have lost their targets in an earlier search, shape (n,).
         """
-        self.stretch, self.crowded, self._limit = stretch, crowded, 0.0
+        self.stretch, self.crowded, self._limit = stretch, True, 0.0
         self._refolded_at_most = 10 * _REFOLDED_AT_MOST
         self._ends.choice[released] = -1
         self._ends.angles[released] = self._problem.start[released]
         self._reason[released] = Reason.NOT_CONVERGED
         self._start_straight(stretch)
-        if crowded:
-            self._fold_all()
+        self._fold_all()
 
     def go_on(self, moves: float) -> SearchResult | None:
         """Go on with a search at one makespan.

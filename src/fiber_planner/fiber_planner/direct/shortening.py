@@ -29,7 +29,7 @@ def shortest_plan(
     progress: ProgressCallback | None,
     clock: Callable[[], float],
 ) -> SearchResult:
-    """Search for a plan, then for shorter ones in which as many robots arrive.
+    """Search for a plan, then on a crowded plane for shorter ones in which as many robots arrive.
 
     Two searches go on side by side at two makespans between the time that the slowest robot needs
     alone and the makespan of the best plan. A search that succeeds moves the upper end of the
@@ -46,7 +46,9 @@ def shortest_plan(
     end_s = clock() + parameters.budget_s
     first = Search(problem, parameters, progress, clock)
     best = first.run()
-    if not first.certified:
+    # a loose plane takes longer because of a few robots beside static arms: to search for all
+    # robots again costs minutes there
+    if not (first.certified and first.crowded):
         return best
     return _Shortening(problem, parameters, clock, end_s, first).run(best, progress)
 
@@ -64,7 +66,7 @@ class _Shortening:
     ):
         self._problem, self._parameters = problem, parameters
         self._clock, self._end_s = clock, end_s
-        self._crowded, self._released = first.crowded, first.released
+        self._released = first.released
         self._failed, self._found = 1.0, first.stretch
         self._spent, self._begun = 0.0, 0
         self._searches: list[Search] = []
@@ -120,7 +122,7 @@ class _Shortening:
             budget_s=max(0.0, self._end_s - self._clock()),
         )
         search = Search(self._problem, parameters, self._check, self._clock)
-        search.begin_at(stretch, self._crowded, self._released)
+        search.begin_at(stretch, self._released)
         return search
 
     def _check(self, fraction: float, text: str) -> None:
