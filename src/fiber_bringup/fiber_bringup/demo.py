@@ -228,6 +228,7 @@ def _figures(report: dict[str, Any]) -> str:
     rows: list[tuple[object, ...]] = [("", "value", "bound")]
     rows += [("reached", report["reached"], report["asked"])]
     rows += [(name, report[name], "") for name in ("held", "failed")]
+    rows += [("held because disabled", report["reasons"].get("disabled", 0), "")]
     rows += [
         ("makespan s", f"{report['makespan_s']:.3f}", f"{report['lower_bound_s']:.3f}"),
         ("least clearance mm", _clearance(report), f"{report['margin_mm']:.4f}"),

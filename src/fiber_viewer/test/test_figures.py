@@ -162,15 +162,17 @@ def test_positions_show_trajectory_corridor_segments_and_readings(request, name)
         counts = recording.measured.counts[chosen, joint]
         read = _line(axes, "encoder")
         np.testing.assert_allclose(read.get_ydata(), np.rad2deg(recording.units.to_angles(counts)))
-        (band,) = (c for c in axes.collections if c.get_label() == "corridor")
-        edge = band.get_paths()[0].vertices
+        forbidden = [c for c in axes.collections if c.get_label() == "outside the corridor"]
+        edges = [band.get_paths()[0].vertices for band in forbidden]
         ends = 1e-6 * phase.stop_us[row] if phase.stopped[row] else corridors.lasts_s[row]
-        assert edge[:, 0].max() == pytest.approx(ends)
-        for k, t in enumerate(corridors.times_s(row)):
-            if t < ends:
-                drawn = edge[np.isclose(edge[:, 0], t), 1]
-                walls = np.rad2deg([corridors.low[row, joint, k], corridors.high[row, joint, k]])
-                np.testing.assert_allclose([drawn.min(), drawn.max()], walls)
+        bottom, top = axes.get_ylim()
+        for edge, from_deg, wall in zip(edges, (bottom, top), (corridors.low, corridors.high)):
+            assert edge[:, 0].max() == pytest.approx(ends)
+            for k, t in enumerate(corridors.times_s(row)):
+                if t < ends:
+                    drawn = edge[np.isclose(edge[:, 0], t), 1]
+                    both = sorted([from_deg, np.rad2deg(wall[row, joint, k])])
+                    np.testing.assert_allclose([drawn.min(), drawn.max()], both)
 
 
 def test_without_corridors_there_is_no_band(recording):

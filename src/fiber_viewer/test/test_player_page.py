@@ -121,7 +121,7 @@ def test_it_opens_from_disk_without_a_log_entry_or_a_request(browser, page):
     outside = [url for url in requested if not url.startswith(("data:", "about:", "blob:"))]
     assert set(outside) == {page.as_uri()}
     heading = browser.find_element(By.ID, "title").text
-    assert heading == "desi: 33 of 36 robots reached their targets; 2 held, 1 failed."
+    assert heading == "desi: 33 of 36 robots reached their targets; 1 held, 1 disabled, 1 failed."
 
 
 def distance(points, a, b) -> np.ndarray:
@@ -219,6 +219,22 @@ def test_a_fault_is_two_clicks_away(opened, recording):
     faults[1].click()
     assert time_of(opened) == pytest.approx(0.4)
     assert opened.find_element(By.ID, "watched").text == str(robot)
+
+
+def test_robots_with_a_target_are_counted_as_the_lists_name_them(opened, recording):
+    ids, seen = recording.problem.plane.ids, {}
+    for tab in ("missed", "disabled"):
+        button = opened.find_element(By.CSS_SELECTOR, f"[data-tab={tab}]")
+        button.click()
+        entries = opened.find_elements(By.CSS_SELECTOR, "#list button")
+        seen[tab] = [int(entry.text.split("\n")[0]) for entry in entries]
+        assert button.text.endswith(f"({len(entries)})")
+    assert seen == {"missed": [ids[5], ids[11]], "disabled": [ids[20]]}
+    numbers = [
+        int(opened.find_element(By.CSS_SELECTOR, f"[data-name={name}] button").text)
+        for name in ("held", "failed", "disabled")
+    ]
+    assert numbers == [1, 1, 1]
 
 
 def test_a_stop_of_all_robots_and_resumed_motion_are_two_clicks_away(

@@ -219,7 +219,9 @@ def test_the_page_reads_all_that_python_wrote(node, recording, recording_file):
     assert answer["reason"] == "failed: not acknowledged"
     assert answer["faults"] == [[11, 0.3], [11, 0.4]]
     assert answer["frames"] == recording.load.frames.ravel().tolist()
-    assert answer["verdict"] == "33 of 36 robots reached their targets; 2 held, 1 failed."
+    assert answer["verdict"] == (
+        "33 of 36 robots reached their targets; 1 held, 1 disabled, 1 failed."
+    )
 
 
 def test_states_follow_a_stop_and_resumed_motion(node, resumed, resumed_file):
@@ -356,6 +358,53 @@ def test_a_file_of_the_page_is_short_and_names_no_address(path):
 def test_presets_with_and_without_theta_outlines_are_both_tested():
     assert load_recording(OUTLINES).problem.plane.theta_vertices.shape[1]
     assert not preset("desi", 3).theta_vertices.shape[1]
+
+
+def test_a_robot_without_a_target_is_not_held_whatever_its_reason(node, recording, tmp_path):
+    reason = recording.reason.copy()
+    reason[3] = Reason.NOT_PLANNED
+    save_recording(tmp_path / "other.npz", replace(recording, reason=reason))
+    states, figures = node(
+        tmp_path / "other.npz",
+        """
+        const { stateAt, STATE_NAMES } = opened;
+        answer = [[3, 5].map((row) => STATE_NAMES[stateAt(recording, row, 9)]),
+          headline.figuresOf(recording)];
+        """,
+    )
+    assert states == ["no target", "held"]
+    assert (figures["asked"], figures["held"], figures["disabled"]) == (36, 1, 1)
+
+
+def test_the_cause_of_a_stop_is_listed_before_it(node, resumed, tmp_path):
+    late = replace(resumed.events, time_s=np.array([0.0, 0.35, 0.4]))  # the bus tells of it later
+    other = np.array([-1, 12, 12])  # robot 12 did not stop by itself
+    for name, row, expected in (
+        ("own", resumed.events.row, [[0.211, 11], [0.3003, None], [0.35, 11], [0.455, None]]),
+        ("other", other, [[0.35, 12], [0.3003, None], [0.4, 12], [0.455, None]]),
+    ):
+        events = replace(late, row=row)
+        outcome = np.where(resumed.outcome == Outcome.FAILED, Outcome.REACHED, resumed.outcome)
+        save_recording(tmp_path / name, replace(resumed, events=events, outcome=outcome))
+        history = node(
+            tmp_path / f"{name}",
+            """
+            answer = opened.historyOf(recording, opened.faultsOf(recording))
+              .map(({ time, fault }) => [time, fault ? fault.row : null]);
+            """,
+        )
+        assert history == [[pytest.approx(time_s, abs=1e-3), row] for time_s, row in expected]
+
+
+@pytest.mark.parametrize("high", [20.0, 40.0])
+def test_grey_begins_where_the_corridor_ends(node, recording_file, high):
+    below, above = node(
+        recording_file,
+        "answer = profiles.forbiddenBands([0, 5, 9, 1, -3, 30], 0, inputs.high);",
+        high=high,
+    )
+    assert below == [0, 0, 5, 1, 0, 0]
+    assert above == [0, 9, high, 1, min(30, high), high]
 
 
 def test_robots_that_fail_together_are_one_fault_when_they_stopped(node, resumed, tmp_path):

@@ -284,7 +284,9 @@ class Attempts:
     def _publish_outcome(self, plan: PlanStamp, result: PlanResult) -> None:
         attempts = self._replanning.attempts
         self._outgoing.publish_outcome(result, plan)
-        counts = np.bincount(result.outcome, minlength=len(Outcome))
+        # robots without a target are no part of the plan, unless they failed
+        concerned = (result.reason != Reason.NO_TARGET) | (result.outcome != Outcome.HELD)
+        counts = np.bincount(result.outcome[concerned], minlength=len(Outcome))
         summary = ", ".join(f"{counts[o]} {o.name.lower()}" for o in Outcome)
         self._reporter.counters |= {"plan": plan, "outcome": summary, "attempts": attempts}
         text = summary if attempts == 1 else f"{summary}, in {attempts} attempts"

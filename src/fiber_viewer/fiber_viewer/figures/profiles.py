@@ -112,7 +112,7 @@ def positions(recording: Recording, rows: ArrayLike) -> Figure:
 
 
 def _draw_corridor(axes: Axes, recording: Recording, row: int, joint: int) -> None:
-    """Draw the corridor of a joint, and set the limits of the axes.
+    """Draw a corridor, grey where the joint must not be, and set the limits of the axes.
 
     Curves stay legible: of a wide corridor no more is shown, above and below, than the height of
     the curves.
@@ -120,6 +120,7 @@ def _draw_corridor(axes: Axes, recording: Recording, row: int, joint: int) -> No
     curves = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
     low, high = curves.min(), curves.max()
     below = above = 0.0
+    walls, shown = None, np.empty(0)
     corridors = recording.corridors
     if corridors is not None and corridors.lasts_s[row] > 0:
         time_s, until_s = corridors.times_s(row), recording.active_s[0, row, 1]
@@ -127,14 +128,19 @@ def _draw_corridor(axes: Axes, recording: Recording, row: int, joint: int) -> No
         walls = np.rad2deg(
             [np.interp(shown, time_s, w[row, joint]) for w in (corridors.low, corridors.high)]
         )
-        axes.fill_between(shown, *walls, color=PLANNED, alpha=0.22, lw=0, label="corridor")
         for wall in walls:
             axes.plot(shown, wall, color=PLANNED, lw=0.7)
         most = max(high - low, _LEAST_VIEW_DEG)
         below = min(low - min(low, walls[0].min()), most)
         above = min(max(high, walls[1].max()) - high, most)
     pad = max(0.06 * (high - low + below + above), 1.0)
-    axes.set_ylim(low - below - pad, high + above + pad)
+    bottom, top = low - below - pad, high + above + pad
+    axes.set_ylim(bottom, top)
+    if walls is not None:
+        for edge, wall in ((bottom, walls[0]), (top, walls[1])):
+            axes.fill_between(
+                shown, edge, wall, color=PLANNED, alpha=0.28, lw=0, label="outside the corridor"
+            )
 
 
 def _draw_legend(axes: Axes) -> None:

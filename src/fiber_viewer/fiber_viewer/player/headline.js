@@ -1,12 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 // The head of the page: outcomes, makespan and clearance of the plan.
-import { bodyName } from "./recording.js";
+import { FAILED, HELD, REACHED, bodyName, isAsked, stateAt } from "./recording.js";
 
-/** Returns the numbers of the headline: {reached, held, failed, asked, makespan, bound, ...}. */
+/**
+ * Returns the numbers of the headline: {reached, held, failed, disabled, asked, makespan, bound, ...}.
+ * They count the same robots as the lists; `disabled` are those of them with a target.
+ */
 export function figuresOf(recording) {
-  const { report, certificate } = recording.about;
+  const { report, certificate } = recording.about, { plane } = recording;
+  const counts = { asked: 0, disabled: 0, [REACHED]: 0, [HELD]: 0, [FAILED]: 0 };
+  for (let row = 0; row < plane.n; row++) {
+    const asked = isAsked(plane, row);
+    counts.asked += asked;
+    if (!plane.enabled[row]) counts.disabled += asked;
+    else counts[stateAt(recording, row, Infinity)] += 1;
+  }
   return {
-    asked: report.asked, reached: report.reached, held: report.held, failed: report.failed,
+    asked: counts.asked, disabled: counts.disabled,
+    reached: report.reached, held: counts[HELD], failed: counts[FAILED],
     makespan: report.makespan_s, bound: report.lower_bound_s,
     clearance: report.min_clearance_mm, margin: certificate.margin_mm,
     certified: certificate.ok, segments: report.segments_mean, bus: report.bus_time_s,
@@ -14,10 +25,10 @@ export function figuresOf(recording) {
 }
 
 /** Returns the outcomes in one sentence. */
-export function verdict({ asked, reached, held, failed }) {
+export function verdict({ asked, reached, held, failed, disabled }) {
   if (asked === 0) return "No robot had a target.";
   if (reached === asked) return `All ${asked} robots reached their targets.`;
-  const rest = [held && `${held} held`, failed && `${failed} failed`].filter(Boolean).join(", ");
+  const rest = [held && `${held} held`, disabled && `${disabled} disabled`, failed && `${failed} failed`].filter(Boolean).join(", ");
   return `${reached} of ${asked} robots reached their targets; ${rest}.`;
 }
 
@@ -40,6 +51,7 @@ export function showHeadline(app, { title, subtitle, figures, notes }) {
   const rows = [
     ["reached", `${numbers.reached}`, ` of ${numbers.asked}`],
     ["held", `${numbers.held}`, "", numbers.held ? "warn" : "", () => app.list.show("missed")],
+    ...(numbers.disabled ? [["disabled", `${numbers.disabled}`, " with a target", "warn", () => app.list.show("disabled")]] : []),
     ["failed", `${numbers.failed}`, "", numbers.failed ? "bad" : "", () => app.list.show("faults")],
     ["makespan", numbers.makespan.toFixed(2), ` s, at least ${numbers.bound.toFixed(2)}`],
     ["least clearance", numbers.clearance === null ? "no neighbours" : numbers.clearance.toFixed(3),

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lists to choose from: closest approaches, faults, and robots that did not reach their targets.
-import { HELD, FAILED, bodyName, eventText, faultsOf, reasonOf, stateAt, stopsOf } from "./recording.js";
+// Lists to choose from: closest approaches, faults, robots that did not reach their targets, and
+// disabled robots with a target.
+import { HELD, FAILED, bodyName, eventText, faultsOf, historyOf, isAsked, reasonOf, stateAt } from "./recording.js";
 
 const MOST_SHOWN = 200; // entries of a list; other robots are found by id
 
@@ -8,9 +9,10 @@ export class Lists {
   constructor({ tabs, list, search, watched }, app) {
     Object.assign(this, { tabs, list, search, watched, app });
     const { recording } = app, { plane, pairs } = recording;
-    const missed = [];
+    const missed = [], disabled = [];
     for (let row = 0; row < plane.n; row++) {
       if ([HELD, FAILED].includes(stateAt(recording, row, Infinity))) missed.push(row);
+      else if (!plane.enabled[row] && isAsked(plane, row)) disabled.push(row);
     }
     this.missed = missed;
     this.faults = faultsOf(recording);
@@ -18,6 +20,7 @@ export class Lists {
       closest: { name: "Closest", entries: pairs.map((pair) => this.approachEntry(pair)) },
       faults: { name: "Faults", count: this.faults.length, entries: this.faultAndStopEntries() },
       missed: { name: "Not reached", entries: missed.map((row) => this.robotEntry(row)) },
+      disabled: { name: "Disabled, with a target", entries: disabled.map((row) => this.robotEntry(row)) },
     };
     tabs.replaceChildren(...Object.entries(this.contents).map(([key, { name, entries, count }]) => {
       const tab = document.createElement("button");
@@ -39,13 +42,10 @@ export class Lists {
     };
   }
 
-  /** Faults, stops of all robots, and resumed motion, in order of time. */
+  /** Faults, stops of all robots, and resumed motion: a cause before its effect. */
   faultAndStopEntries() {
-    const faults = this.faults.map((fault) => ({ time: fault.time, ...this.faultEntry(fault) }));
-    const stops = stopsOf(this.app.recording).map(({ time, text }) => ({
-      time, cells: [`${time.toFixed(3)} s`, "", text], action: () => this.app.goToStop(time),
-    }));
-    return [...faults, ...stops].sort((a, b) => a.time - b.time);
+    return historyOf(this.app.recording, this.faults).map(({ time, fault, text }) =>
+      fault ? this.faultEntry(fault) : { cells: [`${time.toFixed(3)} s`, "", text], action: () => this.app.goToStop(time) });
   }
 
   faultEntry(fault) {
@@ -79,7 +79,7 @@ export class Lists {
       return item;
     });
     const rest = entries.length - rows.length;
-    const text = rest > 0 ? `and ${rest} more` : { closest: "no robot has neighbours", faults: "none", missed: "none" }[key];
+    const text = rest > 0 ? `and ${rest} more` : { closest: "no robot has neighbours", faults: "none", missed: "none", disabled: "none" }[key];
     if (rest > 0 || !entries.length) {
       const item = document.createElement("li");
       item.className = "none";

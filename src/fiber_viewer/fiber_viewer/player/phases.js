@@ -10,14 +10,15 @@ const MICROSECOND = 1e-6;
 /**
  * Returns the motion of all phases, with two more members. `phases` is [{begin, stop}] in seconds;
  * stop is null if no robot was stopped. `active.ends[phase * n + row]` is when a robot reached the
- * end of its orders or was stopped, NaN if it had no orders.
+ * end of its orders or was stopped, NaN if it had no orders; `active.stops` is when it was stopped or
+ * stopped by itself, NaN if it did not.
  */
 export function motionOf(arrays, units) {
   const quantum = units.quantum_prad * 1e-12, tick = units.tick_us * MICROSECOND;
   const start = Array.from(arrays.start_counts.data), profiles = start.length, n = profiles / 2;
   const begins = arrays.leg_begin_us ? Array.from(arrays.leg_begin_us.data, (us) => us * MICROSECOND) : [0];
   const pieces = Array.from({ length: profiles }, () => []);
-  const ends = new Float64Array(begins.length * n).fill(NaN), counts = start.slice();
+  const ends = new Float64Array(begins.length * n).fill(NaN), stops = ends.slice(), counts = start.slice();
   const place = Float64Array.from(start, (count) => count * quantum);
   const phases = begins.map((begin, phase) => {
     let lastStop = null;
@@ -38,6 +39,7 @@ export function motionOf(arrays, units) {
       }
       if (after > first) ends[own] = Math.max(Number.isNaN(ends[own]) ? 0 : ends[own], Math.min(t, stop));
       if (stop === Infinity) continue;
+      stops[own] = stop;
       lastStop = Math.max(lastStop ?? 0, stop);
       counts[p] = arrays.leg_stop_counts.data[phase * profiles + p];
       const off = counts[p] * quantum - place[p];
@@ -48,7 +50,7 @@ export function motionOf(arrays, units) {
     }
     return { begin, stop: lastStop };
   });
-  return unroll({ ...segmentsOf(pieces), start: Float64Array.from(start, (c) => c * quantum), quantum, tick, phases, active: { ends } });
+  return unroll({ ...segmentsOf(pieces), start: Float64Array.from(start, (c) => c * quantum), quantum, tick, phases, active: { ends, stops } });
 }
 
 // Segments from pieces [begin, duration, velocity] of each profile, with rests between them.

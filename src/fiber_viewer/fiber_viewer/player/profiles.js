@@ -75,6 +75,16 @@ export function corridorBand(recording, row, joint) {
   return band;
 }
 
+/** Returns the angles below and above a corridor, as two bands from one end of the axis to the other. */
+export function forbiddenBands(corridor, lowest, highest) {
+  const below = corridor.slice(), above = corridor.slice();
+  for (let i = 0; i < corridor.length; i += 3) {
+    [below[i + 1], below[i + 2]] = [lowest, Math.max(lowest, corridor[i + 1])];
+    [above[i + 1], above[i + 2]] = [Math.min(highest, corridor[i + 2]), highest];
+  }
+  return [below, above];
+}
+
 // Range of a plot: the curves, and as much of the corridor as keeps them legible.
 function rangeOf(values, band) {
   const low = Math.min(...values), high = Math.max(...values), most = Math.max(high - low, 15);
@@ -146,7 +156,7 @@ export class VelocityPanel extends ProfilesPanel {
 }
 
 export class PositionPanel extends ProfilesPanel {
-  legend = "sent bold, planned thin, rings: encoders, band: corridor";
+  legend = "sent bold, planned thin, rings: encoders, grey: forbidden";
 
   plot(ctx, box, row, joint, end, t) {
     const { recording } = this.app, { motion, planned } = recording, profile = 2 * row + joint;
@@ -160,7 +170,7 @@ export class PositionPanel extends ProfilesPanel {
     const color = colors[JOINTS[joint]];
     this.shadePauses(ctx, axes);
     if (corridor.length) {
-      axes.band(ctx, corridor, colors.plan, 0.2);
+      for (const side of forbiddenBands(corridor, axes.yLow, axes.yHigh)) axes.band(ctx, side, colors.plan, 0.28);
       for (const wall of [1, 2]) axes.curve(ctx, corridor.filter((_, i) => i % 3 === 0 || i % 3 === wall), colors.plan, 0.8);
     }
     axes.curve(ctx, [...sent, end, sent.at(-1)], color, 2.4);

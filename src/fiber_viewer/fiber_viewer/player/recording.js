@@ -147,7 +147,7 @@ function pairsOf(arrays) {
 
 /** Returns the state of a robot at a time. */
 export function stateAt(recording, row, t) {
-  const { plane, motion, started, outcome, reason } = recording;
+  const { plane, motion, started, outcome } = recording;
   if (!plane.enabled[row]) return DISABLED;
   if (started[row]) {
     const { active, phases } = motion, n = plane.n;
@@ -161,7 +161,12 @@ export function stateAt(recording, row, t) {
   }
   if (outcome[row] === 0) return REACHED;
   if (outcome[row] === 2) return FAILED;
-  return recording.about.names.reason[reason[row]] === "no_target" ? IDLE : HELD;
+  return isAsked(plane, row) ? HELD : IDLE;
+}
+
+/** Returns whether a robot was given a target. */
+export function isAsked({ target }, row) {
+  return Number.isFinite(target[2 * row]);
 }
 
 /** Returns outcome and reason of a robot, in words. */
@@ -203,12 +208,33 @@ export function stopsOf(recording) {
   });
 }
 
+/**
+ * Returns faults, stops of all robots and resumed motion, [{time, fault}, {time, text}, ...]: in order
+ * of time, but a stop after the fault that caused it, of which a bus can tell later.
+ */
+export function historyOf(recording, faults) {
+  const begins = recording.motion.phases.map(({ begin }) => begin);
+  const entries = faults.map((fault) => ({ time: fault.time, after: fault.time, rank: 0, fault }));
+  for (const { time, text } of stopsOf(recording)) {
+    if (begins.includes(time)) {
+      entries.push({ time, after: time, rank: 2, text });
+      continue;
+    }
+    const phase = begins.findLastIndex((begin) => begin <= time);
+    const ends = begins[phase + 1] ?? Infinity;
+    const own = faults.map((fault) => fault.time).filter((at) => at >= begins[phase] && at <= ends);
+    entries.push({ time, after: own.length ? Math.max(time, Math.min(...own)) : time, rank: 1, text });
+  }
+  return entries.sort((a, b) => a.after - b.after || a.rank - b.rank);
+}
+
 /** Returns all faults: unexpected events, and robots that failed without one. */
 export function faultsOf(recording) {
-  const unexpected = recording.events.filter((event) => event.unexpected);
+  const unexpected = recording.events.filter((event) => event.unexpected).map((event) => ({ ...event }));
   const explained = new Set(unexpected.filter(({ kind }) => kind === "fault").map(({ row, time }) => `${row} ${time}`));
   // the alerts that a robot raises with a fault add nothing
   const faults = unexpected.filter(({ kind, row, time }) => kind !== "alert" || !explained.has(`${row} ${time}`));
+  for (const fault of faults) fault.time = Math.min(fault.time, ownStop(recording, fault));
   const withEvent = new Set(faults.map((fault) => fault.row));
   const together = new Map(); // robots that failed without an event, by bus, instant and reason
   recording.outcome.forEach((outcome, row) => {
@@ -224,6 +250,14 @@ export function faultsOf(recording) {
     else faults.push(...group);
   }
   return faults.sort((a, b) => a.time - b.time);
+}
+
+// When the robot of a fault stopped by itself: earlier than the others that were stopped for it, and
+// earlier than the bus told of it. Infinity if it did not.
+function ownStop({ motion, plane }, { kind, row, time }) {
+  if (kind !== "fault" || row < 0) return Infinity;
+  const own = motion.phases.map(({ stop }, phase) => [motion.active.stops[phase * plane.n + row], stop]);
+  return own.findLast(([stop, all]) => stop < all && stop < time)?.[0] ?? Infinity;
 }
 
 // When the last motion of a robot ended; the end of the recording if it never moved.
