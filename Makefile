@@ -157,9 +157,10 @@ mutate: $(ENV_STAMP) ## plant MUTANTS= mistakes (0: all; SEED=, JOBS=, TARGET=cl
 		$(if $(JOBS),--jobs $(JOBS)) $(if $(TARGET),--target $(TARGET))
 
 .PHONY: pictures
-pictures: $(ENV_STAMP) ## draw the packages (docs/architecture.md) and the protocol (docs/protocol.md) from the code
+pictures: $(ENV_STAMP) ## make the parts of docs that come from the code: architecture, protocol, interfaces
 	@$(PYTHON) tools/import_graph.py
 	@$(PYTHON) tools/state_diagram.py
+	@$(PYTHON) tools/interfaces.py
 
 .PHONY: lock
 lock: ## resolve requirements.in into requirements.lock

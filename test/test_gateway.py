@@ -7,11 +7,12 @@ import signal
 import subprocess
 import sys
 
+import interfaces
 import numpy as np
 import pytest
 import rclpy
 from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient
+from rclpy.action import ActionClient, get_action_names_and_types
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
@@ -211,6 +212,23 @@ def test_the_end_of_the_gateway_stops_the_robots_of_its_goal(gateway, stranger, 
     assert gateway.wait(30) == 0
     stranger.wait_for(lambda: not stranger.moving)
     stranger.wait_for(lambda: int(Reason.STOPPED) in stranger.reasons)
+
+
+def test_the_page_of_interfaces_has_what_the_gateway_serves(gateway, stranger):
+    def served():
+        names = stranger.node.get_service_names_and_types_by_node("gateway", "/")
+        return {name.lstrip("/") for name, _ in names if "focal_plane" in name and "/_" not in name}
+
+    stranger.wait_for(lambda: served())
+    found = interfaces.actions_and_services()
+    actions = {name.lstrip("/") for name, _ in get_action_names_and_types(stranger.node)}
+    assert set(found) == served() | actions
+    for name, kinds in (
+        ("focal_plane/reconfigure", (Reconfigure.Goal, Reconfigure.Result, Reconfigure.Feedback)),
+        ("focal_plane/start_plan", (Start.Request, Start.Response)),
+    ):
+        fields = [set(part) for part in found[name][1].values()]
+        assert fields == [set(kind.get_fields_and_field_types()) for kind in kinds]
 
 
 def test_the_constants_are_the_codes_of_the_project():

@@ -116,11 +116,13 @@ class Topic:
         name: its name, relative, so that a second graph can run in a namespace.
         type: message class.
         qos: quality of service of publishers and subscriptions.
+        about: its content, for people.
     """
 
     name: str
     type: type
     qos: QoSProfile
+    about: str = ""
 
     @property
     def volatile(self) -> "Topic":
@@ -158,10 +160,12 @@ class Service:
     Args:
         name: its name, relative, so that a second graph can run in a namespace.
         type: service class.
+        about: what a call does, for people.
     """
 
     name: str
     type: type
+    about: str = ""
 
     def server(
         self, node: ServiceFactory[_Made], callback: Callable[[Any, Any], Any], **options: object
@@ -178,39 +182,83 @@ class Service:
         return node.create_client(self.type, self.name, **options)
 
 
-def _topic(name: str, type: type, profile: QoSProfile) -> Topic:
-    return Topic(f"{NAMESPACE}/{name}", type, profile)
+def _topic(name: str, type: type, profile: QoSProfile, about: str) -> Topic:
+    return Topic(f"{NAMESPACE}/{name}", type, profile, about)
 
 
-def _service(name: str, type: type) -> Service:
-    return Service(f"{NAMESPACE}/{name}", type)
+def _service(name: str, about: str) -> Service:
+    return Service(f"{NAMESPACE}/{name}", Trigger, about)
 
 
-LAYOUT = _topic("layout", PointCloud2, qos.LATEST)
-TARGETS = _topic("targets", PointCloud2, qos.EVENTS)
-TRAJECTORY = _topic("trajectory", JointTrajectory, qos.LATEST)
-SEGMENTS = _topic("segments", PointCloud2, qos.LATEST)
-FRAMES = _topic("frames", PointCloud2, qos.STREAM)
-JOINT_STATES = _topic("joint_states", JointState, qos.LATEST)
-CORRIDORS = _topic("corridors", PointCloud2, qos.LATEST)
-OUTCOME = _topic("outcome", PointCloud2, qos.RESULTS)
-PROGRESS = _topic("progress", DiagnosticStatus, qos.STREAM)
-# The bridge was told to stop: planning and discretizing of plans up to this stamp end.
-STOPPED = _topic("stopped", Time, qos.EVENTS)
-DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, qos.STREAM)  # of all planes of a domain
+LAYOUT = _topic(
+    "layout", PointCloud2, qos.LATEST,
+    "One row a robot: place, arms, outlines, limits, speeds, bus, address, wire units, whether it "
+    "can be commanded; fixed discs and walls. Once a second at rest.",
+)  # fmt: skip
+TARGETS = _topic("targets", PointCloud2, qos.EVENTS, "Id, x, y [m] of the robots with a target.")
+TRAJECTORY = _topic(
+    "trajectory", JointTrajectory, qos.LATEST,
+    "Joints `p0042/theta` and `p0042/phi` of all robots [rad]. The discretizer hears publishers "
+    "with the default quality of service too.",
+)  # fmt: skip
+SEGMENTS = _topic(
+    "segments", PointCloud2, qos.LATEST,
+    "Id, joint, duration [ticks], velocity [wire units]: the orders of a plan.",
+)  # fmt: skip
+FRAMES = _topic(
+    "frames", PointCloud2, qos.STREAM,
+    "The bytes on each bus with the time of the buses, while the topic has subscribers.",
+)  # fmt: skip
+JOINT_STATES = _topic(
+    "joint_states", JointState, qos.LATEST,
+    "Readings of the robots' encoders: ten a second of the buses while robots move, one a second "
+    "at rest. The viewer subscribes while it has subscribers itself.",
+)  # fmt: skip
+CORRIDORS = _topic(
+    "corridors", PointCloud2, qos.LATEST,
+    "How far each joint may turn at each instant of the motion; made for subscribers alone.",
+)  # fmt: skip
+OUTCOME = _topic(
+    "outcome", PointCloud2, qos.RESULTS,
+    "Id, outcome, reason, error [m] of every robot, when a plan has ended; codes are in "
+    "[codes](codes.md).",
+)  # fmt: skip
+PROGRESS = _topic(
+    "progress", DiagnosticStatus, qos.STREAM, "Stage, fraction 0 to 1, plan, and a line for people."
+)
+STOPPED = _topic(
+    "stopped", Time, qos.EVENTS,
+    "The bridge was told to stop: planning and discretizing of plans up to this stamp end.",
+)  # fmt: skip
+DIAGNOSTICS = Topic(
+    "/diagnostics", DiagnosticArray, qos.STREAM,
+    "Counters of each node and bus, of all planes of a domain; once a second.",
+)  # fmt: skip
 
 # One topic for each stage: an empty table does not name its stage, and of two latched
 # publishers on one topic of depth 1 a late subscriber would get one message only.
-HELD_BY_PLANNER = _topic("held/planner", PointCloud2, qos.LATEST)
-HELD_BY_DISCRETIZER = _topic("held/discretizer", PointCloud2, qos.LATEST)
+HELD_BY_PLANNER = _topic(
+    "held/planner", PointCloud2, qos.LATEST, "Id, reason of the robots that the planner holds."
+)
+HELD_BY_DISCRETIZER = _topic(
+    "held/discretizer", PointCloud2, qos.LATEST,
+    "Id, reason of the robots that the discretizer holds.",
+)  # fmt: skip
 
-# Points for 3D viewers: along the arms, at the centres, at the targets (see point_clouds).
-VIEW_ARMS = _topic("view/arms", PointCloud2, qos.LATEST)
-VIEW_PLANE = _topic("view/plane", PointCloud2, qos.LATEST)
-VIEW_TARGETS = _topic("view/targets", PointCloud2, qos.LATEST)
+# See point_clouds.
+VIEW_ARMS = _topic("view/arms", PointCloud2, qos.LATEST, "Points along the arms, for 3D viewers.")
+VIEW_PLANE = _topic("view/plane", PointCloud2, qos.LATEST, "Points at the centres of the robots.")
+VIEW_TARGETS = _topic("view/targets", PointCloud2, qos.LATEST, "Points at the targets.")
 
-START = _service("start", Trigger)
-STOP = _service("stop", Trigger)
-HOME = _service("home", Trigger)
-CLEAR = _service("clear", Trigger)
-CONFIGURE = _service("configure", Trigger)
+START = _service("start", "Loads, verifies and starts the orders that are ready.")
+STOP = _service(
+    "stop", "Stops robots that move, and ends planning and discretizing; answered at any time."
+)
+HOME = _service("home", "Folds all robots that can be commanded.")
+CLEAR = _service(
+    "clear",
+    "Ends what is left of a plan or a stop, reads all robots, and makes the next plan possible.",
+)
+CONFIGURE = _service(
+    "configure", "Asks all robots anew, as after a power cut, and sets their parameters."
+)

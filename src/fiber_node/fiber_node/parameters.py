@@ -168,6 +168,13 @@ class NodeParameters:
         self._others.add(name)
         return self._given(name)
 
+    @property
+    def defaults(self) -> dict[str, Any]:
+        """The default of each parameter that a dataclass describes, by name, as ROS has it."""
+        return {
+            name: entry.declared for group in self._groups for name, entry in group.entries.items()
+        }
+
     def finish(self) -> None:
         """Check changes from now on; log the settings, and given parameters that do not exist."""
         self._node.add_pre_set_parameters_callback(self._with_numbers)

@@ -45,7 +45,12 @@ from fiber_viewer.outlines import outlines
 
 __all__ = ["WATCHED", "ViewerNode", "main"]
 
-WATCHED = topics.Topic(f"{topics.NAMESPACE}/view/watched", MarkerArray, qos.LATEST)
+WATCHED = topics.Topic(
+    f"{topics.NAMESPACE}/view/watched",
+    MarkerArray,
+    qos.LATEST,
+    "Outlines of the robots of the parameter `watch`.",
+)
 
 _LONGEST_EXTRAPOLATION_S = 0.15  # after a reading of the encoders
 _LINE_M = 1.5e-4
