@@ -34,7 +34,7 @@ from fiber_bus_bridge.plant import PlantBuses, PlantTruth, plant_socket, touchin
 from fiber_bus_bridge.plant.memory_file import MemoryFile
 from fiber_bus_bridge.plant.messages import REQUESTS, Kind, PlantError, Unpacker, pack
 from fiber_bus_bridge.plant.plant import Plant
-from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses
+from fiber_bus_bridge.simulation import Mechanics, SimulationConfig, simulated_buses
 from fiber_bus_bridge.wire import (
     Addresses,
     Fault,
@@ -303,8 +303,15 @@ def test_arms_that_touch_are_found_in_the_truth(path):
         session.submit(WireMotion(UNITS, session.counts, offsets, ticks, velocity))
         finish(session, session.start(1.0))
         with PlantTruth(path) as reader:
-            found = touching(PLANE, reader.since())
+            truth = reader.since()
+        found = touching(PLANE, truth)
         assert found.unsafe.any() and found.min_gap_mm < 0
+        # contacts are those of the true arms: these are stuck, whatever their counters read
+        stuck = Mechanics.ideal(PLANE.n).with_(stuck_from=np.zeros((PLANE.n, 2)))
+        assert not touching(PLANE, truth, stuck).unsafe.any()
+        assert touching(PLANE, truth, Mechanics.ideal(PLANE.n)).min_gap_mm == found.min_gap_mm
+        with pytest.raises(PlantError, match="before movement 7: ask from 0 on"):
+            truth._replace(first=7).motion(stuck)
 
 
 def test_orders_of_a_dead_bridge_or_never_read_back_count_as_unverified(path):

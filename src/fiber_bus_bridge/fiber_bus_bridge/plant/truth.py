@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from fiber_bus_bridge.plant.link import PlantLink
 from fiber_bus_bridge.plant.messages import Kind, PlantError
-from fiber_bus_bridge.simulation import Movements
+from fiber_bus_bridge.simulation import Mechanics, Movements, arms_at, arms_motion
 from fiber_core.array_types import Bools, Codes, Counts, Ints
 from fiber_core.clearance import Certificate, Safety, certify, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
@@ -52,10 +52,25 @@ class Truth(NamedTuple):
         """Number of the movement that comes after these."""
         return self.first + len(self.moves.row)
 
-    def motion(self) -> SegmentMotion:
-        """Return the true joint angles of all robots over time, until now."""
+    def motion(self, mechanics: Mechanics | None = None) -> SegmentMotion:
+        """Return the true joint angles of all robots over time, until now.
+
+        Args:
+            mechanics: the errors of the joints, of arms that stood where their counters read
+                before the first movement of all; by default the arms follow the counters.
+
+        Raises:
+            PlantError: with errors, the movements must begin with the first of all.
+        """
         begin_s = min(self.moves.started_s.min(initial=self.now_s), self.now_s) - _BEFORE_S
-        return self.moves.motion(self.start, self.quantum_rad, self.now_s, begin_s)
+        times = self.now_s, begin_s
+        if mechanics is None:
+            return self.moves.motion(self.start, self.quantum_rad, *times)
+        if self.first != 0:
+            raise PlantError(f"the arms are unknown before movement {self.first}: ask from 0 on")
+        numbered = self.moves.numbered(self.start, self.quantum_rad, *times)
+        state = arms_at(mechanics, self.start * self.quantum_rad)
+        return arms_motion(mechanics, state, *numbered)[0]
 
 
 class PlantTruth:
@@ -109,9 +124,14 @@ class PlantTruth:
         )  # fmt: skip
 
 
-def touching(plane: FocalPlane, truth: Truth) -> Certificate:
+def touching(plane: FocalPlane, truth: Truth, mechanics: Mechanics | None = None) -> Certificate:
     """Return the certificate of the true motion: its unsafe pairs are robots that touched.
 
-    Whole outlines are judged in continuous time.
+    Whole outlines are judged in continuous time, where the true arms were.
+
+    Args:
+        plane: the focal plane.
+        truth: the true movements.
+        mechanics: the errors of the joints, as for Truth.motion.
     """
-    return certify(plane, truth.motion(), _EXACT, neighbour_pairs(plane))
+    return certify(plane, truth.motion(mechanics), _EXACT, neighbour_pairs(plane))

@@ -42,9 +42,10 @@ class Positioners:
     A joint moves by the decoded whole numbers; nothing is rounded at a tick. A positioner knows
     nothing but the bytes that it received and their times.
 
-    Not modelled: acceleration, backlash, and contact between arms: arms pass through each other,
-    which a TrueMotion shows. The drive notices a jammed joint at once and stops both joints.
-    Faults of robots are a table of events, each with its time.
+    Not modelled: acceleration, and contact between arms: arms pass through each other, which a
+    TrueMotion shows. The positions here are those of the counters; where the arms are, the
+    `Mechanics` of the plane say, and no robot knows. The drive notices a jammed joint at once and
+    stops both joints. Faults of robots are a table of events, each with its time.
 
     Args:
         addresses: address of each robot, n rows.

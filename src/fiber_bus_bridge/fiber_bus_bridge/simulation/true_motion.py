@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""True motion of the simulated robots, for judges that must not believe the robots' reports."""
+"""True motion of the simulated robots, for judges that must not believe the robots' reports.
+
+The motion of the counters is what the robots did with their orders; the arms follow it as their
+`Mechanics` let them.
+"""
 
 from typing import NamedTuple
 
@@ -7,8 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.bus import BusBackend, Recovery, Replies
+from fiber_bus_bridge.simulation.mechanics import Mechanics
 from fiber_bus_bridge.simulation.memory import Memory
 from fiber_bus_bridge.simulation.positioners import Positioners
+from fiber_bus_bridge.simulation.true_arms import ArmState, arms_motion
 from fiber_bus_bridge.wire import Frames, RobotState
 from fiber_core.array_types import Counts, Floats, Ints, Rows
 from fiber_core.motion import SegmentMotion
@@ -43,7 +49,7 @@ class Movements(NamedTuple):
     def motion(
         self, start: Counts, quantum_rad: float, until_s: float, begin_s: float = 0.0
     ) -> SegmentMotion:
-        """Return the motion of a plane that these movements make.
+        """Return the motion of the counters of a plane that these movements make.
 
         Args:
             start: encoders before the first movement [quanta], shape (n, 2).
@@ -51,9 +57,24 @@ class Movements(NamedTuple):
             until_s: end of the motion [s]; a movement without an end goes on until then.
             begin_s: time zero of the motion [s], before any movement.
         """
+        return self.numbered(start, quantum_rad, until_s, begin_s)[0]
+
+    def numbered(
+        self, start: Counts, quantum_rad: float, until_s: float, begin_s: float = 0.0
+    ) -> tuple[SegmentMotion, Ints]:
+        """Return the same motion, and the movement that each segment belongs to.
+
+        The arguments are those of `motion`.
+
+        Returns:
+            The motion, and for each segment the number of its movement among those of its robot,
+            from 0, -1 for a wait between two, shape (m,).
+        """
         n = len(start)
         durations: list[list[float]] = [[] for _ in range(2 * n)]
         speeds: list[list[float]] = [[] for _ in range(2 * n)]
+        numbers: list[list[int]] = [[] for _ in range(2 * n)]
+        begun = np.zeros(n, dtype=np.int64)
         now = np.full(n, begin_s)
         ended_s = np.where(np.isnan(self.ended_s), until_s, self.ended_s)
         for k, row in enumerate(self.row):
@@ -67,14 +88,17 @@ class Movements(NamedTuple):
                 speed = self.velocity[k, joint, :count] * quantum_rad / self.tick_s[k]
                 pieces = [(self.started_s[k] - now[row], 0.0), *zip(lasts, speed)]
                 pieces.append((lasts_s - lasts.sum(), 0.0))
-                for duration, velocity in pieces:
+                for at, (duration, velocity) in enumerate(pieces):
                     if duration > 0.0:
                         durations[2 * row + joint].append(duration)
                         speeds[2 * row + joint].append(velocity)
+                        numbers[2 * row + joint].append(begun[row] if at else -1)
             now[row] = ended_s[k]
+            begun[row] += 1
         offsets = Parts.from_counts([len(d) for d in durations]).offsets
         flat = [np.array([x for part in parts for x in part]) for parts in (durations, speeds)]
-        return SegmentMotion(start * quantum_rad, offsets, *flat)
+        movement = np.array([x for part in numbers for x in part], dtype=np.int64)
+        return SegmentMotion(start * quantum_rad, offsets, *flat), movement
 
 
 def _turned(r: np.void) -> Counts:
@@ -208,6 +232,20 @@ class TrueMotion:
         """
         moves = self.movements(t)
         return moves.motion(self._start, self.quantum_rad, t, begin_s)
+
+    def arms(
+        self, mechanics: Mechanics, state: ArmState, t: float, begin_s: float = 0.0
+    ) -> tuple[SegmentMotion, ArmState]:
+        """Return the motion of the true arms until time t [s], and where they are then.
+
+        Args:
+            mechanics: the errors of the joints.
+            state: the arms before the first movement that is kept.
+            t: the end [s], not in the past.
+            begin_s: time zero of the motion [s], before any movement.
+        """
+        numbered = self.movements(t).numbered(self._start, self.quantum_rad, t, begin_s)
+        return arms_motion(mechanics, state, *numbered)
 
 
 class ObservedBuses:
