@@ -16,9 +16,9 @@ __all__ = ["SCRIPTS", "main", "write_player"]
 _SOURCES = Path(__file__).parent / "player"
 # a module may import from the modules before it
 SCRIPTS = (
-    "npz", "kinematics", "phases", "clearance", "recording", "theme", "camera", "drawing", "plane",
-    "neighbourhood", "axes", "profiles", "buses", "timeline", "headline", "lists", "address",
-    "keys", "app",
+    "npz", "kinematics", "phases", "clearance", "recording", "theme", "coloring", "camera",
+    "drawing", "plane", "neighbourhood", "axes", "profiles", "buses", "timeline", "headline",
+    "roving", "lists", "address", "keys", "app",
 )  # fmt: skip
 _IMPORT = re.compile(r"^import .*;\n", re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=const|class|function|async)", re.MULTILINE)
@@ -40,11 +40,13 @@ def write_player(page: Path, recording: Path) -> None:
     if about["plan_ns"]:  # a plan made without ROS has no stamp
         title += f", plan {about['plan_ns']}"
     text = (_SOURCES / "page.html").read_text()
+    embedded = base64.b64encode(recording.read_bytes()).decode()
     for mark, value in {
         "TITLE": html.escape(title),
         "STYLE": (_SOURCES / "style.css").read_text(),
         "SCRIPT": script(),
-        "RECORDING": base64.b64encode(recording.read_bytes()).decode(),
+        "RECORDING": embedded,
+        "LENGTH": str(len(embedded)),
     }.items():
         text = text.replace("{{" + mark + "}}", value)
     page.write_text(text)

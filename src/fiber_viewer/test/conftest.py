@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two example recordings: one that ran to its end, and one that was stopped and resumed."""
 
+import sys
+from pathlib import Path
+
 import pytest
 
 from fiber_recording import Recording, save_recording
 from fiber_recording.examples import random_recording
+from fiber_viewer import write_player
+
+sys.path.append(str(Path(__file__).parent))  # for the modules that tests share
+from chromium import open_at, size, start_browser  # noqa: E402
 
 
 @pytest.fixture(scope="session")
@@ -30,3 +37,25 @@ def resumed_file(resumed, tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "resumed.npz"
     save_recording(path, resumed)
     return path
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    driver = start_browser(tmp_path_factory.mktemp("profile"))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="session")
+def page(recording_file, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "player.html"
+    write_player(path, recording_file)
+    return path
+
+
+@pytest.fixture
+def opened(browser, page):
+    """A browser with the page, newly opened and drawn."""
+    size(browser, 1440, 1000)
+    open_at(browser, page, "")
+    return browser

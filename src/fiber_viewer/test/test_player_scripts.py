@@ -316,8 +316,8 @@ def test_an_address_has_time_robots_and_panel(node, recording_file):
         """,
     )
     assert answer[0] == "#t=1.2500&robots=12,40&panel=2"
-    assert answer[1] == {"t": 1.25, "panel": 2, "robots": [12, 40], "theme": None}
-    assert answer[2] == {"t": None, "panel": None, "robots": [7], "theme": None}
+    assert answer[1] == {"t": 1.25, "panel": 2, "robots": [12, 40], "theme": None, "color": None}
+    assert answer[2] == {"t": None, "panel": None, "robots": [7], "theme": None, "color": None}
 
 
 @pytest.mark.parametrize(

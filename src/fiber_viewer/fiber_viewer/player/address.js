@@ -6,13 +6,14 @@ export function readAddress(hash) {
   const found = new URLSearchParams(hash.replace(/^#/, ""));
   const number = (name) => (found.has(name) && Number.isFinite(Number(found.get(name))) ? Number(found.get(name)) : null);
   const robots = (found.get("robots") ?? "").split(",").filter((s) => /^\d+$/.test(s)).map(Number);
-  return { t: number("t"), panel: number("panel"), robots, theme: found.get("theme") };
+  return { t: number("t"), panel: number("panel"), robots, theme: found.get("theme"), color: found.get("color") };
 }
 
-/** Returns the address of a view: time, ids of the watched robots, panel. */
-export function toAddress({ t, ids, panel }) {
+/** Returns the address of a view: time, ids of the watched robots, panel, what robots are coloured by. */
+export function toAddress({ t, ids, panel, color = "state" }) {
   const parts = [`t=${t.toFixed(4)}`];
   if (ids.length) parts.push(`robots=${ids.join(",")}`);
   if (panel) parts.push(`panel=${panel}`);
+  if (color !== "state") parts.push(`color=${color}`);
   return `#${parts.join("&")}`;
 }

@@ -7,6 +7,7 @@ import { readAddress, toAddress } from "./address.js";
 import { colors, setTheme } from "./theme.js";
 import { showHeadline } from "./headline.js";
 import { Lists } from "./lists.js";
+import { Coloring, modesOf } from "./coloring.js";
 import { PlanePanel } from "./plane.js";
 import { NeighbourhoodPanel, SnapshotsPanel, closestApproach } from "./neighbourhood.js";
 import { PositionPanel, VelocityPanel } from "./profiles.js";
@@ -33,6 +34,8 @@ class App {
     this.angles = new Float64Array(2 * plane.n);
     this.places = new Float64Array(4 * plane.n);
     this.neighbours = neighboursOf(recording);
+    this.coloring = new Coloring(modesOf(recording));
+    byId("coloring").replaceChildren(...Object.entries(this.coloring.modes).map(([key, { name }]) => new Option(name, key)));
     this.list = new Lists({ tabs: byId("tabs"), list: byId("list"), search: byId("search"), watched: byId("watched") }, this);
     this.marked = this.list.missed;
     this.panels = [
@@ -60,16 +63,27 @@ class App {
 
   /** Shows the view of the address line; without one, the pair of the closest approach at the begin. */
   open() {
-    const { t, robots, panel } = readAddress(location.hash);
+    const { t, robots, panel, color } = readAddress(location.hash);
     const rows = robots.map((id) => this.recording.plane.rowOf.get(id)).filter((row) => row !== undefined);
     const closest = this.recording.pairs[0], { n } = this.recording.plane;
     if (rows.length) this.robots = rows.slice(0, MOST_WATCHED);
     else if (closest) this.robots = [closest.a, closest.b].filter((body) => body < n);
     this.pair = null;
+    this.colorBy(color ?? "state");
     this.t = this.clamp(t ?? 0);
     if (panel) this.alone(panel);
     this.list.showWatched();
     this.redraw();
+  }
+
+  colorBy(key) {
+    this.coloring.choose(key);
+    byId("coloring").value = this.coloring.key;
+    this.redraw();
+  }
+
+  zoomToWatched() {
+    if (this.robots.length) this.plane.zoomTo(this.robots[0]);
   }
 
   clamp(t) {
@@ -170,30 +184,15 @@ class App {
       if (this.visible.has(panel.canvas)) panel.draw(this.t, this.angles, this.places);
     }
     byId("clock").textContent = `${this.t.toFixed(3)} s`;
-    this.showLegend();
+    this.coloring.showLegend(byId("legend"), this.recording.plane.n, this.t);
     this.updateAddress();
-  }
-
-  showLegend() {
-    const { recording } = this, counts = STATE_NAMES.map(() => 0);
-    for (let row = 0; row < recording.plane.n; row++) counts[stateAt(recording, row, this.t)]++;
-    const text = counts.join();
-    if (text === this.legendText) return;
-    this.legendText = text;
-    byId("legend").replaceChildren(...STATE_NAMES.map((name, state) => {
-      const entry = document.createElement("span"), dot = document.createElement("i");
-      dot.style.background = `var(--${["moving", "reached", "held", "failed", "idle", "disabled", "stopped"][state]})`;
-      entry.append(dot, `${counts[state]} ${name}`);
-      entry.hidden = counts[state] === 0;
-      return entry;
-    }));
   }
 
   updateAddress() {
     clearTimeout(this.addressTimer);
     this.addressTimer = setTimeout(() => {
       const ids = this.robots.map((row) => this.recording.plane.ids[row]);
-      history.replaceState(null, "", toAddress({ t: this.t, ids, panel: this.panel }));
+      history.replaceState(null, "", toAddress({ t: this.t, ids, panel: this.panel, color: this.coloring.key }));
     }, ADDRESS_MS);
   }
 }
@@ -234,6 +233,8 @@ function listen() {
   byId("zoom-in").addEventListener("click", () => player.plane.zoom(1.5));
   byId("zoom-out").addEventListener("click", () => player.plane.zoom(1 / 1.5));
   byId("zoom-fit").addEventListener("click", () => player.plane.reset());
+  byId("zoom-watched").addEventListener("click", () => player.zoomToWatched());
+  byId("coloring").addEventListener("change", (event) => player.colorBy(event.target.value));
   byId("help").addEventListener("click", () => byId("keys").showModal());
   const otherTheme = () => {
     setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
@@ -259,4 +260,4 @@ function listen() {
 
 setTheme(readAddress(location.hash).theme);
 listen();
-start(fromBase64(byId("recording").textContent));
+if (!damageOfPage()) start(fromBase64(byId("recording").textContent));

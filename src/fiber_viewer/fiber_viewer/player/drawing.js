@@ -3,7 +3,7 @@
 import { forward, outlinesOf } from "./kinematics.js";
 import { gapBetween } from "./clearance.js";
 import { HELD, FAILED, stateAt } from "./recording.js";
-import { colors, write } from "./theme.js";
+import { colors, label, write } from "./theme.js";
 
 /** Returns the radius about its centre that contains a robot in any pose [mm]. */
 export function reachOf(plane, row) {
@@ -16,10 +16,9 @@ export function reachOf(plane, row) {
 }
 
 /** Fills the outlines of a robot and draws both arms as thin lines inside. */
-export function drawRobot(ctx, camera, recording, row, angles, t, { faded = false } = {}) {
+export function drawRobot(ctx, camera, recording, row, angles, t, { faded = false, color = colors.states[stateAt(recording, row, t)] } = {}) {
   const { plane } = recording;
   const [theta, phi] = [angles[2 * row], angles[2 * row + 1]];
-  const color = colors.states[stateAt(recording, row, t)];
   const [ex, ey, tx, ty] = forward(plane, row, theta, phi);
   const [c, e, tip] = [
     camera.toPixel(plane.center[2 * row], plane.center[2 * row + 1]),
@@ -131,6 +130,14 @@ export function drawGap(ctx, camera, plane, a, b, angles, labelled = true) {
     write(ctx, text, x, y, colors.ink);
   }
   return gap;
+}
+
+/** Draws a scale bar in the corner at the bottom right. */
+export function drawScale(ctx, camera) {
+  const length = [0.5, 1, 2, 5, 10, 20, 50, 100, 200].find((mm) => mm * camera.scale > 46) ?? 500;
+  const right = camera.width - 12, y = camera.height - 12;
+  line(ctx, [right - length * camera.scale, y], [right, y], colors.soft, 1.5);
+  label(ctx, `${length} mm`, right, y - 9, colors.soft, "right");
 }
 
 /** Draws a line between two pixels. */

@@ -26,6 +26,7 @@ export function listenToKeys(current, { search, keys, otherTheme }) {
       "=": () => app.plane.zoom(1.5),
       "-": () => app.plane.zoom(1 / 1.5),
       0: () => app.plane.reset(),
+      z: () => app.zoomToWatched(),
       d: otherTheme,
       "?": () => keys.showModal(),
       Escape: () => app.panel && app.alone(app.panel),

@@ -2,6 +2,7 @@
 // Lists to choose from: closest approaches, faults, robots that did not reach their targets, and
 // disabled robots with a target.
 import { HELD, FAILED, bodyName, eventText, faultsOf, historyOf, isAsked, reasonOf, stateAt } from "./recording.js";
+import { listenToArrows, setTabStop } from "./roving.js";
 
 const MOST_SHOWN = 200; // entries of a list; other robots are found by id
 
@@ -25,11 +26,15 @@ export class Lists {
     tabs.replaceChildren(...Object.entries(this.contents).map(([key, { name, entries, count }]) => {
       const tab = document.createElement("button");
       tab.setAttribute("role", "tab");
+      tab.setAttribute("aria-controls", "list-panel");
+      tab.id = `tab-${key}`;
       tab.dataset.tab = key;
       tab.textContent = key === "closest" ? name : `${name} (${count ?? entries.length})`;
       tab.addEventListener("click", () => this.show(key));
       return tab;
     }));
+    listenToArrows(tabs, "ArrowRight", "ArrowLeft");
+    listenToArrows(list, "ArrowDown", "ArrowUp");
     search.addEventListener("keydown", (event) => this.onSearch(event));
     this.show("closest");
   }
@@ -62,6 +67,8 @@ export class Lists {
 
   show(key) {
     for (const tab of this.tabs.children) tab.setAttribute("aria-selected", String(tab.dataset.tab === key));
+    setTabStop(this.tabs);
+    this.list.parentElement.setAttribute("aria-labelledby", `tab-${key}`);
     const { entries } = this.contents[key];
     const rows = entries.slice(0, MOST_SHOWN).map(({ cells, action }) => {
       const item = document.createElement("li"), button = document.createElement("button");
@@ -73,6 +80,7 @@ export class Lists {
       button.addEventListener("click", () => {
         for (const other of this.list.querySelectorAll("[aria-current]")) other.removeAttribute("aria-current");
         button.setAttribute("aria-current", "true");
+        setTabStop(this.list);
         action();
       });
       item.append(button);
@@ -87,6 +95,7 @@ export class Lists {
       rows.push(item);
     }
     this.list.replaceChildren(...rows);
+    setTabStop(this.list);
     this.list.scrollTop = 0;
   }
 

@@ -5,7 +5,7 @@ import { bodyName } from "./recording.js";
 import { Camera } from "./camera.js";
 import { cleared, colors, label, write } from "./theme.js";
 import { gapBetween } from "./clearance.js";
-import { drawFixtures, drawGap, drawMark, drawRing, drawRobot, drawTarget, hullsOf, reachOf } from "./drawing.js";
+import { drawFixtures, drawGap, drawMark, drawRing, drawRobot, drawScale, drawTarget, hullsOf, reachOf } from "./drawing.js";
 
 const MOMENTS = 6;
 
@@ -54,7 +54,7 @@ export class NeighbourhoodPanel {
       const [x, y] = this.camera.toPixel(plane.center[2 * row], plane.center[2 * row + 1]);
       label(ctx, String(plane.ids[row]), x, y + 14, colors.ink, "center");
     }
-    drawScale(ctx, this.camera, width, height);
+    drawScale(ctx, this.camera);
   }
 
   /** Draws the smallest gap of the first watched robot now; returns all its gaps, smallest first. */
@@ -170,16 +170,4 @@ function drawScene(ctx, camera, recording, robots, angles, t, targets = true) {
     drawMark(ctx, camera, recording, row, t);
   }
   if (targets) for (const row of robots) drawTarget(ctx, camera, recording, row);
-}
-
-function drawScale(ctx, camera, width, height) {
-  const length = [0.5, 1, 2, 5, 10, 20, 50].find((mm) => mm * camera.scale > 46) ?? 100;
-  const x = width - 12 - length * camera.scale, y = height - 12;
-  ctx.strokeStyle = colors.soft;
-  ctx.lineWidth = 1.5;
-  ctx.beginPath();
-  ctx.moveTo(x, y);
-  ctx.lineTo(width - 12, y);
-  ctx.stroke();
-  write(ctx, `${length} mm`, width - 12, y - 9, colors.soft, "right");
 }

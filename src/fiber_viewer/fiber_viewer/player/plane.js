@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Panel 1: the whole focal plane. Arms are lines, or outlines if they are large enough.
-import { STATE_NAMES, stateAt } from "./recording.js";
 import { Camera } from "./camera.js";
 import { cleared, colors } from "./theme.js";
-import { drawFixtures, drawMark, drawRing, drawRobot, drawTarget, reachOf } from "./drawing.js";
+import { drawFixtures, drawMark, drawRing, drawRobot, drawScale, drawTarget, reachOf } from "./drawing.js";
 
 const OUTLINES_FROM_PX = 6; // least width of an arm to draw its outline
 const ARMS_PER_PATH = 250; // longer paths are slower to stroke
@@ -54,17 +53,19 @@ export class PlanePanel {
     const resized = this.camera.width !== width || this.camera.height !== height;
     [this.camera.width, this.camera.height] = [width, height];
     if (!this.fitted || (resized && this.whole)) this.fit();
-    const { recording, robots } = this.app, { plane } = recording;
+    const { recording, robots, coloring } = this.app, { plane } = recording;
     drawFixtures(ctx, this.camera, plane);
     const seen = this.visible();
     if (this.camera.scale >= this.outlinesFrom) {
-      for (const row of seen) drawRobot(ctx, this.camera, recording, row, angles, t);
+      for (const row of seen) drawRobot(ctx, this.camera, recording, row, angles, t, { color: coloring.colorOf(row, t) });
       for (const row of seen) drawTarget(ctx, this.camera, recording, row);
     } else {
+      this.drawTargets(ctx, seen);
       this.drawLines(ctx, t, seen, places);
     }
     for (const row of this.app.marked) drawMark(ctx, this.camera, recording, row, t);
     robots.forEach((row, i) => drawRing(ctx, this.camera, recording, row, colors.watch, i ? 1.2 : 2));
+    drawScale(ctx, this.camera);
   }
 
   get whole() {
@@ -79,18 +80,29 @@ export class PlanePanel {
     return rows;
   }
 
+  /** Draws targets as dots, for robots that are too small for crosses. */
+  drawTargets(ctx, rows) {
+    const { target } = this.app.recording.plane, size = Math.max(1.5, Math.min(3, 0.4 * this.camera.scale));
+    ctx.fillStyle = colors.target;
+    for (const row of rows) {
+      if (!Number.isFinite(target[2 * row])) continue;
+      const [x, y] = this.camera.toPixel(target[2 * row], target[2 * row + 1]);
+      ctx.fillRect(x - size / 2, y - size / 2, size, size);
+    }
+  }
+
   drawLines(ctx, t, rows, places) {
-    const { recording } = this.app, { center } = recording.plane;
-    const byState = STATE_NAMES.map(() => []);
-    for (const row of rows) byState[stateAt(recording, row, t)].push(row);
+    const { recording, coloring } = this.app, { center } = recording.plane, { palette } = coloring;
+    const groups = palette.map(() => []);
+    for (const row of rows) groups[coloring.groupOf(row, t)].push(row);
     const { scale, x: cx, y: cy, width, height } = this.camera;
     const px = (x) => width / 2 + (x - cx) * scale, py = (y) => height / 2 - (y - cy) * scale;
     ctx.lineWidth = Math.max(1, 0.35 * scale);
-    byState.forEach((inState, state) => {
-      ctx.strokeStyle = colors.states[state];
-      for (let begin = 0; begin < inState.length; begin += ARMS_PER_PATH) {
+    groups.forEach((inGroup, group) => {
+      ctx.strokeStyle = palette[group];
+      for (let begin = 0; begin < inGroup.length; begin += ARMS_PER_PATH) {
         ctx.beginPath();
-        for (const row of inState.slice(begin, begin + ARMS_PER_PATH)) {
+        for (const row of inGroup.slice(begin, begin + ARMS_PER_PATH)) {
           ctx.moveTo(px(center[2 * row]), py(center[2 * row + 1]));
           ctx.lineTo(px(places[4 * row]), py(places[4 * row + 1]));
           ctx.lineTo(px(places[4 * row + 2]), py(places[4 * row + 3]));
@@ -164,6 +176,14 @@ export class PlanePanel {
 
   zoom(factor, px, py) {
     this.camera.zoom(factor, px, py);
+    this.untouched = false;
+    this.app.redraw();
+  }
+
+  /** Shows a robot and its neighbours as large as they fit. */
+  zoomTo(row) {
+    const { center } = this.app.recording.plane, x = center[2 * row], y = center[2 * row + 1], r = 3 * this.reach[row];
+    this.camera.fit(x - r, y - r, x + r, y + r);
     this.untouched = false;
     this.app.redraw();
   }

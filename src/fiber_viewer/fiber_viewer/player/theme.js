@@ -3,10 +3,10 @@
 
 const NAMES = [
   "ground", "card", "ink", "soft", "line", "faint", "accent", "watch", "moving", "reached",
-  "held", "failed", "idle", "disabled", "stopped", "theta", "phi", "plan", "gap",
+  "held", "failed", "target", "idle", "disabled", "stopped", "theta", "phi", "plan", "gap",
 ];
 
-/** Colours by name, and `states` in the order of STATE_NAMES; set by readColors. */
+/** Colours by name, `states` in the order of STATE_NAMES, `series` of groups, `ramp` of a scale; set by readColors. */
 export const colors = {};
 
 /** Reads the colours from the style sheet, after a change of the theme. */
@@ -14,6 +14,7 @@ export function readColors() {
   const style = getComputedStyle(document.documentElement);
   for (const name of NAMES) colors[name] = style.getPropertyValue(`--${name}`).trim();
   colors.states = ["moving", "reached", "held", "failed", "idle", "disabled", "stopped"].map((n) => colors[n]);
+  for (const name of ["series", "ramp"]) colors[name] = style.getPropertyValue(`--${name}`).trim().split(/\s+/);
 }
 
 /** Sets the theme "light" or "dark"; null: the preference of the system. */

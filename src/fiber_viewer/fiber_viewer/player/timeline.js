@@ -2,7 +2,8 @@
 // The line at the bottom: number of moving robots, closest approaches, faults, and the time.
 import { MOVING, faultsOf, stateAt } from "./recording.js";
 import { pausesOf } from "./phases.js";
-import { cleared, colors, write } from "./theme.js";
+import { niceTicks } from "./axes.js";
+import { cleared, colors, label, write } from "./theme.js";
 import { disc, line } from "./drawing.js";
 
 const SAMPLES = 240;
@@ -46,10 +47,20 @@ export class Timeline {
     else this.app.seek(time);
   }
 
+  /** Writes round times below the line. */
+  drawTicks(ctx, base) {
+    const { begin, end } = this.app.recording;
+    for (const tick of niceTicks(begin, end, this.canvas.clientWidth / 90)) {
+      const x = this.x(tick), text = `${Number(tick.toFixed(4))} s`;
+      line(ctx, [x, base + 3], [x, base + 7], colors.soft, 1);
+      label(ctx, text, Math.min(Math.max(x, 14), this.canvas.clientWidth - 14), base + 14, colors.soft, "center");
+    }
+  }
+
   draw(t) {
     const { ctx, height } = cleared(this.canvas);
     const { begin, end, motion } = this.app.recording;
-    const base = height - 8, top = 15, most = Math.max(...this.moving, 1);
+    const base = height - 20, top = 15, most = Math.max(...this.moving, 1);
     ctx.beginPath();
     ctx.moveTo(this.x(0), base);
     for (let k = 0; k <= SAMPLES; k++) {
@@ -68,10 +79,11 @@ export class Timeline {
       ctx.globalAlpha = 0.25;
       ctx.fillRect(this.x(from), top - 2, this.x(to) - this.x(from), base - top);
       ctx.globalAlpha = 1;
-      if (this.x(to) - this.x(from) > 50) write(ctx, "stopped", (this.x(from) + this.x(to)) / 2, top + 8, colors.soft, "center");
+      if (this.x(to) - this.x(from) > 50) write(ctx, "stopped", (this.x(from) + this.x(to)) / 2, top + 8, colors.ink, "center");
     }
     for (const { time } of this.approaches) diamond(ctx, this.x(time), 7, 4, colors.gap);
     for (const { time } of this.faults) cross(ctx, this.x(time), 7, 4, colors.failed);
+    this.drawTicks(ctx, base);
     line(ctx, [this.x(t), 2], [this.x(t), base], colors.accent, 1.6);
     disc(ctx, [this.x(t), base], 6, colors.accent);
     this.canvas.setAttribute("aria-valuetext", `${t.toFixed(3)} seconds`);
