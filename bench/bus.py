@@ -34,6 +34,7 @@ from fiber_positioners import Orders, make_orders, random_problem
 
 __all__ = ["main"]
 
+_UNANSWERED = (Reason.NOT_ACKNOWLEDGED, Reason.NO_REPLY, Reason.BUS_FAILED)
 _STUCK = ((LineFault.SDA_LOW, 3, 0.5, np.inf, Recovery.NOTHING),)
 CASES = {
     "fault-free": Faults(),
@@ -86,7 +87,7 @@ def carry_out(plan: Orders, faults: Faults, clock: str, seed: int) -> dict[str, 
     return {
         "started": int(loaded_plan.started.sum()),
         "reached": int((result.outcome == Outcome.REACHED).sum()),
-        "not answered": int((result.reason == Reason.NOT_ACKNOWLEDGED).sum()),
+        "not answered": int(np.isin(result.reason, _UNANSWERED).sum()),
         "unsafe then": int((result.reason == Reason.UNSAFE_AS_LOADED).sum()),
         "wrong orders": wrong,
         "buses given up": int(session.transactions.given_up.sum()),

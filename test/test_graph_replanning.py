@@ -111,7 +111,7 @@ def test_absent_robots_become_obstacles_and_the_others_arrive(graph, problem, tm
     robots.power(LOST, False, 0.0)
     client.start(WAIT_S)
     ended = check_both_attempts(client, problem, stamp, before)
-    assert np.all(ended.of(LOST).reason == Reason.NOT_ACKNOWLEDGED)
+    assert np.all(ended.of(LOST).reason == Reason.NO_REPLY)
     stamps = client.attempts(stamp)
     for topic in DERIVED:
         client.wait_for(
@@ -173,7 +173,7 @@ def test_with_one_attempt_lost_robots_are_left_out_of_later_plans_until_clear(gr
     again = client.wait_for_outcome(stamp, WAIT_S)
     assert np.all(again.of(waited).outcome == Outcome.REACHED)
     # they keep the reason for which they failed
-    assert np.all(again.of(LOST).reason == Reason.NOT_ACKNOWLEDGED)
+    assert np.all(again.of(LOST).reason == Reason.NO_REPLY)
     client.call_service(topics.CLEAR, WAIT_S)
     client.wait_for(lambda: client.plane.enabled[LOST].all(), WAIT_S, "all in the layout again")
 
@@ -210,16 +210,16 @@ def test_robots_stopped_for_a_lost_robot_continue_in_the_next_attempt(graph, pro
     assert [stamp, client.last_attempt(stamp)] == client.attempts(stamp)
     assert (ended.outcome[silent], ended.reason[silent]) == (
         Outcome.FAILED,
-        Reason.NOT_ACKNOWLEDGED,
+        Reason.NO_REPLY,
     )
     # where it stopped is not known: robots that could touch it stay
     others = problem.asked & (problem.plane.ids != silent)
-    assert set(ended.reason[others]) == {Reason.OK, Reason.UNSAFE_AS_LOADED}
+    assert set(ended.reason[others]) == {Reason.OK, Reason.PLACE_UNKNOWN}
     assert (ended.outcome == Outcome.REACHED).sum() > 40
     replayed = settled_replay(client, ended, before, WAIT_S)
     assert (replayed.motion.end != replayed.motion.start).any(axis=1).sum() > 40
     near_mm = np.hypot(*(problem.plane.centers - problem.plane.centers[silent]).T)
-    assert near_mm[ended.reason == Reason.UNSAFE_AS_LOADED].max() < 13
+    assert near_mm[ended.reason == Reason.PLACE_UNKNOWN].max() < 13
 
 
 def test_robots_disabled_after_they_were_planned_for_are_planned_around(graph, problem):

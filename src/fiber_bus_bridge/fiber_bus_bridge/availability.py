@@ -17,7 +17,8 @@ from fiber_core.outcomes import Outcome, Reason
 __all__ = ["Availability"]
 
 # reasons of a robot's own; a robot that is held because of another robot stays available
-_OWN_REASONS = (Reason.NOT_ACKNOWLEDGED, Reason.NOT_VERIFIED, Reason.REFUSED)
+_OWN_REASONS = (Reason.NOT_ACKNOWLEDGED, Reason.NOT_VERIFIED, Reason.REFUSED, Reason.NO_REPLY)
+_OWN_REASONS += (Reason.BUS_FAILED, Reason.REBOOTED, Reason.STALLED)
 
 
 class Availability:

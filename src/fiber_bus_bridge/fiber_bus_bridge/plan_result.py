@@ -140,7 +140,8 @@ def evaluate(
     counts: Counts,
     known: Mask,
     arrived: Mask,
-    failed: Mask,
+    cause: Codes,
+    stop_reason: Reason,
     tolerance_mm: float,
 ) -> PlanResult:
     """Return exactly one outcome and one reason for each robot of a plan that has ended.
@@ -152,30 +153,31 @@ def evaluate(
         counts: encoders now [quanta], shape (n, 2).
         known: robots that can be commanded, shape (n,).
         arrived: robots that reported the end of their orders, shape (n,).
-        failed: robots that were started and are lost or did not move, shape (n,).
+        cause: Reason for which a robot failed although it was started, else OK, shape (n,).
+        stop_reason: Reason of robots that were stopped on the way and have not failed.
         tolerance_mm: distance from its target within which a tip has reached it [mm].
     """
     units = plan.motion.units
     tips = kinematics.forward(plane, units.to_angles(counts))[1]
     error = np.linalg.norm(tips - plan.goals, axis=1)
     concerned = plan.asked | plan.moves
-    off = np.zeros(plane.n, dtype=bool)
+    off, failed = np.zeros(plane.n, dtype=bool), cause != Reason.OK
 
     # later lines overrule earlier ones
     reason = np.where(plan.asked, Reason.NOT_PLANNED, Reason.NO_TARGET)
     if loaded_plan is None:
-        reason[concerned] = Reason.STOPPED
+        reason[concerned] = stop_reason
     else:
         started = loaded_plan.started
         ordered = kinematics.forward(plane, units.to_angles(loaded_plan.motion.end))[1]
         off = started & arrived & (np.hypot(*(tips - ordered).T) > tolerance_mm)
-        reason[started & ~arrived] = Reason.STOPPED
+        reason[started & ~arrived] = stop_reason
         reason[started & arrived & plan.asked] = Reason.OFF_TARGET
         reason = np.where(loaded_plan.reason != Reason.OK, loaded_plan.reason, reason)
     reason[plan.oversized] = Reason.TOO_MANY_SEGMENTS
     reason[concerned & ~known] = Reason.NOT_ACKNOWLEDGED
     reason[concerned & ~plane.enabled] = Reason.DISABLED
-    reason[failed] = Reason.NOT_ACKNOWLEDGED
+    reason = np.where(failed, cause, reason)
     reason[off] = Reason.OFF_TARGET
     reached = plan.asked & (error <= tolerance_mm) & known & ~failed & ~off
     reason[reached] = Reason.OK

@@ -11,7 +11,9 @@ from fiber_core.outcomes import Outcome, Reason
 __all__ = ["Replanning"]
 
 # reasons of robots that are held because of another robot
-_BECAUSE_OF_OTHERS = (Reason.UNSAFE_AS_LOADED, Reason.STOPPED)
+_BECAUSE_OF_OTHERS = (
+    Reason.UNSAFE_AS_LOADED, Reason.STOPPED, Reason.OTHER_FAILED, Reason.PLACE_UNKNOWN,
+)  # fmt: skip
 
 
 class Replanning:

@@ -31,6 +31,7 @@ from fiber_bus_bridge.transactions import Transactions
 from fiber_core.array_types import Angles, Codes, Counts, Mask, Velocities
 from fiber_core.clearance import Safety, hold_until_safe
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["Session"]
@@ -259,7 +260,7 @@ class Session:
         c = self.protocol
         replaced = end_plan(c)
         c.plan, c.loaded_plan, c.result = plan, None, None
-        c.robots["arrived"] = c.robots["failed"] = False
+        c.robots["arrived"], c.robots["cause"] = False, Reason.OK
         handle(c, Event.SUBMIT)
         return replaced
 

@@ -13,14 +13,12 @@ from fiber_bus_bridge.protocol.decisions import (
     able_to_resume,
     failing,
     neighbours_of,
-    not_loaded,
     record_heartbeats,
     silent_stop_s,
     unresponsive,
 )
 from fiber_bus_bridge.protocol.tables import new_buses, new_robots
 from fiber_bus_bridge.wire import Alert, RobotState
-from fiber_core.outcomes import Reason
 
 BUS = np.array([0, 0, 1, 1])
 ALL = np.ones(4, dtype=bool)
@@ -92,13 +90,6 @@ def test_a_robot_fails_that_does_not_execute_or_misses_six_replies():
     robots = robots_in(RobotState.MOVING, missed_replies=[0, 5, 6, 0])
     robots["not_executing"][3] = True
     assert failing(robots).tolist() == [False, False, True, True]
-
-
-def test_reasons_of_orders_that_are_not_on_the_robot():
-    verified = np.array([True, False, False, False])
-    ack = np.array([Ack.OK, Ack.OK, Ack.REFUSED, Ack.NO_ADDRESS])
-    expected = [Reason.OK, Reason.NOT_VERIFIED, Reason.REFUSED, Reason.NOT_ACKNOWLEDGED]
-    assert not_loaded(verified, ack).tolist() == expected
 
 
 def test_all_stop_half_way_between_the_first_and_the_last_stop_of_a_silent_robot():

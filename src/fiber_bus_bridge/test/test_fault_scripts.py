@@ -157,7 +157,7 @@ def test_a_lost_robot_that_answers_again_is_not_loaded_before_it_was_read():
     rig.session.submit(rig.orders(-100, 0))
     wire = Wire(rig)
     rig.call("start")
-    assert rig.session.loaded_plan.reason[3] == Reason.UNSAFE_AS_LOADED
+    assert rig.session.loaded_plan.reason[3] == Reason.PLACE_UNKNOWN
     address = rig.session.transactions.addresses.address[3]
     assert not wire.times(Opcode.LOAD, address)
     rig.run()

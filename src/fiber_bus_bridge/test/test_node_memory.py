@@ -136,7 +136,7 @@ def test_an_operator_vouches_for_a_robot_whose_place_is_not_known(night):
     night.ask(9, PLANE.ids, PLANE.centers + 3.0)
     night.ready(9)
     night.call(topics.START)
-    assert np.all(night.end(9)[1][neighbours] == Reason.UNSAFE_AS_LOADED)
+    assert np.all(night.end(9)[1][neighbours] == Reason.PLACE_UNKNOWN)
 
     # an operator has looked where robot 0 is
     assert night.bridge.set_parameters([Parameter("vouched", value=[0])])[0].successful
@@ -157,12 +157,12 @@ def test_failed_robots_and_places_survive_a_restart(night):
     night.ready(9)
     assert night.call(topics.START).success
     night.end(9)
-    night.until(lambda: night.left_out().get("robot 3") == "not_acknowledged")
+    night.until(lambda: night.left_out().get("robot 3") == "no_reply")
     memory = load_memory(night.path, PLANE, QUANTUM, 1)
-    assert memory.failed[3] == Reason.NOT_ACKNOWLEDGED and not memory.lost.any()
+    assert memory.failed[3] == Reason.NO_REPLY and not memory.lost.any()
     counts = night.counts()
     night.restart()
-    night.until(lambda: night.left_out().get("robot 3") == "not_acknowledged")
+    night.until(lambda: night.left_out().get("robot 3") == "no_reply")
     assert np.array_equal(night.counts(), counts)
     # it rested when it fell silent, so its place is known, and its neighbours move
     motion = turning()

@@ -112,7 +112,7 @@ def test_a_robot_held_because_of_another_is_replanned_and_arrives(scene):
     rest.order(9, rest.second(), attempt=2)  # without a call of start
     result, reason, error_mm = rest.end(9)
     assert result.tolist() == [Outcome.HELD] + [Outcome.REACHED] * 6
-    assert reason.tolist() == [Reason.NOT_ACKNOWLEDGED] + [Reason.OK] * 6
+    assert reason.tolist() == [Reason.NO_REPLY] + [Reason.OK] * 6
     assert np.all(error_mm[1:] < 1e-6) and error_mm[0] > 1
     rest.until(lambda: np.array_equal(rest.counts()[1:], FIRST.end[1:]))
     assert np.array_equal(rest.counts()[0], BEGIN[0])
@@ -145,7 +145,7 @@ def test_a_stop_during_replanning_ends_the_plan(scene):
         result.tolist()
         == [Outcome.HELD] + [Outcome.REACHED] * 3 + [Outcome.HELD] + [Outcome.REACHED] * 2
     )
-    assert (reason[0], reason[4]) == (Reason.NOT_ACKNOWLEDGED, Reason.UNSAFE_AS_LOADED)
+    assert (reason[0], reason[4]) == (Reason.NO_REPLY, Reason.UNSAFE_AS_LOADED)
     rest.order(9, rest.second(), attempt=2)
     rest.until(lambda: "dropped: this attempt has ended" in rest.status().text)
     assert rest.call(topics.CLEAR).success

@@ -11,6 +11,7 @@ from fiber_bus_bridge.protocol.decisions import (
     failing,
     neighbours_of,
     not_loaded,
+    own_fault,
     record_heartbeats,
     silent_stop_s,
     unresponsive,
@@ -35,8 +36,27 @@ def test_neighbours_are_the_other_robots_of_pairs_with_a_lost_one_and_never_obst
 def test_a_robot_that_is_not_verified_has_the_reason_of_its_acknowledge():
     ack = np.array([Ack.OK, Ack.OK, Ack.REFUSED, Ack.NO_ADDRESS, Ack.NO_ADDRESS])
     verified = np.array([True, False, False, False, True])
-    assert not_loaded(verified, ack).tolist() == [
+    no, yes = np.zeros(5, dtype=bool), np.ones(5, dtype=bool)
+    assert not_loaded(verified, ack, yes, no, no).tolist() == [
         Reason.OK, Reason.NOT_VERIFIED, Reason.REFUSED, Reason.NOT_ACKNOWLEDGED, Reason.OK,
+    ]  # fmt: skip
+    assert not_loaded(no, ack, no, no, no).tolist() == [
+        Reason.NOT_VERIFIED, Reason.NOT_VERIFIED, Reason.REFUSED, Reason.NO_REPLY, Reason.NO_REPLY,
+    ]  # fmt: skip
+    # a boot and a stuck bus explain everything else
+    assert set(not_loaded(no, ack, yes, yes, yes)) == {Reason.REBOOTED}
+    assert set(not_loaded(no, ack, no, no, yes)) == {Reason.BUS_FAILED}
+
+
+def test_a_robot_has_the_fault_of_its_last_status():
+    robots = new_robots(np.zeros((6, 2), dtype=np.int64))
+    S = RobotState
+    robots["state"] = [S.STOPPED, 0, 0, S.UNCONFIGURED, S.FAULT, S.STOPPED]
+    robots["alerts"] = [Alert.SILENT, Alert.STALLED, 0, 0, Alert.STALLED, Alert.REBOOTED]
+    cut_off = np.array([True, True, False, False, False, False])
+    assert own_fault(robots, cut_off).tolist() == [
+        Reason.OK, Reason.BUS_FAILED, Reason.NO_REPLY, Reason.REBOOTED, Reason.STALLED,
+        Reason.REBOOTED,
     ]  # fmt: skip
 
 

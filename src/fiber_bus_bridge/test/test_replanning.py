@@ -12,10 +12,12 @@ from fiber_core.presets import preset
 REACHED = (Outcome.REACHED, Reason.OK)
 ABSENT = (Outcome.HELD, Reason.NOT_ACKNOWLEDGED)
 UNSAFE = (Outcome.HELD, Reason.UNSAFE_AS_LOADED)
-STALLED = (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
+STALLED = (Outcome.FAILED, Reason.STALLED)
 UNASKED = (Outcome.HELD, Reason.NO_TARGET)
 BLOCKED = (Outcome.HELD, Reason.GOAL_BLOCKED)
 HALTED = (Outcome.HELD, Reason.STOPPED)
+BYSTANDER = (Outcome.HELD, Reason.OTHER_FAILED)
+BESIDE = (Outcome.HELD, Reason.PLACE_UNKNOWN)
 
 
 def result_of(*pairs):
@@ -36,7 +38,7 @@ ALL = np.ones(4, dtype=bool)
 BUT_FIRST = np.array([False, True, True, True])
 
 
-@pytest.mark.parametrize("waits", [UNSAFE, HALTED])
+@pytest.mark.parametrize("waits", [UNSAFE, HALTED, BYSTANDER, BESIDE])
 @pytest.mark.parametrize("lost", [ABSENT, STALLED])
 def test_robots_held_because_of_a_lost_one_are_asked_again_with_all_that_have_arrived(waits, lost):
     robots = attempts(lost, waits, REACHED, UNASKED).next_robots(ALL, BUT_FIRST)
@@ -96,7 +98,8 @@ def test_each_excluded_robot_has_its_reason(tmp_path):
     assert np.flatnonzero(availability.enabled).tolist() == [0, 1, 3, 4, 5]
     assert np.flatnonzero(availability.commandable(known)).tolist() == [3, 4]
     explained = availability.explain(result_of(*[(Outcome.HELD, Reason.DISABLED)] * 7))
-    assert explained.reason[:3].tolist() == [Reason.NOT_ACKNOWLEDGED] * 2 + [Reason.DISABLED]
+    expected = [Reason.NOT_ACKNOWLEDGED, Reason.STALLED, Reason.DISABLED]
+    assert explained.reason[:3].tolist() == expected
     availability.restore()
     assert np.flatnonzero(availability.commandable(known)).tolist() == [0, 1, 3, 4]
 

@@ -91,7 +91,7 @@ def test_a_robot_that_does_not_arrive_in_time_fails_and_all_are_stopped():
     result = rig.run()
     ended_once(result, 7)
     assert rig.session.state is SessionState.STOPPED
-    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
+    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.OVERDUE)
     assert set(np.delete(result.outcome, 3)) == {Outcome.REACHED}
     assert set(rig.robots.states(rig.t)) == {RobotState.STOPPED}
     (overdue,) = (e for e in rig.session.take_transitions() if e.event is Happened.OVERDUE)

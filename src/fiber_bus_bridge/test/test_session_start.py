@@ -37,7 +37,7 @@ def test_an_absent_robot_is_held_and_its_neighbours_are_certified_around_it(pres
     rig.call("start")
     result = rig.run()
     ended_once(result, 7)
-    expected = [Reason.OK] * 2 if present else [Reason.NOT_ACKNOWLEDGED, Reason.UNSAFE_AS_LOADED]
+    expected = [Reason.OK] * 2 if present else [Reason.NO_REPLY, Reason.UNSAFE_AS_LOADED]
     assert result.reason[[away, follower]].tolist() == expected
     assert np.any(rig.where() != rig.units.to_counts(start)) == present
     assert rig.session.transactions.counters.table()[0]["retries"] == (0 if present else 4)
@@ -128,7 +128,7 @@ def test_a_reset_after_loading_is_noticed_before_go(monkeypatch):
     monkeypatch.setattr(rig.session.transactions, "send", send_then_lose_power)
     rig.call("start")
     monkeypatch.undo()
-    assert rig.run().reason[2] == Reason.NOT_VERIFIED
+    assert rig.run().reason[2] == Reason.REBOOTED
 
 
 def test_a_robot_that_misses_the_go_gets_its_own_and_starts_with_the_others(monkeypatch):
@@ -212,7 +212,7 @@ def test_a_bus_that_sticks_in_the_countdown_holds_no_robot_of_the_other_bus():
     rig.call("start")
     assert np.array_equal(rig.session.loaded_plan.started, rig.plane.bus == 1)
     result = rig.run()
-    assert set(result.reason[:110]) == {Reason.NOT_ACKNOWLEDGED}
+    assert set(result.reason[:110]) == {Reason.BUS_FAILED}
     assert set(result.outcome[110:]) == {Outcome.REACHED}
     assert np.array_equal(rig.where(), np.where(rig.plane.bus[:, None], motion.end, motion.start))
 
@@ -343,7 +343,7 @@ def test_an_absent_robot_holds_only_the_robots_that_could_touch_it():
     assert set(with_all.outcome) == {Outcome.REACHED}
     held = np.flatnonzero(result.outcome != Outcome.REACHED)
     assert sorted(held.tolist()) == sorted([leaver, follower])
-    assert result.reason[leaver] == Reason.NOT_ACKNOWLEDGED
+    assert result.reason[leaver] == Reason.NO_REPLY
     assert result.reason[follower] == Reason.UNSAFE_AS_LOADED
     others = np.setdiff1d(np.arange(37), held)
     assert len(np.unique(plane.bus[others])) == len(np.unique(plane.bus))

@@ -29,7 +29,7 @@ def test_a_robot_deaf_to_general_calls_fails_and_all_others_arrive(when_s):
     result = rig.run()
     ended_once(result, 19)
     assert result.outcome[3] != Outcome.REACHED
-    assert result.reason[3] == Reason.NOT_ACKNOWLEDGED
+    assert result.reason[3] == Reason.NO_HEARTBEAT
     assert set(np.delete(result.outcome, 3)) == {Outcome.REACHED}
     assert np.array_equal(np.delete(rig.where(), 3, 0), np.delete(motion.end, 3, 0))
 
@@ -44,8 +44,8 @@ def test_a_robot_that_stops_by_itself_stops_all_robots_at_once(when_s):
     result = rig.run()
     assert rig.session.state is SessionState.STOPPED
     ended_once(result, 19)
-    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
-    assert set(np.delete(result.reason, 3)) == {Reason.STOPPED}
+    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.STALLED)
+    assert set(np.delete(result.reason, 3)) == {Reason.OTHER_FAILED}
     halted = rig.robots.memory["halted_s"]
     assert halted[3] == pytest.approx(at, abs=20e-6)
     assert np.all(halted - at < rig.session.config.heartbeat_period_s + 1e-3)
@@ -61,7 +61,7 @@ def test_stopped_robots_resume_to_the_exact_end_of_their_orders(when_s):
     result = rig.run()
     assert rig.session.state is SessionState.IDLE and len(rig.session.loaded_plans) == 2
     ended_once(result, 19)
-    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
+    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.STALLED)
     assert set(np.delete(result.outcome, 3)) == {Outcome.REACHED}
     assert np.array_equal(np.delete(rig.where(), 3, 0), np.delete(motion.end, 3, 0))
 
@@ -100,13 +100,13 @@ def test_a_lost_robot_fails_and_holds_its_neighbours_until_it_is_configured():
     rig.robots.schedule([(0, rig.session.loaded_plan.start_s + 0.3, Event.POWER, 0)])
     result = rig.run()
     ended_once(result, 19)
-    assert (result.outcome[0], result.reason[0]) == (Outcome.FAILED, Reason.NOT_ACKNOWLEDGED)
+    assert (result.outcome[0], result.reason[0]) == (Outcome.FAILED, Reason.NO_REPLY)
     # its position is unknown: robots that could touch it stay at the stop, the others resume
     assert rig.session.state is SessionState.IDLE
     neighbours = np.isin(
         np.arange(19), neighbour_pairs(rig.plane)[(neighbour_pairs(rig.plane) == 0).any(axis=1)]
     )
-    assert set(result.reason[neighbours & (np.arange(19) > 0)]) == {Reason.UNSAFE_AS_LOADED}
+    assert set(result.reason[neighbours & (np.arange(19) > 0)]) == {Reason.PLACE_UNKNOWN}
     assert set(result.reason[~neighbours]) == {Reason.OK}
 
     rig.session.submit(rig.orders(-400, 0))
@@ -153,8 +153,8 @@ def test_a_robot_left_out_of_a_phase_keeps_its_reason_in_the_next():
     result = rig.run()
     assert len(rig.session.loaded_plans) == 3
     ended_once(result, 19)
-    assert set(result.reason[[0, 18]]) == {Reason.NOT_ACKNOWLEDGED}
-    assert set(result.reason[held_neighbours]) == {Reason.UNSAFE_AS_LOADED}
+    assert result.reason[[0, 18]].tolist() == [Reason.NO_REPLY, Reason.STALLED]
+    assert set(result.reason[held_neighbours]) == {Reason.PLACE_UNKNOWN}
     assert result.reason[oversized] == Reason.TOO_MANY_SEGMENTS
     others = np.setdiff1d(np.arange(19), [0, 18, oversized, *held_neighbours])
     assert set(result.reason[others]) == {Reason.OFF_TARGET}  # no target is there
@@ -236,6 +236,66 @@ def test_all_robots_stop_within_the_certified_skew(what, later_s):
     stops = rig.robots.memory["halted_s"]
     assert stops.min() >= 0.3
     assert np.ptp(stops) <= Safety().stop_skew_s
+
+
+CAUSES = {
+    "stalls": Reason.STALLED,
+    "loses power": Reason.NO_REPLY,
+    "boots": Reason.REBOOTED,
+    "boots after 2 ms": Reason.REBOOTED,
+    "goes deaf": Reason.NO_REPLY,
+    "hears no calls": Reason.NO_HEARTBEAT,
+    "refuses frames": Reason.NO_HEARTBEAT,
+}
+
+
+@pytest.mark.parametrize("resumes", [0, 3])
+@pytest.mark.parametrize("what", CAUSES)
+def test_a_robot_that_fails_names_its_own_cause_and_the_others_theirs(what, resumes):
+    rig = Rig(config=SessionConfig(resumes=resumes))
+    motion = rig.ready()
+    rig.call("start")
+    rig.robots.schedule([(row, t + 2e-3, *rest) for row, t, *rest in STOPS[what][0]])
+    result = rig.run()
+    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, CAUSES[what])
+    others = np.arange(19) != 3
+    assert not np.isin(result.outcome[others], Outcome.FAILED).any()
+    if resumes == 0:
+        assert set(result.reason[others]) == {Reason.OTHER_FAILED}
+        return
+    assert set(result.reason[others]) <= {Reason.OK, Reason.PLACE_UNKNOWN}
+    beside = np.isin(np.arange(19), neighbour_pairs(rig.plane)[
+        (neighbour_pairs(rig.plane) == 3).any(axis=1)]) & others  # fmt: skip
+    waits = beside & (CAUSES[what] == Reason.NO_REPLY)
+    assert np.array_equal(result.reason[others] == Reason.PLACE_UNKNOWN, waits[others])
+    arrived = others & ~waits
+    assert np.array_equal(rig.where()[arrived], motion.end[arrived])
+
+
+def test_robots_on_a_bus_that_sticks_have_failed_by_their_bus():
+    lines = ((LineFault.SCL_LOW, 1, 0.3, np.inf, Recovery.NOTHING),)
+    rig = Rig(config=SessionConfig(resumes=0), faults=Faults(lines=lines))
+    rig.ready()
+    rig.call("start")
+    result = rig.run()
+    assert set(result.reason[rig.plane.bus == 1]) == {Reason.BUS_FAILED}
+    assert set(result.reason[rig.plane.bus == 0]) == {Reason.OTHER_FAILED}
+    assert np.array_equal(result.outcome == Outcome.FAILED, rig.plane.bus == 1)
+
+
+def test_a_robot_found_stalled_by_the_stop_of_an_operator_says_so():
+    rig = Rig()
+    rig.ready()
+    rig.call("start")
+    at = rig.session.loaded_plan.start_s + 0.3
+    rig.robots.schedule([(3, at + 1e-5, Event.JAM_THETA, 1)])
+    rig.t = at
+    rig.session.advance(rig.t)
+    rig.t = max(rig.t, rig.session.transactions.now_s)
+    rig.call("stop")
+    result = rig.session.result
+    assert (result.outcome[3], result.reason[3]) == (Outcome.FAILED, Reason.STALLED)
+    assert set(np.delete(result.reason, 3)) == {Reason.STOPPED}
 
 
 def test_a_bus_that_sticks_stops_with_the_others():

@@ -50,13 +50,23 @@ class Reason(IntEnum):
 
     # the bus (fiber_bus_bridge)
     NOT_PLANNED = 60  # the robot has a target, but no orders arrived for it
-    NOT_ACKNOWLEDGED = 61
+    NOT_ACKNOWLEDGED = 61  # not found at configuration, or another cause than those below
     NOT_VERIFIED = 62
     UNSAFE_AS_LOADED = 63  # the loaded bytes, decoded, could not be certified
-    STOPPED = 64
+    STOPPED = 64  # an operator, or the end of the plan, stopped the robot
     OFF_TARGET = 65  # the orders have ended, and the fibre is not within tolerance of its target
     REFUSED = 66  # the robot refused the order
     PLAN_REFUSED = 67  # the whole plan was refused: its targets, or a stage could not work on it
+    # of the robot itself
+    NO_REPLY = 68  # the robot does not answer any more: it may have lost power
+    BUS_FAILED = 69  # the lines of the bus are stuck: the robot cannot be reached
+    REBOOTED = 70  # the robot booted, and lost its configuration and its order
+    STALLED = 71  # a joint did not follow
+    NO_HEARTBEAT = 72  # received no heartbeat, unlike others on the bus, and stopped itself
+    OVERDUE = 73  # still on the way when the time for its order was over
+    # of a robot that is well
+    OTHER_FAILED = 74  # another robot failed: all were stopped and did not resume
+    PLACE_UNKNOWN = 75  # the place of the robot, or of one beside it, is not known
 
 
 def holds(reason: ArrayLike) -> Mask:

@@ -19,7 +19,7 @@ from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import PlanOutcome
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
-from fiber_recording.bus_events import bus_events
+from fiber_recording.bus_events import at_own_stops, bus_events
 from fiber_recording.closest import closest_approaches
 from fiber_recording.phases import Phase
 from fiber_recording.recording import SOFTWARE, Recording
@@ -89,7 +89,7 @@ def build_recording(
         corridors=_corridors_of_all(plane, start, corridors),
         measured=measured,
         load=load,
-        events=events,
+        events=at_own_stops(events, followed.phases),
         outcome=outcome.outcome,
         reason=outcome.reason,
         error_mm=outcome.error_mm,

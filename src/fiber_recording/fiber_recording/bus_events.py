@@ -7,14 +7,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.bus import Ack
-from fiber_bus_bridge.wire import CALL_PREFIX, Opcode
+from fiber_bus_bridge.wire import CALL_PREFIX, Alert, Fault, Opcode
 from fiber_core.array_types import Floats, Ints, Rows
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
+from fiber_recording.phases import Phase
 from fiber_recording.recording import BusLoad, EventKind, Events, Measured
 from fiber_recording.status_replies import StatusReplies, rows_of_frames
 
-__all__ = ["bus_events"]
+__all__ = ["at_own_stops", "bus_events"]
 
 _MOST_BINS = 400  # of the bus load
 _SHORTEST_BIN_S = 0.005
@@ -103,6 +104,28 @@ def _events(status: StatusReplies, log: FrameLog, time_s: Floats, row: Rows) -> 
     kind = kind[order]
     rows = np.where((row[frame] >= 0) & (kind != EventKind.LINE), row[frame], -1)
     return Events(time_s[frame], kind, log.bus[frame], rows, detail[order])
+
+
+def at_own_stops(events: Events, phases: Sequence[Phase]) -> Events:
+    """Return the same events with each stall at the time at which its robot stopped by itself.
+
+    A robot tells of its stall when it is read, which is after the stop of all where it pulled the
+    alert line of its bus: the cause would come after its effect.
+
+    Args:
+        events: the events of a plan, in order of time.
+        phases: the phases of the plan, in order.
+    """
+    kind, detail, row = events.kind, events.detail, events.row
+    stall = (kind == EventKind.FAULT) & (detail == Fault.STALL)
+    stall |= (kind == EventKind.ALERT) & (detail & Alert.STALLED != 0)
+    at = np.flatnonzero(stall & (row >= 0))
+    time_s = events.time_s.copy()
+    for phase in phases:
+        stop_s = np.where(phase.stopped, 1e-6 * phase.stop_us, np.inf)[row[at]]
+        time_s[at] = np.where(stop_s <= events.time_s[at], stop_s, time_s[at])
+    order = np.argsort(time_s, kind="stable")
+    return Events(time_s[order], kind[order], events.bus[order], row[order], detail[order])
 
 
 def _first_reports(row: Rows, value: Ints) -> Ints:

@@ -147,7 +147,7 @@ def _outcomes() -> tuple[np.ndarray, np.ndarray]:
     outcome, reason = np.zeros((2, _ROBOTS), dtype=int)
     outcome[[_HELD, _DISABLED, _NO_TARGET]] = Outcome.HELD
     reason[[_HELD, _DISABLED, _NO_TARGET]] = Reason.UNSAFE, Reason.DISABLED, Reason.NO_TARGET
-    outcome[_FAILED], reason[_FAILED] = Outcome.FAILED, Reason.NOT_ACKNOWLEDGED
+    outcome[_FAILED], reason[_FAILED] = Outcome.FAILED, Reason.STALLED
     return outcome, reason
 
 

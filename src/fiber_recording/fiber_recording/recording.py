@@ -112,7 +112,8 @@ class Events:
     """Starts, stops and faults on the buses, in order of time.
 
     Args:
-        time_s: time of the event, from the begin of the motion [s], shape (e,).
+        time_s: time of the event, from the begin of the motion [s], shape (e,); of a stall, that at
+            which the robot stopped.
         kind: EventKind, shape (e,).
         bus: number of the bus, shape (e,).
         row: row of the robot in the plane, -1 for an event of the whole bus, shape (e,).

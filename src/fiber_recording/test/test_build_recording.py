@@ -10,8 +10,9 @@ import pytest
 
 from fiber_bus_bridge.simulation import Event
 from fiber_core.errors import FiberError
-from fiber_core.outcomes import Outcome, PlanOutcome
+from fiber_core.outcomes import Outcome, PlanOutcome, Reason
 from fiber_recording import build_recording
+from fiber_recording.recording import EventKind
 
 
 def outcome_of(plan):
@@ -52,6 +53,22 @@ def test_stops_and_lost_robots_are_in_the_notes(simulated_plan):
     assert " 11," in stopped.split("without robots")[1]
     assert lost == "no reply after the stop, the place shown is a guess: robot 11"
     np.testing.assert_array_equal(recording.phases[-1].end, plan.last_counts)
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [((Event.JAM_THETA, 1), EventKind.FAULT), ((Event.POWER, 0), EventKind.NO_ADDRESS)],
+)
+def test_the_failure_of_a_robot_comes_before_the_stop_of_all(simulated_plan, fault, kind):
+    plan = simulated_plan([(11, 0.9, *fault)])
+    recording = build_recording(
+        plan.plane, plan.units, logs=plan.logs, outcome=outcome_of(plan), counts_before=plan.start
+    )
+    events = recording.events
+    stop = np.flatnonzero(events.kind == EventKind.STOP)[0]
+    cause = np.flatnonzero((events.kind == kind) & (events.row == 11))[0]
+    assert cause < stop and events.time_s[stop] - 0.02 < events.time_s[cause] <= events.time_s[stop]
+    assert recording.reason[11] == (Reason.STALLED if kind == EventKind.FAULT else Reason.NO_REPLY)
 
 
 def test_values_that_do_not_fit_the_plane_are_refused(simulated_plan):

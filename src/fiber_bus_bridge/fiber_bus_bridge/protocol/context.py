@@ -26,6 +26,7 @@ from fiber_core.array_types import Bools, Counts, Ints, Mask, Rows
 from fiber_core.clearance import Certificate, Safety, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
+from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = ["Certifier", "Context", "Phase", "Transition", "Watch"]
@@ -139,6 +140,7 @@ class Context:
     loaded_plan: LoadedPlan | None = None
     loaded_plans: list[LoadedPlan] = field(default_factory=list)  # one for each phase
     result: PlanResult | None = None
+    stop_reason: Reason = Reason.STOPPED  # of robots that the end of this plan finds on the way
 
     @classmethod
     def new(
@@ -179,6 +181,11 @@ class Context:
         """Robots that can be commanded, or all when there is none, shape (k,)."""
         known = self.robots["known"]
         return np.flatnonzero(known) if known.any() else np.arange(len(known))
+
+    @property
+    def cut_off(self) -> Mask:
+        """Robots on buses that were given up, shape (n,)."""
+        return self.transactions.given_up[self.bus]
 
     def buses_of(self, robots: Rows | Mask) -> Bools:
         """Return whether a bus carries some of these robots, shape (b,)."""

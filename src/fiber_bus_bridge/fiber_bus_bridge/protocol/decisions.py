@@ -16,6 +16,7 @@ __all__ = [
     "failing",
     "neighbours_of",
     "not_loaded",
+    "own_fault",
     "record_heartbeats",
     "silent_stop_s",
     "unresponsive",
@@ -37,11 +38,40 @@ def neighbours_of(lost: Mask, pairs: Pairs) -> Mask:
     return neighbours
 
 
-def not_loaded(verified: Bools, ack: Codes) -> Codes:
-    """Return the Reason of robots that were sent an order, OK for verified ones, shape (r,)."""
+def not_loaded(verified: Bools, ack: Codes, replied: Bools, booted: Bools, cut_off: Bools) -> Codes:
+    """Return the Reason of robots that were sent an order, OK for verified ones, shape (r,).
+
+    Args:
+        verified: whether a robot holds the order, shape (r,).
+        ack: Ack of the order, shape (r,).
+        replied: whether its last status was valid, shape (r,).
+        booted: whether this status is of another boot than the configuration, shape (r,).
+        cut_off: whether its bus was given up, shape (r,).
+    """
     reason = np.where(ack == Ack.REFUSED, Reason.REFUSED, Reason.NOT_VERIFIED)
-    reason[ack == Ack.NO_ADDRESS] = Reason.NOT_ACKNOWLEDGED
+    absent = ack == Ack.NO_ADDRESS
+    reason[absent] = np.where(replied, Reason.NOT_ACKNOWLEDGED, Reason.NO_REPLY)[absent]
+    reason[booted] = Reason.REBOOTED
+    reason[cut_off & ~replied] = Reason.BUS_FAILED
     return np.where(verified, Reason.OK, reason)
+
+
+def own_fault(robots: Robots, cut_off: Mask) -> Codes:
+    """Return the Reason of robots with a fault of their own, by their last status, else OK, (n,).
+
+    Args:
+        robots: the robots, as read just now.
+        cut_off: robots on buses that were given up, shape (n,).
+    """
+    state, alerts = robots["state"], robots["alerts"]
+    booted = (state == RobotState.UNCONFIGURED) | (alerts & Alert.REBOOTED != 0)
+    faults = {
+        Reason.BUS_FAILED: (state == 0) & cut_off,
+        Reason.NO_REPLY: state == 0,
+        Reason.REBOOTED: booted,
+        Reason.STALLED: alerts & Alert.STALLED != 0,
+    }
+    return np.select(list(faults.values()), [int(reason) for reason in faults], int(Reason.OK))
 
 
 def countdown_s(verify_s: float, silence_s: float, period_s: float) -> float:

@@ -5,10 +5,12 @@ import numpy as np
 
 from fiber_bus_bridge.plan_result import PlanResult, evaluate
 from fiber_bus_bridge.protocol.context import Context
+from fiber_bus_bridge.protocol.decisions import own_fault
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import begin_sequences
 from fiber_bus_bridge.wire import Configuration, Opcode, RobotState, encode_config
 from fiber_core.array_types import Ints, Rows
+from fiber_core.outcomes import Reason
 
 __all__ = ["clear", "configure", "end", "end_plan"]
 
@@ -62,15 +64,19 @@ def end(c: Context) -> Event:
 
 
 def end_plan(c: Context) -> PlanResult | None:
-    """Evaluate the plan, if there is one; lost robots of a plan cut short have failed."""
+    """Evaluate the plan, if there is one; robots with a fault in a plan cut short have failed."""
     plan, robots, loaded_plan = c.plan, c.robots, c.loaded_plan
     c.plan = c.phase = c.watch = None
     if plan is None:
         return None
     if loaded_plan is not None:
-        robots["failed"] |= loaded_plan.started & ~robots["arrived"] & (robots["state"] == 0)
+        # the robot's own fault, as just read, says more than that it was late
+        fault = own_fault(robots, c.cut_off)
+        faulty = loaded_plan.started & ~robots["arrived"] & (fault != Reason.OK)
+        faulty &= np.isin(robots["cause"], (Reason.OK, Reason.OVERDUE))
+        robots["cause"] = np.where(faulty, fault, robots["cause"])
     c.result = evaluate(
         c.plane, plan, loaded_plan, robots["counts"], robots["known"],
-        robots["arrived"], robots["failed"], c.config.tolerance_mm,
+        robots["arrived"], robots["cause"], c.stop_reason, c.config.tolerance_mm,
     )  # fmt: skip
     return c.result

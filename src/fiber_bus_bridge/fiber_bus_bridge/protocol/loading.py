@@ -59,7 +59,7 @@ def begin_plan(c: Context, t: float, may_go: Callable[[], bool]) -> None:
     plan = c.plan
     assert plan is not None  # orders wait
     c.transactions.revive()
-    c.may_go, c.loaded_plans = may_go, []
+    c.may_go, c.loaded_plans, c.stop_reason = may_go, [], Reason.STOPPED
     wanted = plan.moves & c.plane.enabled & ~plan.oversized & c.robots["known"]
     prepare(c, plan.motion, wanted, t)
 
@@ -189,6 +189,7 @@ def deliver(c: Context, phase: Phase, rows: Rows, frames: Frames) -> Delivery:
     t, boot, transactions = phase.t, c.robots["boot"], c.transactions
     verified, suspect = np.zeros(len(rows), dtype=bool), np.ones(len(rows), dtype=bool)
     ack = np.full(len(rows), Ack.NO_ADDRESS, dtype=np.int64)
+    replied, booted = np.zeros(len(rows), dtype=bool), np.zeros(len(rows), dtype=bool)
     todo = np.arange(len(rows))
     for _ in range(_TRIES):
         new_ack = transactions.send(rows[todo], frames[todo], t)
@@ -201,8 +202,11 @@ def deliver(c: Context, phase: Phase, rows: Rows, frames: Frames) -> Delivery:
         same = (status.order_crc == sent.crc) & (status.boot == boot[rows[todo]])
         verified[todo] = status.ok & loaded & same
         suspect[todo] = ~verified[todo] & (~status.ok | loaded)
+        replied[todo] = status.ok
+        booted[todo] = status.ok & (status.boot != boot[rows[todo]])
         # another boot, a repeated refusal and an absence are final
-        final = status.ok & (status.boot != boot[rows[todo]]) | (new_ack == Ack.REFUSED)
+        final = booted[todo] | (new_ack == Ack.REFUSED)
         final |= (new_ack == Ack.NO_ADDRESS) & ~status.ok
         todo = todo[~verified[todo] & ~final]
-    return Delivery(verified, suspect, not_loaded(verified, ack))
+    reason = not_loaded(verified, ack, replied, booted, c.cut_off[rows])
+    return Delivery(verified, suspect, reason)

@@ -5,6 +5,7 @@ from fiber_bus_bridge.protocol.context import Context, Phase, Watch
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.supervision import supervise
 from fiber_bus_bridge.protocol.tables import running
+from fiber_core.outcomes import Reason
 
 __all__ = ["move"]
 
@@ -19,7 +20,7 @@ def move(c: Context, phase: Phase, watch: Watch) -> Event:
     if not moving.any():
         return Event.ARRIVED
     if watch.now_s > _latest_end_s(c, phase):
-        c.robots["failed"] |= moving
+        c.robots["cause"][moving] = Reason.OVERDUE
         c.t = watch.now_s
         return Event.OVERDUE
     return Event.STEPPED

@@ -10,7 +10,7 @@ A robot that cannot be told to stop also gets no heartbeat, so it does not start
 import numpy as np
 
 from fiber_bus_bridge.protocol.context import Context, Phase, Watch
-from fiber_bus_bridge.protocol.decisions import countdown_s, failing, unresponsive
+from fiber_bus_bridge.protocol.decisions import countdown_s, failing, own_fault, unresponsive
 from fiber_bus_bridge.protocol.loading import commit
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.stopping import stop_all
@@ -115,7 +115,9 @@ def cancel(c: Context, phase: Phase, watch: Watch) -> Event:
     late_again = late & robots["late"]
     robots["late"] |= late & ~missing
     missing |= late_again
-    robots["reason"][missing] = Reason.NOT_ACKNOWLEDGED
+    fault = own_fault(robots, c.cut_off)
+    fault[fault == Reason.OK] = Reason.NOT_ACKNOWLEDGED
+    robots["reason"][missing] = fault[missing]
     robots["wanted"] &= ~missing
     robots["started"] = False
     c.buses["stale"] = True

@@ -5,14 +5,15 @@ import numpy as np
 
 from fiber_bus_bridge.plan_result import Plan
 from fiber_bus_bridge.protocol.context import Context, Phase, Watch
-from fiber_bus_bridge.protocol.decisions import able_to_resume
+from fiber_bus_bridge.protocol.decisions import able_to_resume, own_fault
 from fiber_bus_bridge.protocol.ending import end_plan
 from fiber_bus_bridge.protocol.loading import prepare
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import running
 from fiber_bus_bridge.remaining_motion import remaining_motion
-from fiber_bus_bridge.wire import Opcode, RobotState, Statuses, encode_command, general_call
-from fiber_core.array_types import Rows
+from fiber_bus_bridge.wire import Alert, Opcode, RobotState, Statuses, encode_command, general_call
+from fiber_core.array_types import Codes, Mask, Rows
+from fiber_core.outcomes import Reason
 
 __all__ = ["halt", "resume", "stop", "stop_all"]
 
@@ -42,6 +43,7 @@ def stop_all(c: Context, rows: Rows, t: float) -> Statuses:
             break
         transactions.command(Opcode.STOP, moving, t)
         status = transactions.statuses(rows, t)
+    c.robots["state"][rows] = status.state
     c.observe(rows, status, transactions.now_s)
     return status
 
@@ -55,14 +57,27 @@ def stop(c: Context, phase: Phase, watch: Watch) -> Event:
     c.transactions.revive()
     moved, rows = running(robots), np.flatnonzero(robots["known"])
     status = stop_all(c, rows, phase.stopped_at_s)
-    robots["state"][rows] = status.state
-    robots["able"] = able_to_resume(robots, c.bus, moved)
-    robots["able"][rows] &= status.ok & (status.boot == robots["boot"][rows])
-    robots["failed"] |= moved & ~robots["able"]
+    booted = np.zeros(len(robots), dtype=bool)
+    booted[rows] = status.ok & (status.boot != robots["boot"][rows])
+    robots["able"] = able_to_resume(robots, c.bus, moved) & ~booted
+    failed = moved & ~robots["able"]
+    robots["cause"][failed] = _cause(c, booted)[failed]
     c.t = c.transactions.now_s
-    if len(c.loaded_plans) > c.config.resumes or not c.may_go():
+    if len(c.loaded_plans) > c.config.resumes:
+        c.stop_reason = Reason.OTHER_FAILED
+        return Event.UNABLE
+    if not c.may_go():
         return Event.UNABLE
     return Event.ABLE
+
+
+def _cause(c: Context, booted: Mask) -> Codes:
+    """Reason of each robot that has not stopped in order, shape (n,)."""
+    robots = c.robots
+    silent = robots["alerts"] & Alert.SILENT != 0
+    stopped = np.where(silent, Reason.NO_HEARTBEAT, Reason.NOT_ACKNOWLEDGED)
+    fault = np.where(booted, Reason.REBOOTED, own_fault(robots, c.cut_off))
+    return np.where(fault == Reason.OK, stopped, fault)
 
 
 def resume(c: Context, phase: Phase) -> Event:
@@ -86,8 +101,6 @@ def halt(c: Context) -> Event:
     """Stop every robot and end the plan."""
     c.watch = None
     c.transactions.revive()
-    rows = c.known_or_all
-    status = stop_all(c, rows, c.t)
-    c.robots["state"][rows] = status.state
+    stop_all(c, c.known_or_all, c.t)
     end_plan(c)
     return Event.HALTED

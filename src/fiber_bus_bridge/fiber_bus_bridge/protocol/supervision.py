@@ -7,8 +7,8 @@ robots must stop. It is the present, when a robot has stopped by itself, does no
 the clock. When no heartbeat gets through to a bus, it is the time at which the robots of that bus
 will stop by themselves, so that all robots stop together. No bus waits for a slow bus.
 
-The traffic for recordings omits steps in which no robot arrives and only robots are polled that
-were polled a moment ago; a capture has all steps.
+The traffic for recordings omits steps in which no robot arrives or fails and only robots are polled
+that were polled a moment ago; a capture has all steps.
 """
 
 import numpy as np
@@ -45,7 +45,7 @@ _HEARTBEAT_KNOWN = 0.4  # part of a step after which the success of its heartbea
 _OVERRUN = 0.1  # part of a step during which a bus may still be busy with the step before
 _SLOW = 3  # slow heartbeats in a row after which a STOP would come too late
 # plain numbers: members of an enumeration are slow to look up step by step
-_NO_ADDRESS, _LOST = int(Ack.NO_ADDRESS), int(Ack.LOST)
+_OK, _NO_ADDRESS, _LOST = int(Ack.OK), int(Ack.NO_ADDRESS), int(Ack.LOST)
 _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
 _DONE = int(RobotState.DONE)
 
@@ -91,10 +91,11 @@ def supervise(c: Context, watch: Watch) -> None:
             c.buses, buses, replies.ack[beats], replies.end_s[beats], took_s[beats],
             c.silence_s or np.inf, c.config.stretch_s,
         )  # fmt: skip
-    arrived = _handle_replies(c, t, read, replies, reads, width)
+    news = _handle_replies(c, t, read, replies, reads, width)
+    news |= bool((replies.ack != _OK).any())
     absent = _handle_roll_call(c, active, called, replies, calls)
     watch.schedulers[width].observe(read, took_s[reads], called, took_s[calls])
-    if arrived or (t - c.robots["in_traffic_s"][read] >= _TRAFFIC_S).any():
+    if news or (t - c.robots["in_traffic_s"][read] >= _TRAFFIC_S).any():
         transactions.add_traffic(frames, replies)
         c.robots["in_traffic_s"][read] = t
     _retry(c, np.concatenate([absent, read]), t, width)
@@ -153,14 +154,15 @@ def _retry(c: Context, rows: Rows, t: float, width: int) -> None:
             return
         frames = Frames.empty(c.transactions.addresses[rows])
         replies = c.transactions.transfer(frames, width, t, in_traffic=False)
-        if _handle_replies(c, t, rows, replies, slice(None), width):
+        news = _handle_replies(c, t, rows, replies, slice(None), width)
+        if news or (replies.ack != _OK).any():
             c.transactions.add_traffic(frames, replies)
 
 
 def _handle_replies(
     c: Context, t: float, rows: Rows, replies: Replies, reads: slice, width: int
 ) -> bool:
-    """Handle the replies of polled robots; return whether one of the robots has arrived."""
+    """Handle the replies of polled robots; return whether one has arrived or does not execute."""
     if len(rows) == 0:
         return False
     robots = c.robots
@@ -181,13 +183,14 @@ def _handle_replies(
     executing = done | (same & (status.state == _MOVING))
     missed_go = same & (status.state == _LOADED) & (c.state is State.COUNTDOWN)
     robots["confirmed"][valid] |= executing
-    arrived = bool((done & ~robots["arrived"][valid]).any())
+    failed = ~executing & ~missed_go
+    news = bool(((done & ~robots["arrived"][valid]) | failed).any())
     robots["arrived"][valid] |= done
     robots["missed_go"][valid] = missed_go
-    robots["not_executing"][valid] |= ~executing & ~missed_go
+    robots["not_executing"][valid] |= failed
     if width == STATUS_BYTES and len(valid):
         c.observe(valid, status, t)
-    return arrived
+    return news
 
 
 def _when_to_stop(c: Context, watch: Watch, active: Mask) -> float | None:

@@ -43,7 +43,7 @@ ROBOT = np.dtype(
         ("read_s", "f8"),  # time of the last status [s]
         ("velocity", "f8", (2,)),  # mean joint speeds between the last two statuses [rad/s]
         # of a plan
-        ("failed", "?"),  # was started, and did not do what it was ordered to do
+        ("cause", "i8"),  # Reason for which it failed although it was started, else OK
         # of a phase
         ("wanted", "?"),  # shall move and can still be started
         ("verified", "?"),  # holds the order that was sent
@@ -63,7 +63,7 @@ ROBOT = np.dtype(
 )
 SEQUENCES = 15  # sequence numbers are 1..15
 # columns that stay true when the controller ends while robots are where they are
-REMEMBERED = ("boot", "counts", "lost", "placed", "failed")
+REMEMBERED = ("boot", "counts", "lost", "placed", "cause")
 
 BUS = np.dtype(
     [
@@ -122,7 +122,7 @@ def begin_phase(robots: Robots, buses: Buses, wanted: Mask, blocked: Mask) -> No
         blocked: those that cannot, because a lost robot is beside them, shape (n,).
     """
     robots["wanted"] = wanted & ~blocked
-    robots["reason"] = np.where(blocked, Reason.UNSAFE_AS_LOADED, Reason.OK)
+    robots["reason"] = np.where(blocked, Reason.PLACE_UNKNOWN, Reason.OK)
     robots["verified"] = robots["late"] = robots["started"] = False
     buses["stale"] = True
 
