@@ -20,14 +20,13 @@ from statistics import median
 
 import numpy as np
 
-from fiber_core.clearance import certify, neighbour_pairs
+from fiber_core.clearance import certify
 from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
 from fiber_formats import read_layout
-from fiber_planner import Planner, make_planner
-from fiber_planner.direct import reachable
+from fiber_planner import Planner, make_planner, pair_bound
 from fiber_positioners import make_orders, random_problem
 
 __all__ = ["main", "problem_of", "run"]
@@ -83,8 +82,7 @@ def run(name: str, planner: Planner, seed: int) -> dict:
     begin_cpu = time.process_time()
     certificate = certify(plane, motion, safety)
     certify_s = time.process_time() - begin_cpu
-    can = reachable(problem, neighbour_pairs(plane), safety.margin_mm)
-    bound = lower_bound_s(problem)
+    bound, pairs = lower_bound_s(problem), pair_bound(problem, safety.margin_mm)
     segments = motion.counts[motion.counts > 0]
     return {
         "plane": name,
@@ -92,12 +90,14 @@ def run(name: str, planner: Planner, seed: int) -> dict:
         "seed": seed,
         "robots": plane.n,
         "enabled": int(plane.enabled.sum()),
-        "reachable": int(can.sum()),
+        "reachable": pairs.robots,
         "planned": int((planned.reason == Reason.OK).sum()),
         "reached": int(((planned.reason == Reason.OK) & (sent.reason == Reason.OK)).sum()),
         "makespan_s": round(motion.makespan_s, 4),
         "lower_bound_s": round(bound, 4),
         "ratio": round(motion.makespan_s / bound, 4),
+        "pair_bound_s": round(pairs.time_s, 4),
+        "pair_ratio": round(motion.makespan_s / pairs.time_s, 4),
         "wall_s": round(orders.seconds["plan_s"], 3),
         "cpu_s": round(orders.cpu_seconds["plan_s"], 3),
         "discretize_s": round(orders.cpu_seconds["discretize_s"], 3),
@@ -113,12 +113,13 @@ def markdown(lines: list[dict]) -> str:
     """Return the table of all results: one row for each plane and planner."""
     columns = (
         "plane | planner | robots | seeds | reached of reachable, worst seed | all seeds | "
-        "certified | makespan / lower bound, median and worst | planning cpu [s], median and "
-        "worst | discretizing cpu [s] | least clearance [mm] | segments a moving motor, mean "
-        "and most"
+        "certified | makespan / lower bound, median and worst | / pair bound | "
+        "planning cpu [s], median and worst | discretizing cpu [s] | least clearance [mm] | "
+        "segments a moving motor, mean and most"
     )
     rows = [columns, " | ".join("---" for _ in columns.split(" | "))]
     order = list(PLANES)
+    lines = [line for line in lines if "pair_ratio" in line]  # others are of an older version
     lines = sorted(lines, key=lambda line: (order.index(line["plane"]), line["planner"]))
     for (plane, planner), group in groupby(lines, lambda line: (line["plane"], line["planner"])):
         group = list(group)
@@ -133,6 +134,7 @@ def markdown(lines: list[dict]) -> str:
             f"{100 * sum(of['reached']) / sum(of['reachable']):.3f} % | "
             f"{sum(of['certified'])} of {len(group)} | "
             f"{median(of['ratio']):.3f}, {max(of['ratio']):.3f} | "
+            f"{median(of['pair_ratio']):.3f}, {max(of['pair_ratio']):.3f} | "
             f"{median(of['cpu_s']):.2f}, {max(of['cpu_s']):.2f} | "
             f"{median(of['discretize_s']):.2f} | {min(of['min_gap_mm']):.3f} | "
             f"{np.mean(of['segments_mean']):.2f}, {max(of['segments_max'])}"

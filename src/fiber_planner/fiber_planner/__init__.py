@@ -24,6 +24,7 @@ from fiber_planner.interface import (
     SpacedPlanner,
     spacing_of,
 )
+from fiber_planner.pair_bound import PairBound, pair_bound
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment, plan_targets
 from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
 
@@ -37,6 +38,7 @@ __all__ = [
     "DnfPlanner",
     "DnfPriorityParameters",
     "DnfPriorityPlanner",
+    "PairBound",
     "PlanStageResult",
     "PlannedMotion",
     "Planner",
@@ -46,6 +48,7 @@ __all__ = [
     "choose_goals",
     "lower_bound_s",
     "make_planner",
+    "pair_bound",
     "parameters_of",
     "plan_assignment",
     "plan_targets",

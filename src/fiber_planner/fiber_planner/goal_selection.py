@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Bools, Codes, Floats, Ints, Mask, Pairs
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Ints, Pairs
 from fiber_core.clearance import (
+    Bodies,
     Neighbours,
     bodies_of,
     neighbour_pairs,
@@ -18,7 +19,7 @@ from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 
-__all__ = ["choose_goals", "conflicting_goals", "lower_bound_s", "travel_s"]
+__all__ = ["choose_goals", "ends_that_clash", "fastest_ends", "lower_bound_s", "travel_s"]
 
 _STAYS = 2  # pose of a robot that ends where it starts; 0 and 1 are its elbows, faster first
 _OPEN = -1  # pose of a robot that has none yet
@@ -60,11 +61,11 @@ def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[Angles, Code
         move) or GOAL_BLOCKED (no configuration inside the joint limits is clear).
     """
     plane = problem.plane
-    options, count = _options(problem)
+    options, count = fastest_ends(problem)
     pairs = neighbour_pairs(plane, margin_mm).astype(np.int64, order="C")
     free = np.concatenate([count > 0, np.zeros(plane.fixtures, dtype=bool)])
     pairs = pairs[free[pairs].any(axis=1)]
-    clash = _clashes(bodies_of(plane), pairs, options, count, margin_mm)
+    clash = ends_that_clash(bodies_of(plane), pairs, options, count, margin_mm)
     pairs, clash = pairs[clash.any(axis=(1, 2))], clash[clash.any(axis=(1, 2))]
     order = np.lexsort((plane.centers[:, 1], plane.centers[:, 0]))
     near = neighbours_of(len(free), pairs)
@@ -77,66 +78,15 @@ def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[Angles, Code
     return options[np.arange(plane.n), pose], reason
 
 
-def conflicting_goals(problem: Problem, seeking: Mask, margin_mm: float) -> Mask:
-    """Return the robots that have to give up their targets, so that all others have clear goals.
-
-    A robot that gives up may stand anywhere: only static bodies (disabled robots, obstacles) and
-    the goals of other robots are in the way of a goal. Where every choice of elbows brings two
-    robots too close, the one with most such neighbours gives up, until none is left (a greedy
-    vertex cover); contradictions that remain are found as in choose_goals.
+def fastest_ends(problem: Problem) -> tuple[Floats, Ints]:
+    """Return the fastest configuration of each elbow, faster one first, then the start.
 
     Args:
         problem: the plane, the present joint angles and the targets.
-        seeking: robots with a target that they could reach alone, shape (n,).
-        margin_mm: gap that outlines must keep at the end [mm].
 
     Returns:
-        Flags, shape (n,); False for robots that seek no target.
+        Joint angles [rad], shape (n, 3, 2); and the number of elbows that have one, shape (n,).
     """
-    plane = problem.plane
-    options, count = _options(problem)
-    count[~seeking] = 0
-    is_obstacle = np.arange(plane.n + plane.fixtures) >= plane.n
-    free = np.append(count > 0, is_obstacle[plane.n :] & False)
-    static = is_obstacle | np.append(~plane.enabled, is_obstacle[plane.n :])
-    pairs = neighbour_pairs(plane, margin_mm).astype(np.int64, order="C")
-    pairs = pairs[free[pairs].any(axis=1) & (free | static)[pairs].all(axis=1)]
-    clash = _clashes(bodies_of(plane), pairs, options, count, margin_mm)
-    clash[~static[pairs[:, 0]], _STAYS] = False
-    clash[~static[pairs[:, 1]], :, _STAYS] = False
-    pairs, clash = pairs[clash.any(axis=(1, 2))], clash[clash.any(axis=(1, 2))]
-    count[_cover(pairs[_never_clear(pairs, clash, free, count)])] = 0
-    order = np.lexsort((plane.centers[:, 1], plane.centers[:, 0]))
-    near = neighbours_of(len(free), pairs)
-    pose = _choose(near.offsets, near.body, _clashes_by_robot(near, clash), count, order)
-    return (pose == _STAYS) & free[: plane.n]
-
-
-def _never_clear(pairs: Pairs, clash: Bools, free: Mask, count: Ints) -> Mask:
-    # pairs of robots with targets that clash with every choice of elbows, shape (p,)
-    possible = np.zeros((len(free), 2), dtype=np.bool_)
-    possible[: len(count)] = np.arange(2) < count[:, None]
-    for side in range(2):  # an elbow at which a static body is in the way is no choice
-        beside = ~free[pairs[:, 1 - side]]
-        hit = clash[beside, :2, _STAYS] if side == 0 else clash[beside, _STAYS, :2]
-        np.logical_and.at(possible, pairs[beside, side], ~hit)
-    a, b = pairs.T
-    clear = possible[a][:, :, None] & possible[b][:, None, :] & ~clash[:, :2, :2]
-    return free[a] & free[b] & ~clear.any(axis=(1, 2))
-
-
-def _cover(pairs: Pairs) -> Ints:
-    # rows of a greedy vertex cover: all pairs have one of them
-    chosen: list[int] = []
-    while len(pairs):
-        chosen.append(int(np.argmax(np.bincount(pairs.ravel()))))
-        pairs = pairs[(pairs != chosen[-1]).all(axis=1)]
-    return np.array(chosen, dtype=np.int64)
-
-
-def _options(problem: Problem) -> tuple[Floats, Ints]:
-    # Fastest configuration of each elbow, faster one first, then the start: (n, 3, 2); and the
-    # number of elbows that have one, (n,).
     plane = problem.plane
     angles, valid = kinematics.inverse(plane, problem.targets)
     valid &= plane.enabled[:, None]
@@ -162,8 +112,17 @@ def _clashes_by_robot(near: Neighbours, clash: Bools) -> Bools:
 
 
 @nb.njit(cache=True)
-def _clashes(bodies, pairs, options, count, margin):
-    # for each pair, the combinations of poses that come nearer than the margin, (p, 3, 3)
+def ends_that_clash(
+    bodies: Bodies, pairs: Pairs, options: Floats, count: Ints, margin_mm: float
+) -> Bools:
+    """Return for each pair the combinations of ends that come nearer than the margin, (p, 3, 3).
+
+    Args:
+        bodies: outlines, from bodies_of.
+        pairs: rows of robots and fixtures, shape (p, 2).
+        options, count: from fastest_ends.
+        margin_mm: gap to keep [mm].
+    """
     n = len(options)
     clash = np.zeros((len(pairs), 3, 3), dtype=np.bool_)
     for e in range(len(pairs)):
@@ -178,9 +137,9 @@ def _clashes(bodies, pairs, options, count, margin):
                     continue  # neither robot moves
                 theta, phi = (options[b, j, 0], options[b, j, 1]) if b < n else (0.0, 0.0)
                 gap = pair_gap_below(
-                    bodies, a, b, options[a, i, 0], options[a, i, 1], theta, phi, margin
+                    bodies, a, b, options[a, i, 0], options[a, i, 1], theta, phi, margin_mm
                 )
-                clash[e, i, j] = gap < margin
+                clash[e, i, j] = gap < margin_mm
     return clash
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of the choice of goals: fast where free, clear where crowded, refused where blocked."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 
@@ -12,8 +10,7 @@ from fiber_core.fields import random_problem
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
-from fiber_planner import choose_goals, lower_bound_s, make_planner, travel_s
-from fiber_planner.goal_selection import conflicting_goals
+from fiber_planner import choose_goals, lower_bound_s, travel_s
 
 MARGIN = 0.1
 
@@ -164,58 +161,3 @@ def test_obstacles_block_goals_too(robots):
     assert choose_goals(Problem(plane, start, [[3.0, 2.0]]), MARGIN)[1][0] == Reason.GOAL_BLOCKED
     goal, reason = choose_goals(Problem(plane, start, [[3.0, 0.2]]), MARGIN)
     assert reason[0] == Reason.OK and least_gap(plane, goal) >= MARGIN
-
-
-def crowded_field(seed, n=7):
-    """Targets drawn with no regard to each other: some can only be reached by one of two robots."""
-    rng = np.random.default_rng(seed)
-    plane = preset("desi_outlines", n).with_enabled(rng.random(n) < 0.85)
-    start = random_problem(plane, rng).start
-    distance, turn = 6.0 * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
-    offset = distance[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return Problem(plane, start, plane.centers + np.where(plane.enabled[:, None], offset, np.nan))
-
-
-def most_by_enumeration(problem):
-    """The largest number of robots with targets whose goals are clear of each other."""
-    plane, pairs = problem.plane, neighbour_pairs(problem.plane)
-    angles, valid = kinematics.inverse(plane, problem.targets)
-    poses = [
-        [None, *angles[i][valid[i]]] if plane.enabled[i] else ["stays"] for i in range(plane.n)
-    ]
-    best = 0
-    for choice in product(*poses):
-        placed = np.array([pose is not None for pose in choice])
-        count = np.count_nonzero(placed & plane.enabled)
-        if count <= best:
-            continue
-        at = [problem.start[i] if isinstance(p, str) else p for i, p in enumerate(choice)]
-        at = np.array([problem.start[i] if p is None else p for i, p in enumerate(at)])
-        both = pairs[placed[pairs].all(axis=1)]
-        if not len(both) or gaps(plane, both, at).min() >= MARGIN:
-            best = count
-    return best
-
-
-def test_as_few_targets_are_given_up_as_enumeration_finds():
-    given_up = 0
-    for seed in range(30):
-        problem = crowded_field(seed)
-        seeking = kinematics.inverse(problem.plane, problem.targets)[1].any(axis=1)
-        seeking &= problem.plane.enabled
-        lost = conflicting_goals(problem, seeking, MARGIN)
-        assert not lost[~seeking].any()
-        assert np.count_nonzero(seeking & ~lost) == most_by_enumeration(problem), seed
-        given_up += np.count_nonzero(lost)
-    assert given_up > 10
-
-
-def test_direct_brings_all_others_to_their_targets():
-    # without the test of ends, conflicts of goals last through all makespans
-    for seed in range(5):
-        problem = crowded_field(seed, 61)
-        plan = make_planner("direct").plan(problem)
-        lost = np.count_nonzero(plan.reason == Reason.GOAL_BLOCKED)
-        assert lost and np.count_nonzero(plan.reason == Reason.NOT_CONVERGED) <= 1
-        arrives = plan.reason == Reason.OK
-        assert on_target(problem, plan.motion.end)[arrives].max() < 1e-9

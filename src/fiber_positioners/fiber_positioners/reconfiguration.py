@@ -17,7 +17,7 @@ from fiber_core.outcomes import PlanOutcome
 from fiber_core.problem import Problem, save_plan, save_problem
 from fiber_discretizer import DiscretizeOptions, joint_corridors
 from fiber_formats import write_results
-from fiber_planner import Planner
+from fiber_planner import Planner, pair_bound
 from fiber_positioners.orders import Orders, ProgressCallback, make_orders, part_of
 from fiber_positioners.report import save_report
 from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
@@ -84,11 +84,17 @@ class Reconfiguration:
     @cached_property
     def report(self) -> dict[str, object]:
         """Counts, makespan, clearance, segments, bytes and seconds, ready for JSON."""
-        costs = self.run.costs
+        costs, orders = self.run.costs, self.orders
+        bound = pair_bound(orders.start_problem, orders.safety.margin_mm)
         return {
             "planner": self.orders.planner,
             "seed": self.seed,
             **plan_metrics(self.problem, self.motion, self.certificate, self.outcome, self.reason),
+            "reachable_at_once": bound.robots,
+            "pair_bound_s": bound.time_s,
+            "makespan_to_pair_bound": (
+                self.motion.makespan_s / bound.time_s if bound.time_s else None
+            ),
             "bytes_mean": costs["bytes_mean"],
             "bytes_bound": ORDER_BYTES_BOUND,
             "bus_time_s": costs["bus_time_s"],

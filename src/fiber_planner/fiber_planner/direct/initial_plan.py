@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The initial plan: the goal of every robot, straight motions, the gaps to keep."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numba as nb
 import numpy as np
 
-from fiber_core.array_types import Angles, Bools, Codes, Floats, Gaps, Ints
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Gaps, Ints, Mask
 from fiber_core.clearance import gaps, levers_of, point_speeds
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
@@ -17,7 +16,13 @@ from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.reachability import reachable
 from fiber_planner.direct.scene import Scene
 from fiber_planner.direct.time_grid import TimeGrid
-from fiber_planner.goal_selection import choose_goals, conflicting_goals
+from fiber_planner.goal_program import (
+    goal_program,
+    least_time_s,
+    most_goals,
+    robots_with_goals,
+)
+from fiber_planner.goal_selection import choose_goals
 
 __all__ = ["Ends", "choose_ends", "straight_plan"]
 
@@ -35,8 +40,8 @@ class Ends(NamedTuple):
             shape (n,).
         angles: joint angles of that option; the start of a robot that may end anywhere [rad],
             shape (n, 2).
-        alone_s: time that the slowest robot needs alone [s]; some time to make way if no robot
-            has to move.
+        alone_s: time that the slowest robot needs alone to a clear end [s]; some time to make way
+            if no robot has to move.
     """
 
     reason: Codes
@@ -58,18 +63,30 @@ def choose_ends(problem: Problem, scene: Scene, parameters: DirectParameters) ->
     seeking = reason == Reason.OK
     time = (np.abs(scene.options - problem.start[:, None]) / scene.speed[:, None]).max(axis=2)
     alone_s = _alone_s(scene, time[seeking, 0])
-    choice, some_blocked = _clear_options(problem, scene, parameters, alone_s)
-    if some_blocked:
-        # Ends that no choice of elbows parts would be conflicts of every plan.
-        in_conflict = conflicting_goals(problem, seeking, parameters.margin_mm)
-        reason[in_conflict], seeking = Reason.GOAL_BLOCKED, seeking & ~in_conflict
-        left = np.where(in_conflict[:, None], np.nan, problem.targets)
-        alone_s = _alone_s(scene, time[seeking, 0])
-        choice, _ = _clear_options(replace(problem, targets=left), scene, parameters, alone_s)
-    choice[time[rows, choice] > alone_s] = 0
+    margins_mm = _end_margins_mm(problem, scene, parameters, alone_s)
+    choice, some_blocked = _clear_options(problem, scene, margins_mm)
+    if some_blocked or (time[rows, choice] > alone_s)[seeking].any():
+        # Ends that no choice of elbows parts would be conflicts of every plan, and elbows that are
+        # reached late make it longer.
+        elbow, ends = _soonest_ends(problem, seeking, margins_mm)
+        reason[seeking & (elbow < 0)], seeking = Reason.GOAL_BLOCKED, elbow >= 0
+        choice = _option_at(scene, ends[rows, elbow])
+        alone_s = _alone_s(scene, time[rows, choice][seeking])
     choice[~seeking] = -1
     angles = np.where(seeking[:, None], scene.options[rows, choice], problem.start)
     return Ends(reason, choice, angles, alone_s)
+
+
+def _soonest_ends(problem: Problem, seeking: Mask, margins_mm: list[float]) -> tuple[Ints, Floats]:
+    # An elbow of as many robots as possible, -1 for the others, (n,), with the least time of the
+    # slowest, and the angles of all elbows, (n, 2, 2). The widest margin is taken with which as
+    # many robots have clear ends as with the narrowest.
+    programs = [goal_program(problem, seeking, margin_mm) for margin_mm in margins_mm]
+    robots = [robots_with_goals(most_goals(program)[0]) for program in programs]
+    widest = next(k for k, count in enumerate(robots) if count >= robots[-1])
+    program = programs[widest]
+    least_s = least_time_s(program, robots[widest])
+    return most_goals(program, least_s, soonest=True)[0], program.angles
 
 
 def _alone_s(scene: Scene, time_s: Floats) -> float:
@@ -149,24 +166,33 @@ def _reasons(problem: Problem, scene: Scene, margin_mm: float) -> Codes:
     return reason
 
 
-def _clear_options(
+def _end_margins_mm(
     problem: Problem, scene: Scene, parameters: DirectParameters, alone_s: float
-) -> tuple[Ints, bool]:
-    # The option of each robot that is nearest to the goal of choose_goals, and whether a robot has
-    # no clear goal. Goals that keep the allowance at full speed are preferred, unless more robots
-    # would lose their targets by it.
+) -> list[float]:
+    # Gaps to ask for at the ends: with the allowance at full speed, with the allowance, the margin.
     least = parameters.margin_mm + parameters.allowance_mm
     plane = problem.plane
     most = _least_mm(scene, parameters, plane, plane.speeds, 2.0 * alone_s).max(initial=0.0)
-    goal, reason = choose_goals(problem, max(least, most + parameters.allowance_mm))
+    return [max(least, most + parameters.allowance_mm), least, parameters.margin_mm]
+
+
+def _clear_options(problem: Problem, scene: Scene, margins_mm: list[float]) -> tuple[Ints, bool]:
+    # The option of each robot that is nearest to the goal of choose_goals, and whether a robot has
+    # no clear goal. The wider margin is preferred, unless more robots would lose their targets.
+    goal, reason = choose_goals(problem, margins_mm[0])
     blocked = np.count_nonzero(reason == Reason.GOAL_BLOCKED)
     if blocked:
-        other, reason = choose_goals(problem, least)
+        other, reason = choose_goals(problem, margins_mm[1])
         if np.count_nonzero(reason == Reason.GOAL_BLOCKED) < blocked:
             goal = other
+    return _option_at(scene, goal), bool((reason == Reason.GOAL_BLOCKED).any())
+
+
+def _option_at(scene: Scene, goal: Angles) -> Ints:
+    # the option of each robot that is nearest to a goal, (n,)
     away = np.abs(scene.options - goal[:, None]).max(axis=2)
     away[np.arange(scene.options.shape[1]) >= scene.option_count[:, None]] = np.inf
-    return away.argmin(axis=1), bool((reason == Reason.GOAL_BLOCKED).any())
+    return away.argmin(axis=1)
 
 
 def _least_mm(

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pair bound: the best that any motion can do, as neighbours exclude each other's ends."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fiber_core.clearance import neighbour_pairs
+from fiber_core.outcomes import Reason
+from fiber_core.problem import Problem
+from fiber_core.wire_units import WireUnits
+from fiber_planner.direct.reachability import reachable
+from fiber_planner.goal_program import goal_program, least_time_s, most_goals, robots_with_goals
+from fiber_planner.goal_selection import choose_goals, lower_bound_s, travel_s
+
+__all__ = ["PairBound", "pair_bound"]
+
+
+class PairBound(NamedTuple):
+    """Bounds of every certified motion.
+
+    Args:
+        robots: at most as many robots can reach their targets in one motion.
+        time_s: a motion in which as many do lasts at least as long, up to the rounding of its end
+            to quanta and ticks [s].
+        proven: whether the search for these figures was complete.
+    """
+
+    robots: int
+    time_s: float
+    proven: bool
+
+
+def pair_bound(problem: Problem, margin_mm: float = 0.05) -> PairBound:
+    """Return how many robots can reach their targets in one motion, and in what time at least.
+
+    At the end of a certified motion every robot on its target has one of two elbows, and every pair
+    keeps the margin, less what the rounding to quanta can cost. So the elbows are a solution of the
+    integer program of `goal_program`, which leaves out all that robots without targets need, and
+    all of the way. A robot at an elbow has turned its joints from their start by the difference at
+    least, at its highest speed: if the motion lasts T, no elbow is used that needs more than T. The
+    least T with which the program still places its largest number of robots is the bound.
+    It is never less than the time of the slowest of those robots alone (`lower_bound_s`).
+
+    Args:
+        problem: the plane, the present joint angles and the targets.
+        margin_mm: gap between outlines that the certificate requires at every instant [mm].
+    """
+    plane = problem.plane
+    can = reachable(problem, neighbour_pairs(plane), margin_mm)
+    if not can.any():
+        return PairBound(0, 0.0, True)
+    left = replace(problem, targets=np.where(can[:, None], problem.targets, np.nan))
+    goal, reason = choose_goals(left, margin_mm)
+    alone_s = lower_bound_s(left)
+    if (reason[can] == Reason.OK).all() and travel_s(left, goal)[can].max() <= alone_s:
+        return PairBound(int(can.sum()), alone_s, True)  # nothing is in the way
+    rounding_mm = 2.0 * WireUnits.for_plane(plane).quantum_rad * float(plane.reach_mm.max())
+    program = goal_program(problem, can, max(0.0, margin_mm - rounding_mm))
+    chosen, proven = most_goals(program)
+    robots = robots_with_goals(chosen)
+    return PairBound(robots, least_time_s(program, robots), proven)

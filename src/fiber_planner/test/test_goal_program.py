@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The integer program of goals, against enumeration of all choices."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from fiber_core import kinematics
+from fiber_core.clearance import gaps, neighbour_pairs
+from fiber_core.fields import random_problem
+from fiber_core.outcomes import Reason
+from fiber_core.presets import preset
+from fiber_core.problem import Problem
+from fiber_planner import make_planner, pair_bound, travel_s
+from fiber_planner.goal_program import goal_program, least_time_s, most_goals, robots_with_goals
+
+MARGIN = 0.1
+
+
+def on_target(problem, goal):
+    tips = kinematics.forward(problem.plane, goal)[1]
+    return np.linalg.norm(tips - problem.targets, axis=1)
+
+
+def fastest(problem):
+    angles, valid = kinematics.inverse(problem.plane, problem.targets)
+    return np.where(valid, travel_s(problem, angles), np.inf).min(axis=1)
+
+
+def crowded_field(seed, n=7, name="desi_outlines"):
+    """Targets drawn with no regard to each other: some can only be reached by one of two robots."""
+    rng = np.random.default_rng(seed)
+    plane = preset(name, n).with_enabled(rng.random(n) < 0.85)
+    start = random_problem(plane, rng).start
+    distance, turn = plane.arms[0].sum() * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
+    offset = distance[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return Problem(plane, start, plane.centers + np.where(plane.enabled[:, None], offset, np.nan))
+
+
+def choices(problem):
+    """The largest number of robots with clear goals, and the least time of their slowest [s]."""
+    plane, pairs = problem.plane, neighbour_pairs(problem.plane)
+    angles, valid = kinematics.inverse(plane, problem.targets)
+    poses = [
+        [None, *angles[i][valid[i]]] if plane.enabled[i] else ["stays"] for i in range(plane.n)
+    ]
+    best, soonest = 0, np.inf
+    for choice in product(*poses):
+        placed = np.array([pose is not None for pose in choice])
+        count = np.count_nonzero(placed & plane.enabled)
+        if count < best:
+            continue
+        at = [problem.start[i] if isinstance(p, str) else p for i, p in enumerate(choice)]
+        at = np.array([problem.start[i] if p is None else p for i, p in enumerate(at)])
+        both = pairs[placed[pairs].all(axis=1)]
+        if not len(both) or gaps(plane, both, at).min() >= MARGIN:
+            moves = placed & plane.enabled
+            time = travel_s(problem, at)[moves].max(initial=0.0)
+            soonest = min(time, soonest) if count == best else time
+            best = count
+    return best, soonest
+
+
+@pytest.mark.parametrize("name", ["desi_outlines", "moons"])
+def test_enumeration_finds_no_more_robots_and_no_shorter_time(name):
+    given_up = later = 0
+    for seed in range(12):
+        problem = crowded_field(seed, name=name)
+        seeking = np.isfinite(fastest(problem)) & problem.plane.enabled
+        program = goal_program(problem, seeking, MARGIN)
+        robots, soonest = choices(problem)
+        chosen, proven = most_goals(program)
+        assert proven and (chosen[~seeking] < 0).all()
+        assert robots_with_goals(chosen) == robots, seed
+        assert least_time_s(program, robots) == pytest.approx(soonest, abs=1e-12), seed
+        chosen, _ = most_goals(program, soonest, soonest=True)
+        assert robots_with_goals(chosen) == robots
+        given_up += np.count_nonzero(seeking) - robots
+        later += soonest > fastest(problem)[chosen >= 0].max(initial=0.0) + 1e-6
+    assert given_up > 2
+    assert later > 2 or name != "moons"
+
+
+def test_direct_brings_all_others_to_their_targets():
+    # without the test of ends, conflicts of goals last through all makespans
+    for seed in range(5):
+        problem = crowded_field(seed, 61)
+        plan = make_planner("direct").plan(problem)
+        lost = np.count_nonzero(plan.reason == Reason.GOAL_BLOCKED)
+        assert lost and np.count_nonzero(plan.reason == Reason.NOT_CONVERGED) <= 1
+        arrives = plan.reason == Reason.OK
+        assert on_target(problem, plan.motion.end)[arrives].max() < 1e-9
+
+
+def test_no_plan_beats_the_pair_bound():
+    refused = 0
+    for seed in range(3):
+        problem = crowded_field(seed, 37, "moons")
+        plan, bound = make_planner("direct", shortening=0.0).plan(problem), pair_bound(problem)
+        arrived = np.count_nonzero(plan.reason == Reason.OK)
+        assert bound.proven and arrived <= bound.robots
+        assert arrived < bound.robots or plan.motion.makespan_s >= bound.time_s
+        refused += np.count_nonzero(problem.asked) - bound.robots
+    assert refused
