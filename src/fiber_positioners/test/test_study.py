@@ -40,6 +40,11 @@ def test_a_case_without_figures_of_its_own_is_the_preset():
         assert carried_out[name] == report[name]
 
 
+def test_a_plane_with_walls_and_scatter_is_no_case():
+    with pytest.raises(FiberError, match="preset desi_petals is no plain grid"):
+        Case(preset="desi_petals").check()
+
+
 def test_figures_of_a_case_replace_those_of_the_preset():
     case = Case(robots=7, pitch_mm=12.0, arms_mm=(3.0, 2.5), radius_mm=0.8)
     plane = case.plane(np.random.default_rng(1))

@@ -22,6 +22,8 @@ from fiber_positioners.study import (
     summarize,
 )
 
+_GRIDS = sorted(name for name, figures in PRESETS.items() if figures.build is None)
+
 __all__ = ["DESCRIPTION", "SUMMARY", "add_arguments", "run"]
 
 SUMMARY = "carry out fields over a grid of parameters and print a table"
@@ -42,7 +44,7 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add("--preset", choices=sorted(PRESETS), default=DEFAULT_PRESET, help="lends other figures")
+    add("--preset", choices=_GRIDS, default=DEFAULT_PRESET, help="lends other figures")
     add("--robots", type=whole_numbers, default=[300], help="numbers of robots (default 300)")
     add("--pitch", type=numbers, default=[None], metavar="MM", help="distance of neighbours [mm]")
     add("--arms", type=arm_pairs, default=[None], metavar="MM",

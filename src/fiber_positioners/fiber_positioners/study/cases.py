@@ -56,6 +56,10 @@ class Case:
         """
         if self.preset not in PRESETS:
             raise FiberError(f"no preset is named {self.preset!r}; there are {', '.join(PRESETS)}")
+        if PRESETS[self.preset].build is not None:
+            raise FiberError(
+                f"preset {self.preset} is no plain grid of equal robots, which a study varies"
+            )
         lengths = {"pitch": self.pitch_mm, "radius": self.radius_mm}
         lengths |= dict(zip(("theta arm", "phi arm"), self.arms_mm or ()))
         for name, value in lengths.items():
