@@ -106,9 +106,9 @@ KEYS = {
     "gi": "python3-gi",
     "smbus2": "python3-smbus2",
 }
-# Without a rosdep key: fastcrc and selenium are for tests, rosbags for the command `bag` alone,
-# which says what to install.
-UNDECLARED = {"fastcrc", "selenium", "rosbags"}
+# Without a rosdep key: fastcrc, selenium and its axe are for tests, rosbags for the command `bag`
+# alone, which says what to install.
+UNDECLARED = {"fastcrc", "selenium", "selenium_axe_python", "rosbags"}
 OPTIONAL = {"vcd"}  # without a rosdep key; imported where it is used, if installed
 
 
