@@ -177,8 +177,10 @@ def _reconfigure(problem: Problem, options: argparse.Namespace, display: Progres
         ) as client:
             client.wait_for_graph(options.timeout, also=("recorder",))
             times.append(time.monotonic())
-            asked = problem.asked
-            stamp = client.send_targets(problem.plane.ids[asked], problem.targets[asked])
+            asked, plane = problem.asked, problem.plane
+            stamp = client.send_targets(
+                plane.ids[asked], problem.targets[asked], plane.fibre[asked]
+            )
             client.wait_until_ready(stamp, options.timeout)
             times.append(time.monotonic())
             client.start(options.timeout)

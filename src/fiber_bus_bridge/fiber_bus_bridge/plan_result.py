@@ -29,14 +29,21 @@ class Plan:
     Args:
         motion: orders of every robot, from the positions of the encoders.
         goals: target of each fibre [mm], shape (n, 2), nan = no target.
+        fibre: number of the fibre that each target is for, -1 for any, shape (n,).
     """
 
     motion: WireMotion
     goals: Points
+    fibre: Ints
 
     @classmethod
     def of(
-        cls, plane: FocalPlane, motion: WireMotion, counts: Counts, targets: ArrayLike | None
+        cls,
+        plane: FocalPlane,
+        motion: WireMotion,
+        counts: Counts,
+        targets: ArrayLike | None,
+        fibre: ArrayLike | None = None,
     ) -> "Plan":
         """Make a plan of orders.
 
@@ -46,18 +53,23 @@ class Plan:
             counts: encoders now [quanta], shape (n, 2).
             targets: target of each fibre [mm], shape (n, 2), nan = no target; None for the ends of
                 the orders of the robots that move.
+            fibre: number of the fibre that each target is for, -1 for any, shape (n,); by default
+                that of the plane.
 
         Raises:
             SessionError: the targets do not fit the plane.
+            LayoutError: a robot has no such fibre.
         """
+        plane = plane if fibre is None else plane.with_fibre(fibre)
         if targets is None:
-            ends = kinematics.forward(plane, motion.units.to_angles(motion.end))[1]
+            nowhere = np.full((plane.n, 2), np.nan)
+            ends = kinematics.on_target(plane, motion.units.to_angles(motion.end), nowhere).place
             moves = motion.moves
             targets = np.where(moves[:, None], ends, np.nan)
         goals = np.array(targets, dtype=float)
         if goals.shape != (plane.n, 2):
             raise SessionError(f"targets have shape {goals.shape}, expected {(plane.n, 2)}")
-        return cls(motion.starting_at(counts), goals)
+        return cls(motion.starting_at(counts), goals, plane.fibre)
 
     @property
     def asked(self) -> Mask:
@@ -112,7 +124,7 @@ class PlanResult:
     Args:
         outcome: Outcome, shape (n,).
         reason: Reason, shape (n,).
-        error_mm: distance of the tip, by the encoders, from its target [mm], nan without a
+        error_mm: distance of the fibre, by the encoders, from its target [mm], nan without a
             target, shape (n,).
     """
 
@@ -158,8 +170,9 @@ def evaluate(
         tolerance_mm: distance from its target within which a tip has reached it [mm].
     """
     units = plan.motion.units
-    tips = kinematics.forward(plane, units.to_angles(counts))[1]
-    error = np.linalg.norm(tips - plan.goals, axis=1)
+    angles = units.to_angles(counts)
+    tips = kinematics.forward(plane, angles)[1]
+    error = kinematics.on_target(plane.with_fibre(plan.fibre), angles, plan.goals).error_mm
     concerned = plan.asked | plan.moves
     off, failed = np.zeros(plane.n, dtype=bool), cause != Reason.OK
 

@@ -228,13 +228,20 @@ class Session:
         """
         return self._call(Event.CONFIGURE, t)
 
-    def submit(self, motion: WireMotion, targets: ArrayLike | None = None) -> PlanResult | None:
+    def submit(
+        self,
+        motion: WireMotion,
+        targets: ArrayLike | None = None,
+        fibre: ArrayLike | None = None,
+    ) -> PlanResult | None:
         """Accept the orders of the next plan; no frame is sent yet.
 
         Args:
             motion: orders of every robot, from the positions of the encoders.
             targets: target of each fibre [mm], shape (n, 2), nan = no target; by default the end
                 of the motion, for robots that move.
+            fibre: number of the fibre that each target is for, -1 for any, shape (n,); by default
+                that of the plane.
 
         Returns:
             The result of the waiting plan that is replaced, None without one.
@@ -248,7 +255,7 @@ class Session:
             raise SessionError(f"orders in {motion.units}, robots configured for {self.units}")
         if motion.start.shape != self.counts.shape:
             raise SessionError(f"orders for {len(motion.start)} robots, not {self.plane.n}")
-        plan = Plan.of(self.plane, motion, self.counts, targets)
+        plan = Plan.of(self.plane, motion, self.counts, targets, fibre)
         off = np.abs(motion.start - self.counts).max(axis=1, initial=0) * self.units.quantum_rad
         wrong = plan.moves & self.known & (off > self.config.start_tolerance_rad)
         if wrong.any():

@@ -19,7 +19,7 @@ def unexecuted(
     """Return the result in which every robot is held where it is.
 
     Args:
-        plane: the focal plane.
+        plane: the focal plane, with the fibre that each target is for.
         angles: joint angles now [rad], shape (n, 2).
         goals: target of each fibre [mm], shape (n, 2), nan = no target; None if the targets could
             not be read, and then the reason is that of every robot.
@@ -29,6 +29,6 @@ def unexecuted(
     if goals is None:
         return PlanResult(held, np.full(plane.n, int(reason)), np.full(plane.n, np.nan))
     goals = np.asarray(goals, dtype=float)
-    error_mm = np.linalg.norm(kinematics.forward(plane, angles)[1] - goals, axis=1)
+    error_mm = kinematics.on_target(plane, angles, goals).error_mm
     asked = np.all(np.isfinite(goals), axis=1)
     return PlanResult(held, np.where(asked, reason, Reason.NO_TARGET), error_mm)

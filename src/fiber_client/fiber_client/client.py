@@ -114,12 +114,16 @@ class PlaneClient(PlaneMonitor):
 
         self.wait_for(complete, timeout_s, lambda: ", ".join(missing()))
 
-    def send_targets(self, ids: ArrayLike, xy_mm: ArrayLike) -> PlanStamp:
+    def send_targets(
+        self, ids: ArrayLike, xy_mm: ArrayLike, fibre: ArrayLike | None = None
+    ) -> PlanStamp:
         """Send targets for the fibres of some robots; planning begins at once.
 
         Args:
             ids: robot ids, shape (k,).
             xy_mm: targets in the focal plane [mm], shape (k, 2).
+            fibre: number of the fibre that each target is for, -1 for any, shape (k,); by default
+                any.
 
         Returns:
             The stamp that names the plan.
@@ -130,7 +134,7 @@ class PlaneClient(PlaneMonitor):
         # a simulated clock may rest: two plans still need two stamps
         self._last_ns = max(self.now_ns(), self._last_ns + 1)
         now = PlanStamp(self._last_ns)
-        return self.send_message(targets.encode(ids, xy_mm, now, self.session))
+        return self.send_message(targets.encode(ids, xy_mm, now, self.session, fibre))
 
     def send_message(self, message: PointCloud2) -> PlanStamp:
         """Send a targets message as it is; return its stamp, which names the plan.

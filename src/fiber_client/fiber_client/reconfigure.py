@@ -21,7 +21,7 @@ from rclpy.utilities import remove_ros_args
 from fiber_client.client import PlaneClient
 from fiber_client.errors import PlaneError
 from fiber_client.terminal import ProgressDisplay, table
-from fiber_core.array_types import Ids, Points
+from fiber_core.array_types import Ids, Ints, Points
 from fiber_core.errors import FiberError
 from fiber_core.fields import random_field
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
@@ -77,9 +77,9 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
             folded = client.home(options.timeout)
         reached = folded.count(Outcome.REACHED)
         display.say(f"home: {reached} of {len(folded.ids)} robots folded")
-    ids, xy_mm = _targets(client, options.targets, display)
+    ids, xy_mm, fibre = _targets(client, options.targets, display)
     with client.stops_on_error(options.timeout):  # stop ends planning too
-        stamp = client.send_targets(ids, xy_mm)
+        stamp = client.send_targets(ids, xy_mm, fibre)
         client.wait_until_ready(stamp, options.timeout)
     if options.no_start:
         display.say(f"plan {stamp}: its orders are ready; call the service start to start them")
@@ -97,18 +97,22 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
     return 0 if went_well(outcome) else 1
 
 
-def _targets(client: PlaneClient, source: str, display: ProgressDisplay) -> tuple[Ids, Points]:
+def _targets(
+    client: PlaneClient, source: str, display: ProgressDisplay
+) -> tuple[Ids, Points, Ints | None]:
+    # ids, targets and the fibres that they are for
     if source != "random" and not source.startswith("random:"):
         found = read_targets(source, client.plane)
         for line in (found.summary, *found.notices):
             display.say(line)
-        return found.ids, found.xy_mm
+        return found.ids, found.xy_mm, None
     seed = source.partition(":")[2] or "0"
     if not seed.isdigit():
         raise PlaneError(f"{source}: the seed {seed!r} is not a whole number")
     rng = np.random.default_rng(int(seed))
     problem = random_field(client.plane, rng, start=client.angles).problem
-    return client.plane.ids[problem.asked], problem.targets[problem.asked]
+    asked = problem.asked
+    return client.plane.ids[asked], problem.targets[asked], problem.plane.fibre[asked]
 
 
 def went_well(outcome: PlanOutcome) -> bool:

@@ -2,13 +2,14 @@
 """Assignments: which targets a focal plane accepts, and why it refuses the others."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Bools, Codes, Floats, Ids, Mask, Pairs, Points, Rows
+from fiber_core.array_types import Angles, Codes, Floats, Ids, Mask, Pairs, Points, Rows
 from fiber_core.clearance import Safety, gaps, neighbour_pairs
 from fiber_core.errors import TargetsError
 from fiber_core.focal_plane import FocalPlane
@@ -78,9 +79,9 @@ class Assignment:
         return f"robot {robot}: target ({x:.4g}, {y:.4g}) mm {self._because(row, reason)}"
 
     def _because(self, row: int, reason: Reason) -> str:
-        arm1, arm2 = self.plane.arms[row]
+        nearest, farthest = (ends[row] for ends in kinematics.distance_range(self.plane))
         distance = np.hypot(*(self.asked_mm[row] - self.plane.centers[row]))
-        reach = f"reach {abs(arm1 - arm2):.4g}..{arm1 + arm2:.4g} mm"
+        reach = f"reach {nearest:.4g}..{farthest:.4g} mm"
         limits = np.rad2deg(self.plane.limits[row])
         ranges = "theta {:.4g}..{:.4g}, phi {:.4g}..{:.4g} deg".format(*limits.ravel())
         match reason:
@@ -151,9 +152,9 @@ def assign(
     low, high = np.moveaxis(plane.limits, -1, 0)
     outside = ((start < low - _ENCODER_RAD) | (start > high + _ENCODER_RAD)).any(axis=1)
     stuck = ~plane.enabled | outside
-    solutions, valid = kinematics.inverse(plane.with_fixed_joints_at(start), asked)
+    solutions = kinematics.solutions(plane.with_fixed_joints_at(start), asked)
     distance = np.hypot(*(asked - plane.centers).T)
-    nearest, farthest = np.abs(plane.arms[:, 0] - plane.arms[:, 1]), plane.arms.sum(axis=1)
+    nearest, farthest = kinematics.distance_range(plane)
     rim = kinematics.RIM_MM
 
     reason = np.full(plane.n, Reason.NO_TARGET, dtype=np.int64)
@@ -162,12 +163,12 @@ def assign(
         (Reason.DISABLED, ~plane.enabled),
         (Reason.START_OUTSIDE_LIMITS, outside),
         (Reason.UNREACHABLE, (distance > farthest + rim) | (distance < nearest - rim)),
-        (Reason.OUTSIDE_JOINT_RANGE, ~valid.any(axis=1)),
+        (Reason.OUTSIDE_JOINT_RANGE, ~solutions.valid.any(axis=1)),
     ):
         reason[(reason == Reason.OK) & applies] = code
     blocker = np.full(plane.n, -1)
     pairs = neighbour_pairs(plane, max(1.0, margin_mm)) if pairs is None else np.asarray(pairs)
-    _refuse_blocked(plane, start, stuck, solutions, valid, pairs, margin_mm, reason, blocker)
+    _refuse_blocked(plane, start, stuck, solutions, pairs, margin_mm, reason, blocker)
     _refuse_close(spacing_mm, asked, reason, blocker)
     for value in (asked, reason, blocker):
         value.setflags(write=False)
@@ -203,14 +204,14 @@ def _refuse_blocked(
     plane: FocalPlane,
     start: Angles,
     stuck: Mask,
-    solutions: Floats,
-    valid: Bools,
+    solutions: kinematics.Solutions,
     pairs: Pairs,
     margin_mm: float,
     reason: Codes,
     blocker: Rows,
 ) -> None:
-    # Turns of a joint do not change the outlines: one configuration represents each elbow.
+    # Turns of a joint do not change the outlines: one configuration represents each elbow of each
+    # fibre.
     # stuck: robots that cannot move; reason and blocker are filled in.
     fixed = np.concatenate([stuck, np.ones(plane.fixtures, dtype=np.bool_)])
     a, b = pairs.astype(np.int64).reshape(-1, 2).T
@@ -218,10 +219,11 @@ def _refuse_blocked(
     facing = facing[fixed[facing[:, 1]] & (facing[:, 0] < plane.n)]
     facing = facing[reason[facing[:, 0]] == Reason.OK]
     blocked = np.ones(plane.n, dtype=np.bool_)
-    bent_left = np.sin(solutions[..., 1]) >= 0
-    for elbow in (valid & bent_left, valid & ~bent_left):
+    valid, is_left = solutions.valid, solutions.is_left
+    for fibre, side in product(range(plane.fibre_offsets.shape[1]), (is_left, ~is_left)):
+        elbow = valid & side & (solutions.fibre == fibre)
         has: Mask = np.any(elbow, axis=1)
-        chosen = solutions[np.arange(plane.n), elbow.argmax(axis=1)]
+        chosen = solutions.angles[np.arange(plane.n), elbow.argmax(axis=1)]
         gap = gaps(
             plane, np.sort(facing, axis=1), np.where(has[:, None] & ~stuck[:, None], chosen, start)
         )

@@ -20,6 +20,7 @@ from fiber_core.clearance import (
     pair_gap_below,
 )
 from fiber_core.errors import FieldError
+from fiber_core.fibres import ANY_FIBRE
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
 from fiber_core.validation import frozen_array
@@ -60,6 +61,7 @@ def random_field(
     elbow and turn inside the joint ranges is equally likely. Only robots in conflict are drawn
     again: after some tries a robot takes its place, and the robots in its way lose theirs.
     Disabled robots start at such a place and stay there, as do robots without a target.
+    On a plane with fibres each target is for a random one of those that it may have.
 
     Args:
         plane: the focal plane.
@@ -87,7 +89,11 @@ def random_field(
         if len(not_finite):
             raise FieldError(f"robot {not_finite[0]}: its start is not finite", not_finite)
     goal = _arrange(plane, rng, neighbours, asked, start, gap_mm, spacing_mm, "goal")
-    targets = np.where(asked[:, None], kinematics.forward(plane, goal)[1], np.nan)
+    if plane.fibres.shape[1]:
+        named = rng.integers(plane.fibres.shape[1], size=plane.n)
+        plane = plane.with_fibre(np.where(plane.fibre == ANY_FIBRE, named, plane.fibre))
+    places = kinematics.on_target(plane, goal, np.full((plane.n, 2), np.nan)).place
+    targets = np.where(asked[:, None], places, np.nan)
     goal.setflags(write=False)
     return Field(Problem(plane, start, targets), goal)
 

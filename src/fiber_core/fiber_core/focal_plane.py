@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fiber_core import bounds
 from fiber_core.array_types import Angles, Floats, Ids, Ints, Mask, Points, Rows, Velocities
 from fiber_core.errors import LayoutError
+from fiber_core.fibres import checked_choice, checked_fibres, checked_names
 from fiber_core.validation import frozen_array
 from fiber_core.walls import checked_walls
 
@@ -18,6 +19,10 @@ __all__ = ["FIXED_JOINT_RAD", "FocalPlane", "addresses_on"]
 
 FIXED_JOINT_RAD = 1e-5  # a joint with a narrower range is fixed: it never moves
 _ROBOTS_PER_BUS = 500  # ten controllers for 5000 robots: Kaci et al. (SPIE 9912, 2016)
+# fields that are not rows of robots, and the ids, which are numbered again in a part of a plane
+_OF_THE_PLANE = (
+    "ids", "obstacles", "walls", "spacing_mm", "envelope_mm", "name", "fibre_names"
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -56,6 +61,11 @@ class FocalPlane:
         name: preset or file from which this plane was made.
         walls: fixed convex polygons, as petal edges and cameras: corners in order [mm], shape
             (w, c, 2), a shorter polygon repeats its last corner; two corners are a line.
+        fibres: places of the fibres in the frame of the phi link [mm], shape (n, f, 2); by default
+            f = 0: one fibre at the tip, on the axis of the arm.
+        fibre_names: a name for each of the f fibres; by default their numbers.
+        fibre: number of the fibre that the target of each robot is for, -1 where any of them may
+            be on the target, shape (n,); by default -1.
 
     Raises:
         LayoutError: a shape does not fit or a value is out of range; names the robot.
@@ -78,6 +88,9 @@ class FocalPlane:
     envelope_mm: float
     name: str
     walls: Floats
+    fibres: Floats
+    fibre_names: tuple[str, ...]
+    fibre: Ints
 
     def __init__(
         self,
@@ -98,6 +111,9 @@ class FocalPlane:
         envelope_mm: float | None = None,
         name: str = "",
         walls: ArrayLike | None = None,
+        fibres: ArrayLike | None = None,
+        fibre_names: tuple[str, ...] | None = None,
+        fibre: ArrayLike | None = None,
     ):
         n = np.size(ids)
         bounds.check_number(n, "number of robots", 0, bounds.MAX_ROBOTS, LayoutError)
@@ -119,6 +135,11 @@ class FocalPlane:
         ):
             self._set(field, frozen_array(value, np.float64, shape, field, LayoutError))
         self._set("walls", checked_walls(np.zeros((0, 1, 2)) if walls is None else walls))
+        self._set(
+            "fibres", checked_fibres(np.zeros((n, 0, 2)) if fibres is None else fibres, self.ids)
+        )
+        self._set("fibre_names", checked_names(fibre_names, self.fibres.shape[1]))
+        self._set("fibre", checked_choice(fibre, max(1, self.fibres.shape[1]), self.ids))
         self._set("enabled", frozen_array(enabled, np.bool_, (n,), "enabled", LayoutError))
         self._set("spacing_mm", spacing_mm)
         self._set("envelope_mm", spacing_mm if envelope_mm is None else envelope_mm)
@@ -127,7 +148,7 @@ class FocalPlane:
         self._check_values()
         self._check_addresses()
 
-    def _set(self, field: str, value: NDArray[Any] | float | str) -> None:
+    def _set(self, field: str, value: NDArray[Any] | float | str | tuple[str, ...]) -> None:
         object.__setattr__(self, field, value)  # the class is frozen
 
     def _check_ids(self) -> None:
@@ -214,6 +235,15 @@ class FocalPlane:
         reach.setflags(write=False)
         return reach
 
+    @cached_property
+    def fibre_offsets(self) -> Floats:
+        """Places of all fibres in the frame of the phi link [mm], shape (n, f, 2), f >= 1."""
+        if self.fibres.shape[1]:
+            return self.fibres
+        tips = np.stack([self.arms[:, 1], np.zeros(self.n)], axis=1)[:, None]
+        tips.setflags(write=False)
+        return tips
+
     def index_of(self, ids: ArrayLike) -> Rows:
         """Return the row of each id, -1 where the plane has no such robot; shape as ids."""
         ids = np.asarray(ids, dtype=np.int64)
@@ -225,6 +255,19 @@ class FocalPlane:
     def with_enabled(self, enabled: ArrayLike) -> "FocalPlane":
         """Return the same plane with another set of enabled robots, shape (n,)."""
         return replace(self, enabled=enabled)
+
+    def with_fibre(self, fibre: ArrayLike | None) -> "FocalPlane":
+        """Return the same plane with another choice of fibres; itself if that changes nothing.
+
+        Args:
+            fibre: number of the fibre that each target is for, -1 for any, shape (n,); None for
+                any.
+
+        Raises:
+            LayoutError: a robot has no such fibre; names it.
+        """
+        chosen = checked_choice(fibre, max(1, self.fibres.shape[1]), self.ids)
+        return self if np.array_equal(chosen, self.fibre) else replace(self, fibre=chosen)
 
     def with_fixed_joints_at(self, start: Angles) -> "FocalPlane":
         """Return the same plane with the limits of each fixed joint at its present angle.
@@ -253,7 +296,7 @@ class FocalPlane:
         rows = {
             field.name: getattr(self, field.name)[order]
             for field in fields(self)
-            if field.name not in ("ids", "obstacles", "walls", "spacing_mm", "envelope_mm", "name")
+            if field.name not in _OF_THE_PLANE
         }
         return replace(self, ids=np.arange(len(order)), **rows)
 

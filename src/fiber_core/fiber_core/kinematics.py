@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forward and inverse kinematics: joint angles to elbow and tip, and back."""
+"""Forward and inverse kinematics: joint angles to elbow, tip and fibres, and back."""
 
 import math
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
@@ -10,7 +11,20 @@ from numpy.typing import ArrayLike
 from fiber_core.array_types import Bools, Floats, Ints, Points
 from fiber_core.focal_plane import FocalPlane
 
-__all__ = ["RIM_MM", "configurations", "forward", "inverse", "jacobian", "most_configurations"]
+__all__ = [
+    "RIM_MM",
+    "OnTarget",
+    "Solutions",
+    "configurations",
+    "distance_range",
+    "fibre_places",
+    "forward",
+    "inverse",
+    "jacobian",
+    "most_configurations",
+    "on_target",
+    "solutions",
+]
 
 _TURN = 2 * math.pi
 RIM_MM = 1e-9  # a point this far outside the annulus is on its rim
@@ -59,30 +73,128 @@ def jacobian(plane: FocalPlane, angles: ArrayLike) -> Floats:
     return np.stack([by_theta, by_phi], axis=-1)
 
 
-def inverse(plane: FocalPlane, tips: ArrayLike) -> tuple[Floats, Bools]:
-    """Return every configuration that puts a tip on a point: both elbows, all turns in range.
+def fibre_places(plane: FocalPlane, angles: ArrayLike) -> Floats:
+    """Return where all fibres are for given joint angles [mm], shape (n, f, 2), f >= 1.
 
     Args:
         plane: the focal plane.
-        tips: points in the focal plane [mm], shape (n, 2); nan gives no solution.
+        angles: joint angles theta, phi [rad], shape (n, 2).
+    """
+    if not plane.fibres.shape[1]:
+        return forward(plane, angles)[1][:, None]
+    elbow = forward(plane, angles)[0]
+    along = _unit(np.asarray(angles, dtype=float).sum(axis=1))
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    x, y = np.moveaxis(plane.fibres, -1, 0)[..., None]
+    return elbow[:, None] + x * along[:, None] + y * across[:, None]
+
+
+class OnTarget(NamedTuple):
+    """The fibre of each robot that counts for its target, and where it is.
+
+    Args:
+        fibre: number of the fibre that the target names, or of the one nearest to the target;
+            0 for a robot without target that names none, shape (n,).
+        place: where that fibre is [mm], shape (n, 2).
+        error_mm: its distance from the target [mm], nan without target, shape (n,).
+    """
+
+    fibre: Ints
+    place: Points
+    error_mm: Floats
+
+
+def on_target(plane: FocalPlane, angles: ArrayLike, targets: ArrayLike) -> OnTarget:
+    """Return which fibre of each robot is on its target, or nearest to it.
+
+    Args:
+        plane: the focal plane, with the fibre that each target is for.
+        angles: joint angles theta, phi [rad], shape (n, 2).
+        targets: targets [mm], shape (n, 2), nan = no target.
+    """
+    places, targets = fibre_places(plane, angles), np.asarray(targets, dtype=float)
+    away = np.linalg.norm(places - targets[:, None], axis=2)
+    nearest = np.where(np.isnan(away), np.inf, away).argmin(axis=1)
+    fibre = np.where(plane.fibre >= 0, plane.fibre, nearest)
+    rows = np.arange(plane.n)
+    return OnTarget(fibre, places[rows, fibre], away[rows, fibre])
+
+
+def distance_range(plane: FocalPlane) -> tuple[Floats, Floats]:
+    """Return how near to and how far from its centre each robot can bring its fibre [mm], (n,).
+
+    Of a robot whose target may have any fibre, the nearest and the farthest of all its fibres.
+    """
+    lever = np.hypot(*np.moveaxis(plane.fibre_offsets, -1, 0))
+    near, far = np.abs(plane.arms[:, :1] - lever), plane.arms[:, :1] + lever
+    named = (plane.fibre >= 0) & (plane.fibre[:, None] != np.arange(lever.shape[1])).T
+    return (
+        np.where(named.T, np.inf, near).min(axis=1),
+        np.where(named.T, -np.inf, far).max(axis=1),
+    )
+
+
+class Solutions(NamedTuple):
+    """Every configuration that puts a fibre on a point.
+
+    Args:
+        angles: joint angles [rad], shape (n, s, 2); nan where there is no solution.
+        valid: which of them are solutions inside the joint limits, shape (n, s).
+        fibre: number of the fibre that is on the point, shape (n, s).
+        is_left: whether the elbow is the left one of that fibre, shape (n, s).
+    """
+
+    angles: Floats
+    valid: Bools
+    fibre: Ints
+    is_left: Bools
+
+
+def inverse(plane: FocalPlane, points: ArrayLike) -> tuple[Floats, Bools]:
+    """Return every configuration that puts a fibre on a point, as `solutions` does.
+
+    Args:
+        plane: the focal plane, with the fibre that each target is for.
+        points: points in the focal plane [mm], shape (n, 2); nan gives no solution.
 
     Returns:
-        Joint angles [rad], shape (n, s, 2), and which of them are solutions inside the
-        joint limits, shape (n, s). The solutions come first in the row of a robot, phi
-        turned counter-clockwise before clockwise; the other entries are nan. A point up to 1e-9 mm
-        outside the annulus counts as on its rim, an angle up to 1e-6 rad beyond a stop
-        counts as on the stop. At the centre of a robot with equal arms every theta is a
-        solution; the middle of the range of theta represents them.
+        Joint angles [rad], shape (n, s, 2), and which of them are solutions, shape (n, s).
     """
-    offsets = np.asarray(tips, dtype=float) - plane.centers
-    angles = np.full((plane.n, most_configurations(plane), 2), np.nan)
-    count = _inverse(plane.arms, offsets, plane.limits, angles)
+    found = solutions(plane, points)
+    return found.angles, found.valid
+
+
+def solutions(plane: FocalPlane, points: ArrayLike) -> Solutions:
+    """Return every configuration that puts a fibre on a point: both elbows, all turns in range.
+
+    The solutions come first in the row of a robot, by fibre, phi
+    turned counter-clockwise before clockwise; the other entries are nan. A point up to 1e-9 mm
+    outside the annulus counts as on its rim, an angle up to 1e-6 rad beyond a stop
+    counts as on the stop. At the centre of a robot with equal arms every theta is a
+    solution; the middle of the range of theta represents them.
+
+    A fibre beside the axis of the arm is at the end of a link of its own: its length is the
+    distance of the fibre from the elbow, and its angle is phi plus a constant.
+
+    Args:
+        plane: the focal plane, with the fibre that each target is for.
+        points: points in the focal plane [mm], shape (n, 2); nan gives no solution.
+    """
+    offsets = np.asarray(points, dtype=float) - plane.centers
+    fibres = plane.fibre_offsets
+    most = most_configurations(plane)
+    angles = np.full((plane.n, most * fibres.shape[1], 2), np.nan)
+    fibre = np.zeros(angles.shape[:2], dtype=np.int64)
+    count = _inverse(plane.arms, offsets, plane.limits, fibres, plane.fibre, angles, fibre, most)
     used = max(1, count.max(initial=0))
-    return angles[:, :used].copy(), np.arange(used) < count[:, None]
+    angles, fibre = angles[:, :used].copy(), fibre[:, :used].copy()
+    aside = np.arctan2(fibres[..., 1], fibres[..., 0])
+    bend = angles[..., 1] + np.take_along_axis(aside, fibre, axis=1)
+    return Solutions(angles, np.arange(used) < count[:, None], fibre, np.sin(bend) >= 0)
 
 
 def most_configurations(plane: FocalPlane) -> int:
-    """Return the most rows that `configurations` needs for any robot of a plane."""
+    """Return the most rows that `configurations` needs for one fibre of any robot of a plane."""
     span = np.diff(plane.limits, axis=2).reshape(-1, 2).max(axis=0, initial=0.0)
     theta_turns, phi_turns = (math.floor((most + 2 * _STOP_RAD) / _TURN) + 1 for most in span)
     return (
@@ -137,10 +249,33 @@ def configurations(
 
 
 @nb.njit(cache=True)
-def _inverse(arms: Floats, offsets: Points, limits: Floats, angles: Floats) -> Ints:
-    # Fills in the configurations of each robot; returns their number, shape (n,).
+def _inverse(
+    arms: Floats,
+    offsets: Points,
+    limits: Floats,
+    fibres: Floats,
+    named: Ints,
+    angles: Floats,
+    fibre: Ints,
+    most: int,
+) -> Ints:
+    # Fills in the configurations of each robot and their fibres; returns their number, shape (n,).
     count = np.zeros(len(arms), dtype=np.int64)
+    shifted = np.empty((2, 2))
     for i in range(len(arms)):
         x, y = offsets[i]
-        count[i] = configurations(arms[i, 0], arms[i, 1], x, y, limits[i], angles[i])
+        for k in range(fibres.shape[1]):
+            if named[i] >= 0 and named[i] != k:
+                continue
+            lever = math.hypot(fibres[i, k, 0], fibres[i, k, 1])
+            aside = math.atan2(fibres[i, k, 1], fibres[i, k, 0])
+            shifted[0, 0], shifted[0, 1] = limits[i, 0, 0], limits[i, 0, 1]
+            shifted[1, 0], shifted[1, 1] = limits[i, 1, 0] + aside, limits[i, 1, 1] + aside
+            begin = count[i]
+            out = angles[i, begin : begin + most]
+            count[i] += configurations(arms[i, 0], lever, x, y, shifted, out)
+            for s in range(begin, count[i]):
+                phi = angles[i, s, 1] - aside
+                angles[i, s, 1] = min(max(phi, limits[i, 1, 0]), limits[i, 1, 1])
+                fibre[i, s] = k
     return count

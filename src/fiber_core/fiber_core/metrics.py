@@ -55,15 +55,14 @@ def plan_metrics(
 
     Returns:
         Plain numbers and strings, ready for JSON. Segments are counted per motor that
-        moves. The end error is the distance from the tip at the end of the motion to
+        moves. The end error is the distance from the fibre at the end of the motion to
         the target, over the robots that reached their target.
     """
     plane = problem.plane
     asked = problem.asked
     reached = asked & (outcome == Outcome.REACHED)
-    error_um: Floats = 1e3 * np.linalg.norm(
-        kinematics.forward(plane, motion.end)[1][reached] - problem.targets[reached], axis=1
-    )
+    error_mm = kinematics.on_target(plane, motion.end, problem.targets).error_mm
+    error_um: Floats = 1e3 * error_mm[reached]
     segments = motion.counts[motion.counts > 0]
     bound = lower_bound_s(problem)
     codes, counts = np.unique(reason[asked], return_counts=True)

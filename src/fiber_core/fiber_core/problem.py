@@ -91,7 +91,7 @@ def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
         problem: the problem.
     """
     plane = problem.plane
-    return {
+    columns: dict[str, NDArray[Any]] = {
         "id": plane.ids,
         "center_mm": plane.centers,
         "arm_mm": plane.arms,
@@ -112,6 +112,13 @@ def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
         "envelope_mm": np.array(plane.envelope_mm),
         "name": np.array(plane.name),
     }
+    if plane.fibres.shape[1]:
+        columns |= {
+            "fibre_mm": plane.fibres,
+            "fibre_names": np.array(plane.fibre_names),
+            "fibre": plane.fibre,
+        }
+    return columns
 
 
 def save_problem(path: FilePath, problem: Problem) -> None:
@@ -146,8 +153,8 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
     """Return the problem in named arrays.
 
     Args:
-        data: named arrays, as from problem_columns; outlines, discs, walls, buses, spacing,
-            envelope and name may be missing.
+        data: named arrays, as from problem_columns; outlines, discs, walls, fibres, buses,
+            spacing, envelope and name may be missing.
         name: name of the plane if the arrays hold none.
 
     Raises:
@@ -182,6 +189,9 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
         envelope_mm=float(frozen_array(envelope, np.float64, (), "envelope_mm", LayoutError)),
         name=str(data.get("name", name)),
         walls=data.get("wall_mm"),
+        fibres=data.get("fibre_mm"),
+        fibre_names=tuple(data["fibre_names"].tolist()) if "fibre_names" in data else None,
+        fibre=data.get("fibre"),
     )
     return Problem(plane, data["start_rad"], data["target_mm"])
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiber_core.array_types import Codes, Floats, Ids, Points
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.kinematics import forward
+from fiber_core.kinematics import on_target
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
 from fiber_formats.columns import Columns
 from fiber_formats.errors import FormatError
@@ -29,6 +29,7 @@ RESULT_COLUMNS = (
     "theta_deg",
     "phi_deg",
 )
+_FIBRE = "fibre"  # only of a plane with fibres
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +40,10 @@ class Results:
         ids: robot ids, shape (n,).
         outcome: Outcome of each, shape (n,).
         reason: Reason of each, shape (n,).
-        reached_mm: where each tip is [mm], shape (n, 2).
-        error_um: distance from tip to target [um], nan without a target, shape (n,).
+        reached_mm: where the fibre of each is [mm], shape (n, 2).
+        error_um: distance from fibre to target [um], nan without a target, shape (n,).
         angles_deg: joint angles theta, phi [deg], shape (n, 2).
+        fibre: name of that fibre, empty on a plane without fibres, shape (n,).
     """
 
     ids: Ids
@@ -50,15 +52,20 @@ class Results:
     reached_mm: Points
     error_um: Floats
     angles_deg: Floats
+    fibre: NDArray[np.str_]
 
 
-def results_of(plane: FocalPlane, outcome: PlanOutcome, angles: ArrayLike) -> Results:
+def results_of(
+    plane: FocalPlane, outcome: PlanOutcome, angles: ArrayLike, targets: ArrayLike | None = None
+) -> Results:
     """Return the results of a plan.
 
     Args:
         plane: the focal plane.
         outcome: outcomes of all robots of the plane, in any order.
         angles: joint angles after the motion [rad], in the order of the plane, shape (n, 2).
+        targets: the targets [mm], shape (n, 2), nan = no target; they tell which fibre is on its
+            target where that was left open.
 
     Raises:
         FiberError: a robot of the plane has no outcome.
@@ -68,14 +75,16 @@ def results_of(plane: FocalPlane, outcome: PlanOutcome, angles: ArrayLike) -> Re
     if final.shape != (plane.n, 2):
         raise FormatError(f"angles have shape {final.shape}, expected ({plane.n}, 2)")
     ordered = outcome.of(plane.ids)
-    tips = forward(plane, final)[1]
+    targets = np.full((plane.n, 2), np.nan) if targets is None else targets
+    fibre, place, _ = on_target(plane, final, targets)
     return Results(
         plane.ids,
         np.asarray(ordered.outcome, dtype=np.int64),
         np.asarray(ordered.reason, dtype=np.int64),
-        tips,
+        place,
         1000 * np.asarray(ordered.error_mm, dtype=float),
         np.rad2deg(final),
+        np.array(plane.fibre_names or ("",), dtype=str)[fibre],
     )
 
 
@@ -85,6 +94,7 @@ def write_results(
     outcome: PlanOutcome,
     angles: ArrayLike,
     form: str | None = None,
+    targets: ArrayLike | None = None,
 ) -> Results:
     """Write what became of every robot as CSV, ECSV or FITS, by the suffix; return it too.
 
@@ -96,12 +106,13 @@ def write_results(
         outcome: outcomes of all robots.
         angles: joint angles after the motion [rad], in the order of the plane, shape (n, 2).
         form: an instrument, one of `FORMS`, that gets columns in its own form as well.
+        targets: as for `results_of`.
 
     Raises:
         FormatError: the suffix or the form is not known, or the file cannot be written.
         FiberError: a robot of the plane has no outcome.
     """
-    results = results_of(plane, outcome, angles)
+    results = results_of(plane, outcome, angles, targets)
     columns: dict[str, NDArray] = {
         "id": results.ids,
         "outcome": np.array([Outcome(code).name.lower() for code in results.outcome], dtype=str),
@@ -112,6 +123,8 @@ def write_results(
         "theta_deg": results.angles_deg[:, 0],
         "phi_deg": results.angles_deg[:, 1],
     }
+    if plane.fibre_names:
+        columns[_FIBRE] = results.fibre
     if form is not None:
         if form not in FORMS:
             raise FormatError(f"no form is named {form!r}; there are {', '.join(FORMS)}")
@@ -142,9 +155,10 @@ def read_results(path: str | os.PathLike[str]) -> Results:
     reached = [columns.numbers(f"reached_{axis}_mm", "mm") for axis in "xy"]
     error_um = columns.numbers("error_um", "um", missing=True)
     angles = [columns.numbers(name, "deg") for name in ("theta_deg", "phi_deg")]
+    fibre = columns.words(_FIBRE) if _FIBRE in columns else np.full(len(ids), "")
     columns.check()
     return Results(
-        ids, outcome, reason, np.stack(reached, axis=1), error_um, np.stack(angles, axis=1)
+        ids, outcome, reason, np.stack(reached, axis=1), error_um, np.stack(angles, axis=1), fibre
     )
 
 

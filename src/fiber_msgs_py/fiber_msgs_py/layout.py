@@ -28,15 +28,16 @@ _COLUMNS = (
     | dict.fromkeys(_METRES + _RADIANS, "<f8")
     | _UNITS
 )
-# vertices x0, y0, x1, y1, ... [m]; a theta link without an outline and a plane without walls have
-# no such column
-_OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8", "wall": "<f8"}
+# vertices or places x0, y0, x1, y1, ... [m]; a theta link without an outline, a plane without walls
+# and robots whose only fibre is at the tip have no such column
+_OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8", "wall": "<f8", "fibres": "<f8"}
 
 
 def encode(
     plane: FocalPlane, units: WireUnits, stamp: PlanStamp, session: str | None = None
 ) -> PointCloud2:
-    """Return a focal plane and its wire units as a message, without the name of the plane.
+    """Return a focal plane and its wire units as a message, without the names of the
+    plane and its fibres.
 
     Args:
         plane: the focal plane.
@@ -51,7 +52,11 @@ def encode(
         raise MessageError("layout", "robots, expected at least 1", field="has", value=0)
     ids = checked_ids(plane.ids, "layout")
     n, discs = plane.n, plane.obstacles
-    vertices = {"phi_outline": plane.phi_vertices, "theta_outline": plane.theta_vertices}
+    vertices = {
+        "phi_outline": plane.phi_vertices,
+        "theta_outline": plane.theta_vertices,
+        "fibres": plane.fibres,
+    }
     outlines = [(name, "<f8", (2 * v.shape[1],)) for name, v in vertices.items() if v.shape[1]]
     corners = [("wall", "<f8", (2 * plane.walls.shape[1],))] if len(plane.walls) else []
     rows = np.zeros(n + plane.fixtures, dtype=[*_COLUMNS.items(), *outlines, *corners])
@@ -145,6 +150,7 @@ def _plane(robots: np.ndarray, fixed: np.ndarray, walls: np.ndarray) -> FocalPla
         address=robots["address"],
         spacing_mm=float(robots["spacing"][0]) * 1e3,
         envelope_mm=float(robots["envelope"][0]) * 1e3,
+        fibres=_vertices(robots, "fibres"),
     )
 
 

@@ -5,29 +5,39 @@ A plan that is tried again, around robots that could not be commanded, gets targ
 their own. Each of their rows names the plan, the number of the attempt, and the time of the oldest
 layout and joint states to plan with: what a node received before may be older than the failure that
 made the attempt necessary.
+
+A plane can have several fibres a robot. A table whose targets name theirs has a column `fibre` with
+its number, -1 where any of the robot may be on the target; without the column any may.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2
 
-from fiber_core.array_types import Ids, Points
+from fiber_core.array_types import Ids, Ints, Points
+from fiber_core.fibres import ANY_FIBRE, MOST_FIBRES
+from fiber_core.focal_plane import FocalPlane
 from fiber_msgs_py.attempts import Attempt
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.ids import checked_ids, refuse
 from fiber_msgs_py.stamps import PlanStamp
 from fiber_msgs_py.table import decode_table, encode_table
 
-__all__ = ["decode", "decode_attempt", "encode", "encode_attempt"]
+__all__ = ["decode", "decode_attempt", "decode_fibre", "encode", "encode_attempt", "plane_for"]
 
 _COLUMNS = {"id": "<u4", "x": "<f8", "y": "<f8"}
 _ATTEMPT = {"attempt": "<u4", "plan_sec": "<u4", "plan_nanosec": "<u4"}
 _SINCE = {"since_sec": "<u4", "since_nanosec": "<u4"}
+_FIBRE = {"fibre": "<i1"}
 _SECOND = 1_000_000_000
 
 
 def encode(
-    ids: ArrayLike, xy_mm: ArrayLike, stamp: PlanStamp, session: str | None = None
+    ids: ArrayLike,
+    xy_mm: ArrayLike,
+    stamp: PlanStamp,
+    session: str | None = None,
+    fibre: ArrayLike | None = None,
 ) -> PointCloud2:
     """Return the targets of a new plan as a message.
 
@@ -36,16 +46,21 @@ def encode(
         xy_mm: targets in the focal plane [mm], shape (n, 2).
         stamp: names the plan.
         session: id of the session of the layout that the targets are for.
+        fibre: number of the fibre that each target is for, -1 for any, shape (n,); by default any.
 
     Raises:
         MessageError: an id is out of range or appears twice, a target is not finite, or
             shapes differ.
     """
-    return encode_table(_rows(ids, xy_mm, _COLUMNS), stamp, session)
+    return encode_table(_rows(ids, xy_mm, _COLUMNS, fibre), stamp, session)
 
 
 def encode_attempt(
-    ids: ArrayLike, xy_mm: ArrayLike, attempt: Attempt, session: str | None = None
+    ids: ArrayLike,
+    xy_mm: ArrayLike,
+    attempt: Attempt,
+    session: str | None = None,
+    fibre: ArrayLike | None = None,
 ) -> PointCloud2:
     """Return the targets of a later attempt of a plan as a message.
 
@@ -54,12 +69,13 @@ def encode_attempt(
         xy_mm: targets in the focal plane [mm], shape (n, 2).
         attempt: the attempt, with the time of the oldest layout and joint states to plan with.
         session: id of the session.
+        fibre: as for encode.
 
     Raises:
         MessageError: as for encode, or there is no robot.
     """
     since = {} if attempt.since_ns is None else _SINCE
-    rows = _rows(ids, xy_mm, _COLUMNS | _ATTEMPT | since)
+    rows = _rows(ids, xy_mm, _COLUMNS | _ATTEMPT | since, fibre)
     if not len(rows):
         raise MessageError("targets", f"for attempt {attempt.number}", field="has", value="no rows")
     rows["attempt"] = attempt.number
@@ -69,7 +85,9 @@ def encode_attempt(
     return encode_table(rows, attempt.stamp, session)
 
 
-def _rows(ids: ArrayLike, xy_mm: ArrayLike, columns: dict[str, str]) -> np.ndarray:
+def _rows(
+    ids: ArrayLike, xy_mm: ArrayLike, columns: dict[str, str], fibre: ArrayLike | None
+) -> np.ndarray:
     ids = checked_ids(ids, "targets")
     xy_mm = np.asarray(xy_mm, dtype=float)
     if xy_mm.shape != (len(ids), 2):
@@ -77,7 +95,13 @@ def _rows(ids: ArrayLike, xy_mm: ArrayLike, columns: dict[str, str]) -> np.ndarr
             "targets", f"does not fit {len(ids)} ids", field="shape of xy_mm", value=xy_mm.shape
         )
     refuse(~np.isfinite(xy_mm), "targets", "x, y [mm]", ids, xy_mm, "is not finite")
-    rows = np.empty(len(ids), dtype=list(columns.items()))
+    chosen = np.broadcast_to(ANY_FIBRE if fibre is None else np.asarray(fibre), len(ids))
+    named = _FIBRE if (chosen != ANY_FIBRE).any() else {}
+    rows = np.empty(len(ids), dtype=list((columns | named).items()))
+    if named:
+        bad = (chosen < ANY_FIBRE) | (chosen >= MOST_FIBRES)
+        refuse(bad, "targets", "fibre", ids, chosen, f"is not -1 to {MOST_FIBRES - 1}")
+        rows["fibre"] = chosen
     rows["id"] = ids
     rows["x"], rows["y"] = xy_mm.T / 1e3
     return rows
@@ -96,6 +120,34 @@ def decode(message: PointCloud2) -> tuple[Ids, Points]:
     for axis, values in zip(("x", "y"), xy_mm.T):
         refuse(~np.isfinite(values), "targets", axis, ids, rows[axis], "is not finite")
     return ids, xy_mm
+
+
+def decode_fibre(message: PointCloud2) -> Ints:
+    """Return the number of the fibre that each target is for, -1 for any, shape (n,).
+
+    Raises:
+        MessageError: malformed table, or no fibre can have such a number.
+    """
+    if all(field.name != "fibre" for field in message.fields):
+        return np.full(message.width * message.height, ANY_FIBRE, dtype=np.int64)
+    rows = decode_table(message, "targets", _COLUMNS | _FIBRE)
+    bad = (rows["fibre"] < ANY_FIBRE) | (rows["fibre"] >= MOST_FIBRES)
+    refuse(bad, "targets", "fibre", rows["id"], rows["fibre"], f"is not -1 to {MOST_FIBRES - 1}")
+    return rows["fibre"].astype(np.int64)
+
+
+def plane_for(plane: FocalPlane, message: PointCloud2) -> FocalPlane:
+    """Return a plane with the fibre that each target of a message is for, in place of its own.
+
+    Rows of robots that the plane lacks are left out.
+
+    Raises:
+        MessageError: malformed table.
+        LayoutError: a robot has no such fibre; names it.
+    """
+    rows, fibre = plane.index_of(decode(message)[0]), np.full(plane.n, ANY_FIBRE)
+    fibre[rows[rows >= 0]] = decode_fibre(message)[rows >= 0]
+    return plane.with_fibre(fibre)
 
 
 def decode_attempt(message: PointCloud2) -> Attempt:

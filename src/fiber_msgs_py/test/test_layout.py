@@ -10,7 +10,7 @@ from fiber_core.errors import FiberError
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import MessageError, layout
 
-LISTS = ("phi_outline", "theta_outline", "wall")
+LISTS = ("phi_outline", "theta_outline", "wall", "fibres")
 UNITS = WireUnits(tick_us=60_000, quantum_prad=4_000_000_000, velocity_bits=16, duration_bits=12)
 
 
@@ -142,3 +142,17 @@ def test_walls_are_rows_after_the_discs(plane, stamp):
         message.data = faulty.tobytes()
         with pytest.raises(MessageError, match=words):
             layout.decode(message)
+
+
+def test_fibres_are_pairs_of_a_column_that_plain_planes_lack(plane, stamp):
+    fibres = np.array([[[14.9, -0.36], [14.2, 0.0]]] * 3) + np.arange(3)[:, None, None]
+    message = layout.encode(replace(plane, fibres=fibres), UNITS, stamp)
+    found, _ = layout.decode(message)
+    np.testing.assert_allclose(found.fibres, fibres, rtol=1e-15)
+    assert found.fibre_names == ("0", "1")
+    assert "fibres" not in raw_rows(layout.encode(plane, UNITS, stamp)).dtype.names
+    rows = np.array(raw_rows(message))
+    rows["fibres"][1] = 0.0
+    message.data = rows.tobytes()
+    with pytest.raises(MessageError, match="robot 42: fibre 0 must be"):
+        layout.decode(message)

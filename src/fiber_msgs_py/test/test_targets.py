@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Targets: they come back unchanged, or are refused by robot and value."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import PointField
 
+from fiber_core.errors import LayoutError
 from fiber_msgs_py import Attempt, MessageError, PlanStamp, targets
 
 IDS = st.lists(st.integers(0, 2**32 - 1), unique=True, max_size=20)
@@ -101,3 +104,40 @@ def test_ids_are_whole_numbers_one_for_each_target(stamp):
         targets.encode([1.5], np.zeros((1, 2)), stamp)
     with pytest.raises(MessageError, match=r"\(3, 2\) does not fit 2 ids"):
         targets.encode([1, 2], np.zeros((3, 2)), stamp)
+
+
+def test_a_target_can_name_its_fibre(plane, stamp):
+    fibred = replace(plane, fibres=np.ones((3, 2, 2)))
+    ids, xy_mm = [42, 3], [[0.0, 1.0], [2.0, 3.0]]
+    message = targets.encode(ids, xy_mm, stamp, fibre=[1, -1])
+    assert targets.decode_fibre(message).tolist() == [1, -1]
+    assert targets.decode(message)[0].tolist() == ids
+    assert targets.plane_for(fibred.with_fibre([0, 0, 0]), message).fibre.tolist() == [-1, 1, -1]
+    with pytest.raises(LayoutError, match="robot 42: fibre must be 0 to 0, or -1 for any, got 1"):
+        targets.plane_for(plane, message)
+    attempt = Attempt.first(stamp).next(PlanStamp(stamp.ns + 1), since_ns=None)
+    later = targets.encode_attempt(ids, xy_mm, attempt, fibre=[1, 0])
+    assert targets.decode_fibre(later).tolist() == [1, 0]
+    assert targets.decode_attempt(later) == attempt
+
+
+def test_targets_for_any_fibre_have_no_such_column(stamp):
+    plain = targets.encode([1], [[0.0, 1.0]], stamp)
+    assert targets.encode([1], [[0.0, 1.0]], stamp, fibre=[-1]) == plain
+    assert targets.decode_fibre(plain).tolist() == [-1]
+
+
+@pytest.mark.parametrize("fibre", [-2, 16])
+def test_impossible_fibres_are_refused_by_robot(fibre, stamp):
+    with pytest.raises(MessageError, match=f"robot 7.*fibre.*{fibre} is not -1 to 15"):
+        targets.encode([7], [[0.0, 1.0]], stamp, fibre=[fibre])
+    message = targets.encode([7], [[0.0, 1.0]], stamp, fibre=[1])
+    rows = np.frombuffer(message.data, targets_type()).copy()
+    rows["fibre"] = fibre
+    message.data = rows.tobytes()
+    with pytest.raises(MessageError, match=f"robot 7.*fibre.*{fibre} is not -1 to 15"):
+        targets.decode_fibre(message)
+
+
+def targets_type():
+    return [("id", "<u4"), ("x", "<f8"), ("y", "<f8"), ("fibre", "<i1")]

@@ -81,6 +81,8 @@ def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[Angles, Code
 def fastest_ends(problem: Problem) -> tuple[Floats, Ints]:
     """Return the fastest configuration of each elbow, faster one first, then the start.
 
+    Where a target leaves the choice of its fibre, of all fibres the one that is there first.
+
     Args:
         problem: the plane, the present joint angles and the targets.
 
@@ -88,12 +90,12 @@ def fastest_ends(problem: Problem) -> tuple[Floats, Ints]:
         Joint angles [rad], shape (n, 3, 2); and the number of elbows that have one, shape (n,).
     """
     plane = problem.plane
-    angles, valid = kinematics.inverse(plane, problem.targets)
+    angles, valid, _, is_left = kinematics.solutions(plane, problem.targets)
     valid &= plane.enabled[:, None]
     time = np.where(valid, travel_s(problem, angles), np.inf)
     rows = np.arange(plane.n)
     picks, times = [], []
-    for side in (np.sin(angles[..., 1]) >= 0, np.sin(angles[..., 1]) < 0):
+    for side in (is_left, ~is_left):
         of_side = np.where(side, time, np.inf)
         picks.append(angles[rows, of_side.argmin(axis=1)])
         times.append(of_side.min(axis=1))

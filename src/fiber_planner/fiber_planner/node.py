@@ -123,6 +123,7 @@ class PlannerNode(PlaneNode):
                     f"targets {attempt} refused: robots are moving", "targets", attempt
                 )
                 return
+            plane = targets.plane_for(plane, message)
             planner = self.planner()
             spacing_mm = spacing_of(planner, plane)
             assignment = assign(plane, start, ids, xy_mm, spacing_mm=spacing_mm)

@@ -164,7 +164,7 @@ class Reconfiguration:
         Raises:
             FormatError: the suffix or the form is unknown, or the file cannot be written.
         """
-        write_results(path, self.plane, self.ended, self.end_angles, form)
+        write_results(path, self.plane, self.ended, self.end_angles, form, self.problem.targets)
 
     def player(self, page: str | Path) -> Path:
         """Write the player, one HTML page that shows the motion in a browser; return its path.

@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fiber_core import kinematics
 from fiber_core.assignment import assign
 from fiber_core.clearance import gaps, neighbour_pairs
 from fiber_core.errors import FiberError
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.problem import load_plan, load_problem
+from fiber_formats import read_results
 from fiber_positioners import (
     PlannedMotion,
     Problem,
@@ -217,3 +219,29 @@ def test_no_arm_touches_a_wall(planner):
     assert min(gaps(plane, pairs, result.motion(t)).min() for t in times) >= 0.05
     held = result.recording.problem.plane.walls
     assert np.allclose(held, walls)
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_the_fibre_of_a_target_is_brought_to_it(named, tmp_path):
+    plain = preset("sdss_v", 61)
+    places = np.array([[14.25, 0.0], [14.91, -0.36], [14.9, 0.38]])
+    plane = replace(plain, fibres=np.broadcast_to(places, (61, 3, 2)), fibre_names=tuple("mba"))
+    problem = random_problem(plane, 5)
+    if not named:
+        problem = Problem(plane, problem.start, problem.targets)
+    result = reconfigure(problem, seed=5)
+    assert (result.outcome == Outcome.REACHED).all() and result.certificate.ok
+    angles = result.motion.end
+    on = kinematics.on_target(problem.plane, angles, problem.targets)
+    error_um = 1e3 * on.error_mm
+    assert error_um.max() < 1.0
+    np.testing.assert_allclose(result.report["end_error_um_max"], error_um.max())
+    if named:
+        np.testing.assert_array_equal(on.fibre, problem.plane.fibre)
+    result.write_results(tmp_path / "results.csv")
+    read = read_results(tmp_path / "results.csv")
+    assert [plane.fibre_names.index(name) for name in read.fibre] == on.fibre.tolist()
+    np.testing.assert_allclose(read.reached_mm, on.place, atol=1e-3)
+    recorded = result.recording.problem.plane
+    np.testing.assert_array_equal(recorded.fibres, plane.fibres)
+    np.testing.assert_array_equal(recorded.fibre, problem.plane.fibre)

@@ -115,7 +115,9 @@ def _entries(recording: Recording) -> Iterator[_Entry]:
     stamp, ids = PlanStamp(recording.about["plan_ns"]), plane.ids
     asked = problem.asked
     yield stamp.ns, topics.LAYOUT, layout.encode(plane, recording.units, stamp)
-    yield stamp.ns, topics.TARGETS, targets.encode(ids[asked], problem.targets[asked], stamp)
+    fibre = plane.fibre[asked]
+    asked_for = targets.encode(ids[asked], problem.targets[asked], stamp, fibre=fibre)
+    yield stamp.ns, topics.TARGETS, asked_for
     if recording.planned is not None:
         yield stamp.ns, topics.TRAJECTORY, trajectory.encode(ids, recording.planned, stamp)
     yield stamp.ns, topics.SEGMENTS, segments.encode(ids, recording.motion, stamp)

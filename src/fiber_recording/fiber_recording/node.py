@@ -262,8 +262,9 @@ class RecorderNode(PlaneNode):
             notes = ["no frames were received: no robot was started"]
         elif late and not _is_explained(attempts, ended, now):
             notes += ["the frames received do not explain where all robots are"]
+        plane = now.plane if first.plane is None else first.plane
         recording = build_recording(
-            now.plane if first.plane is None else first.plane,
+            plane if plan.targets is None else targets.plane_for(plane, plan.targets),
             now.units,
             logs=logs,
             outcome=ended,

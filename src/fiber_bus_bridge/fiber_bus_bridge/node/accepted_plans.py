@@ -97,6 +97,7 @@ class AcceptedPlans:
         try:
             self._inputs.check_stamp(stamp, self._outgoing.now_ns())
             goals = self._inputs.goals(message)
+            fibre = self._inputs.chosen_fibre(message)
             number = targets.decode_attempt(message).number
             if number != 1:
                 raise SessionError(f"attempt {number} was not made by this bridge")
@@ -104,7 +105,7 @@ class AcceptedPlans:
         except FiberError as error:
             self._refuse(Attempt.first(stamp), goals, f"targets {stamp} refused: {error}")
             return False
-        self._inputs.add(stamp, goals)
+        self._inputs.add(stamp, goals, fibre)
         now_ns = self._outgoing.now_ns()
         attempt = Attempt(stamp, stamp, 1, now_ns, self._outgoing.layout_ns)
         self._open[stamp] = attempt
@@ -132,7 +133,8 @@ class AcceptedPlans:
 
     def _publish_unexecuted(self, stamp: PlanStamp, goals: Points | None, reason: Reason) -> None:
         session = self._session
-        result = unexecuted(session.plane, session.angles, goals, reason)
+        plane = session.plane.with_fibre(self._inputs.fibre(stamp))
+        result = unexecuted(plane, session.angles, goals, reason)
         self._outgoing.publish_outcome(result.explained_by(self._inputs.reasons(stamp)), stamp)
 
     def awaits_orders(self, stamp: PlanStamp) -> Attempt | None:

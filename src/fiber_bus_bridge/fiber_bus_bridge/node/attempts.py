@@ -153,7 +153,7 @@ class Attempts:
         asked, is_awaited = self._inputs.targets(attempt.stamp), attempt == self.awaited
         if asked is None:
             raise BridgeError(f"the targets of plan {attempt} are not kept any more")
-        replaced = self._session.submit(motion, asked)
+        replaced = self._session.submit(motion, asked, self._inputs.fibre(attempt.stamp))
         if not is_awaited:
             self.give_up("there are new orders")
             self._accepted.take(attempt.stamp)
@@ -239,8 +239,11 @@ class Attempts:
         self._awaited_until_s = time.monotonic() + self._config.value.attempt_timeout_s
         self._outgoing.publish_layout(always=True, now_ns=now_ns)
         ids, goals = self._session.plane.ids[robots], self._replanning.goals[robots]
-        self._inputs.add(stamp, np.where(robots[:, None], self._replanning.goals, np.nan))
-        self._targets.publish(targets.encode_attempt(ids, goals, attempt, self._session_id))
+        fibre = self._inputs.fibre(attempt.plan)
+        self._inputs.add(stamp, np.where(robots[:, None], self._replanning.goals, np.nan), fibre)
+        self._targets.publish(
+            targets.encode_attempt(ids, goals, attempt, self._session_id, fibre[robots])
+        )
         held = int((robots & (result.outcome == Outcome.HELD)).sum())
         text = f"replanning: {held} robots were held because of robots that cannot be commanded"
         self._node.get_logger().info(f"plan {attempt}: {text}")

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from fiber_bus_bridge.errors import BridgeError
-from fiber_core.array_types import Codes, Counts, Ids, Points, Rows
+from fiber_core.array_types import Codes, Counts, Ids, Ints, Points, Rows
 from fiber_core.errors import TargetsError
+from fiber_core.fibres import ANY_FIBRE
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason, first_reason
 from fiber_core.wire_units import WireMotion, WireUnits
@@ -23,6 +24,7 @@ _AHEAD_S = 60.0  # clocks of two machines may differ by less
 @dataclass
 class _Inputs:
     goals: Points
+    fibre: Ints
     reasons: Codes = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
@@ -94,10 +96,19 @@ class PlanInputs:
         xy[rows] = xy_mm
         return xy
 
-    def add(self, stamp: PlanStamp, goals: Points) -> None:
+    def chosen_fibre(self, message: Any) -> Ints:
+        """Return the fibre that each target in a message is for, -1 for any, shape (n,).
+
+        Raises:
+            MessageError: the table is malformed.
+            LayoutError: a robot has no such fibre; names it.
+        """
+        return targets.plane_for(self._plane, message).fibre
+
+    def add(self, stamp: PlanStamp, goals: Points, fibre: Ints) -> None:
         """Add an accepted plan, or a later attempt of one."""
         none = np.full(self._plane.n, Reason.OK, dtype=np.int64)
-        self._kept[stamp] = _Inputs(goals, none)
+        self._kept[stamp] = _Inputs(goals, fibre, none)
         for old in list(self._kept)[:-_KEPT]:
             del self._kept[old]
         self.newest = stamp if self.newest is None else max(stamp, self.newest)
@@ -109,6 +120,12 @@ class PlanInputs:
     def targets(self, stamp: PlanStamp) -> Points | None:
         """Return the targets of a plan [mm], shape (n, 2), nan = no target; None if unknown."""
         return self._kept[stamp].goals if stamp in self._kept else None
+
+    def fibre(self, stamp: PlanStamp) -> Ints:
+        """Return the fibre that each target of a plan is for, -1 for any or unknown, shape (n,)."""
+        if stamp in self._kept:
+            return self._kept[stamp].fibre
+        return np.full(self._plane.n, ANY_FIBRE)
 
     def free_stamp_after(self, stamp: PlanStamp) -> PlanStamp | None:
         """Return the earliest stamp after another that no kept plan has, None at the end.

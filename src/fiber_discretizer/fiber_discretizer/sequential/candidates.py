@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motions that a robot can select from, straightest first."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from fiber_core import kinematics
 from fiber_core.array_types import Bools, Counts, Floats, Ints, Mask, Rows
+from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.ragged import Parts
+from fiber_core.wire_units import WireUnits
 from fiber_discretizer.corridor import corridor_walls
 from fiber_discretizer.fit.linearize import Polylines, linearize
 from fiber_discretizer.options import DiscretizeOptions
-from fiber_discretizer.quantize import quantize
+from fiber_discretizer.quantize import Rounding, quantize
 from fiber_discretizer.sequential.segment_plan import SegmentPlan
 
 __all__ = ["Candidates"]
@@ -19,6 +24,7 @@ _SHARES = np.linspace(0.0, 1.0, _INTERVALS + 1)
 _FINEST_MM = 0.001  # smallest width within which a trajectory is traced
 _PAD_RAD = 0.01  # kept from the walls of a corridor, which hold at its samples only
 _FREE_SLACK_RAD = 0.25  # how far rounding may shift a straight line
+_FIBRE_MM = 0.4e-3  # end error of a joint where a plane says where its fibres are
 _SPEED = 0.998  # part of the speed limit that paths may use; rounding takes from the rest
 
 
@@ -65,6 +71,7 @@ class Candidates:
         most = units.max_velocity * units.velocity_rad_s
         self._speeds = np.maximum(_SPEED * np.minimum(plane.speeds, most), 1e-9)
         self.fastest_s = travel / self._speeds
+        self._rounding = _rounding_of(plane, units, options.rounding)
 
     def straight(self, rows: Rows, windows: Floats | None = None) -> SegmentMotion:
         """Return motions of one line for each joint, after a rest where its window begins late.
@@ -254,6 +261,16 @@ class Candidates:
             self._plan.plane.speeds[rows],
             slack_rad,
             self._plan.units,
-            self._options.rounding,
+            self._rounding,
             self._latest_s,
         ).decoded()
+
+
+def _rounding_of(plane: FocalPlane, units: WireUnits, rounding: Rounding) -> Rounding:
+    # so fine that a fibre that is not just the tip ends within a micrometre, on arms of any length
+    if not plane.fibres.shape[1]:
+        return rounding
+    reach_mm = kinematics.distance_range(plane.with_fibre(None))[1].max(initial=0.0)
+    worst = max(1, int(_FIBRE_MM / max(reach_mm * units.quantum_rad, 1e-12)))
+    good, worst = min(rounding.good_quanta, worst), min(rounding.worst_quanta, worst)
+    return replace(rounding, good_quanta=good, worst_quanta=worst)

@@ -118,8 +118,8 @@ def _options(problem: Problem) -> tuple[Floats, Ints]:
     order = np.argsort(np.where(valid, time, np.inf), axis=1, kind="stable")[:, :_MOST_OPTIONS]
     options = np.take_along_axis(angles, order[:, :, None], axis=1)
     count = np.minimum(valid.sum(axis=1), _MOST_OPTIONS)
-    tip = kinematics.forward(plane, problem.start)[1]
-    on_target = (count > 0) & (np.hypot(*(tip - problem.targets).T) <= _ON_TARGET_MM)
+    error_mm = kinematics.on_target(plane, problem.start, problem.targets).error_mm
+    on_target = (count > 0) & (error_mm <= _ON_TARGET_MM)
     options[on_target, 0] = problem.start[on_target]
     count[on_target] = 1
     options[count == 0, 0] = problem.start[count == 0]

@@ -79,8 +79,7 @@ class DnfPlanner:
         goal, reason = choose_goals(problem, self.parameters.margin_mm)
         motion = self._integrate(problem, goal, law, progress)
 
-        tips = kinematics.forward(problem.plane, motion.end)[1]
-        away = np.linalg.norm(tips - problem.targets, axis=1)
+        away = kinematics.on_target(problem.plane, motion.end, problem.targets).error_mm
         late = (reason == Reason.OK) & (away > self.parameters.tolerance_mm)
         return PlannedMotion(motion, goal, np.where(late, int(Reason.NOT_CONVERGED), reason))
 
