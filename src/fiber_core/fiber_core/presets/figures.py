@@ -73,6 +73,8 @@ class PlaneColumns(TypedDict, total=False):
     enabled: ArrayLike
     obstacles: ArrayLike
     walls: ArrayLike | None
+    fibres: ArrayLike | None
+    fibre_names: tuple[str, ...] | None
     bus: ArrayLike | None
     address: ArrayLike | None
     spacing_mm: float
