@@ -1,15 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Any simple polygon as convex polygons, of which walls are made."""
+"""Any simple polygon as convex polygons, of which walls are made; hulls."""
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull
 
 from fiber_core.array_types import Points
 from fiber_core.errors import LayoutError
 
-__all__ = ["convex_parts"]
+__all__ = ["convex_hull", "convex_parts"]
 
 _STRAIGHT = 1e-12  # relative area below which three corners lie on a line
+
+
+def convex_hull(points: ArrayLike) -> Points:
+    """Return the convex hull of three or more points, counter-clockwise, shape (k, 2)."""
+    corners = np.array(points, dtype=float).reshape(-1, 2)
+    return corners[ConvexHull(corners).vertices]
 
 
 def convex_parts(polygon: ArrayLike) -> list[Points]:

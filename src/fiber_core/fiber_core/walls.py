@@ -9,7 +9,7 @@ from fiber_core.array_types import Floats, Points
 from fiber_core.errors import LayoutError
 from fiber_core.validation import frozen_array
 
-__all__ = ["checked_walls", "distances_to_walls", "padded_walls"]
+__all__ = ["checked_walls", "distances_to_walls", "is_convex", "padded_walls"]
 
 _MOST_CORNERS = 64
 _STRAIGHT_RAD = 1e-9  # a turn to the other side that is rounding
@@ -35,7 +35,7 @@ def checked_walls(walls: ArrayLike) -> Floats:
             f"wall {at}: corners must be {-most:.6g} to {most:.6g} mm, got {checked[at].tolist()}"
         )
     for number, corners in enumerate(checked):
-        if not _is_convex(corners):
+        if not is_convex(corners):
             raise LayoutError(
                 f"wall {number} is not convex: split it into convex parts, or into its edges as "
                 f"lines of two corners; got {corners.tolist()} mm"
@@ -72,8 +72,12 @@ def distances_to_walls(points: Points, walls: Floats) -> Floats:
     return np.where(turning & (area > 0.0), 0.0, from_edges)
 
 
-def _is_convex(corners: Points) -> bool:
-    # a convex polygon turns to one side only, and once around; a point or a line has no inside
+def is_convex(corners: Points) -> bool:
+    """Return whether a polygon turns to one side only, and once around; a point or a line does.
+
+    Args:
+        corners: in order, either way round [mm], shape (c, 2).
+    """
     edges = np.diff(corners, axis=0, append=corners[:1])
     edges = edges[(edges != 0.0).any(axis=1)]
     if len(edges) <= 2:

@@ -53,6 +53,12 @@ class Columns:
     def __contains__(self, name: str) -> bool:
         return name in self.table
 
+    def every(self) -> "Columns":
+        """The same table with all its rows; what it asks for counts as asked here too."""
+        other = Columns(self.table)
+        other._asked = self._asked
+        return other
+
     @property
     def unused(self) -> list[str]:
         """Names of columns that were never asked for, as the file spells them."""

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiber_formats.errors import FormatError
-from fiber_formats.formats.own import LAYOUT_COLUMNS
+from fiber_formats.formats.own import LAYOUT_COLUMNS, OUTLINES
+from fiber_formats.outlines import outline_texts, wall_rows
 from fiber_formats.reading import Paths, find_format, read_layout, read_targets
 from fiber_formats.records import Layout, StartColumns
 from fiber_formats.source import Source
@@ -27,7 +28,8 @@ def convert(
 ) -> tuple[str, ...]:
     """Write the layout, the targets or the starts of any format as a table of our own columns.
 
-    Obstacles of a layout go to a second file, its name ending in _obstacles.
+    Obstacles and walls of a layout go to further files, their names ending in _obstacles and
+    _walls.
 
     Args:
         source: a file, or several joined by commas.
@@ -89,13 +91,21 @@ def _write_layout(target: str | os.PathLike[str], layout: Layout) -> tuple[str, 
         name: np.asarray(found[name])[order] for name in LAYOUT_COLUMNS if name in found
     }
     columns["preset"] = np.full(len(order), layout.preset)
+    for name in OUTLINES:
+        if name in columns:
+            columns[name] = outline_texts(columns[name])
     write_table(target, columns)
-    if not len(layout.plane.obstacles):
-        return ()
-    beside = _beside(Path(target), "_obstacles")
-    discs = layout.plane.obstacles
-    write_table(beside, {"x_mm": discs[:, 0], "y_mm": discs[:, 1], "radius_mm": discs[:, 2]})
-    return (f"{len(discs)} obstacles are in {beside}",)
+    said: tuple[str, ...] = ()
+    discs, walls = layout.plane.obstacles, layout.plane.walls
+    if len(discs):
+        beside = _beside(Path(target), "_obstacles")
+        write_table(beside, {"x_mm": discs[:, 0], "y_mm": discs[:, 1], "radius_mm": discs[:, 2]})
+        said += (f"{len(discs)} obstacles are in {beside}",)
+    if len(walls):
+        beside = _beside(Path(target), "_walls")
+        write_table(beside, wall_rows(walls))
+        said += (f"{len(walls)} walls are in {beside}",)
+    return said
 
 
 def _beside(path: Path, ending: str) -> Path:

@@ -12,9 +12,10 @@ from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets import PRESETS, PlaneColumns, Preset, plane_from
 from fiber_formats.errors import FormatError
+from fiber_formats.formats.own import OUTLINES
 from fiber_formats.records import LayoutColumns
 
-__all__ = ["plane_of", "preset_of"]
+__all__ = ["plane_of", "preset_of", "without_outlines"]
 
 _ARMS_ALIKE = 0.1  # relative difference of arm lengths up to which an instrument is recognised
 _KNOWN_BY_ARMS = ("desi", "pfs", "sdss_v", "moons", "lamost")
@@ -46,6 +47,21 @@ def preset_of(name: str, found: LayoutColumns, preset: str | None) -> str:
         if np.allclose(arms, PRESETS[known].arms_mm, rtol=_ARMS_ALIKE, atol=0.0):
             return known
     raise FormatError(f"{name}: no instrument is known by arms of {arms} mm; name a preset")
+
+
+def without_outlines(found: LayoutColumns, preset: str | None) -> LayoutColumns:
+    """Return a layout without its outlines where the user names another preset than its format.
+
+    Args:
+        found: the layout.
+        preset: the user's choice, or None.
+    """
+    names = [name for name in OUTLINES if name in found.columns]
+    if not names or preset is None or found.preset is None or preset == found.preset:
+        return found
+    columns = {key: values for key, values in found.columns.items() if key not in names}
+    notice = f"outlines of the file are not used: preset {preset} is named, which has others"
+    return replace(found, columns=columns, notices=(*found.notices, notice))
 
 
 def plane_of(
@@ -80,11 +96,14 @@ def plane_of(
         bus=_buses(columns),
         address=columns.get("address"),
         obstacles=found.obstacles,
+        walls=found.walls,
         name=stem,
     )
     if "spacing_mm" in columns:
         fields["spacing_mm"] = _same(name, columns["spacing_mm"], "spacing_mm")
-    if "radius_mm" in columns:
+    if "phi_outline_mm" in columns or "theta_outline_mm" in columns:
+        _put_outlines(name, columns, fields, supplied)
+    elif "radius_mm" in columns:
         outline = figures.phi_outline if figures.phi_outline == "tip" else "capsule"
         figures = replace(figures, phi_outline=outline, theta_outline=())
         fields["phi_radius"] = columns["radius_mm"]
@@ -94,6 +113,23 @@ def plane_of(
         return plane_from(figures, ids, centers, arms, **fields), tuple(supplied)
     except LayoutError as error:
         raise FormatError(f"{name}: {error}") from None
+
+
+def _put_outlines(
+    name: str, columns: Mapping[str, NDArray], fields: PlaneColumns, supplied: list[str]
+) -> None:
+    # outlines of each robot; a link without a column has that of the preset
+    if "radius_mm" in columns:
+        raise FormatError(f"{name} has radius_mm and outlines of robots: one of them is meant")
+    if "phi_outline_mm" in columns:
+        fields["phi_vertices"] = columns["phi_outline_mm"]
+        fields["phi_radius"] = np.zeros(len(columns["id"]))
+    else:
+        supplied.append("outline of phi arms")
+    if "theta_outline_mm" in columns:
+        fields["theta_vertices"] = columns["theta_outline_mm"]
+    else:
+        supplied.append("outline of theta bodies")
 
 
 def _refuse_shared_places(name: str, ids: NDArray, centers: Floats) -> None:

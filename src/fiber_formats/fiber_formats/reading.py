@@ -3,6 +3,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -13,9 +14,10 @@ from fiber_formats.errors import FormatError
 from fiber_formats.formats import FORMATS, OWN
 from fiber_formats.formats.own import obstacles_of
 from fiber_formats.interface import Format
-from fiber_formats.planes import plane_of, preset_of
+from fiber_formats.planes import plane_of, preset_of, without_outlines
 from fiber_formats.records import Layout, Starts, Targets
 from fiber_formats.source import Source
+from fiber_formats.turns import Turned, on_a_turn_inside
 
 __all__ = ["find_format", "read_layout", "read_obstacles", "read_starts", "read_targets"]
 
@@ -63,14 +65,18 @@ def read_layout(
         raise FormatError(f"{source.name} has no robots")
     if obstacles is not None:
         discs = np.concatenate([found.obstacles, read_obstacles(obstacles)])
-        found = type(found)(found.columns, discs, found.preset, found.notices)
+        found = replace(found, obstacles=discs)
     chosen = preset_of(source.name, found, preset)
+    found = without_outlines(found, preset)
     plane, supplied = plane_of(source.name, source.stem, found, chosen)
     disabled = np.count_nonzero(~plane.enabled)
     summary = f"{_short(source)}: {plane.n} robots, {disabled} disabled"
     if len(plane.obstacles):
         summary += f", {len(plane.obstacles)} obstacles"
-    summary += f"; from preset {chosen}: {', '.join(supplied)}"
+    if len(plane.walls):
+        summary += f", {len(plane.walls)} walls"
+    if supplied:
+        summary += f"; from preset {chosen}: {', '.join(supplied)}"
     return Layout(plane, found, found_format.name, chosen, summary, found.notices)
 
 
@@ -110,12 +116,35 @@ def read_starts(path: Paths, plane: FocalPlane, formats: Sequence[Format] = FORM
         )
     notices = found.notices + _not_in_plane(found.ids[rows < 0])
     stop = np.deg2rad(_STOP_DEG)
+    turned = on_a_turn_inside(angles, plane.limits, stop)
+    angles = turned.angles
+    notices += _turn_notices(plane.ids, turned)
     low, high = plane.limits[:, :, 0] - stop, plane.limits[:, :, 1] + stop
     outside = plane.ids[np.asarray(((angles < low) | (angles > high)).any(axis=1))]
     if len(outside):
         notices += (f"starts outside the joint ranges, so held: {_robots(outside)}",)
     summary = f"{_short(source)}: present angles of {plane.n} robots"
     return Starts(angles, found_format.name, summary, notices)
+
+
+def _turn_notices(ids: Ids, turned: Turned) -> tuple[str, ...]:
+    notices: tuple[str, ...] = ()
+    if turned.moved.any():
+        moved = ids[turned.moved]
+        notices += (
+            f"starts moved by whole turns into the joint ranges, {len(moved)} robots: "
+            f"{_robots(moved)}",
+        )
+        doubtful = ids[turned.doubtful & ~turned.moved]
+        if len(doubtful):  # the file counts turns otherwise than the layout
+            notices += (
+                f"starts that fit on two turns, taken as they stand, {len(doubtful)} robots: "
+                f"{_robots(doubtful)}",
+            )
+    if turned.unclear.any():
+        unclear = ids[turned.unclear]
+        notices += (f"starts that fit on several turns, none taken: {_robots(unclear)}",)
+    return notices
 
 
 def read_targets(

@@ -17,15 +17,20 @@ def _no_obstacles() -> Floats:
     return np.zeros((0, 3))
 
 
+def _no_walls() -> Floats:
+    return np.zeros((0, 1, 2))
+
+
 @dataclass(frozen=True, eq=False)
 class LayoutColumns:
     """The robots of a file, translated into our own columns.
 
     Args:
         columns: arrays of equal length by the names of our own columns (`own.LAYOUT_COLUMNS`);
-            `id`, `x_mm` and `y_mm` are always there.
+            `id`, `x_mm` and `y_mm` are always there. Outlines have shape (n, corners, 2) [mm].
         obstacles: fixed discs x, y, radius [mm], shape (k, 3).
         preset: instrument that supplies the figures which the file lacks, or None.
+        walls: fixed convex polygons [mm], as those of FocalPlane, shape (w, c, 2).
         notices: what was not used, assumed or approximated; one sentence each.
     """
 
@@ -33,6 +38,7 @@ class LayoutColumns:
     obstacles: Floats = field(default_factory=_no_obstacles)
     preset: str | None = None
     notices: tuple[str, ...] = ()
+    walls: Floats = field(default_factory=_no_walls)
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,15 +44,15 @@ def test_desi_state_gives_the_observed_tips(made_up):
 def test_desi_state_names_what_it_does_not_use(made_up):
     layout = read_layout(made_up / "desi_state.ecsv")
     assert layout.summary == (
-        "desi_state.ecsv: 6 robots, 2 disabled; from preset desi_outlines: speeds, outlines"
+        "desi_state.ecsv: 6 robots, 2 disabled, 48 walls; from preset desi_outlines: speeds"
     )
     text = "\n".join(layout.notices)
     for words in (
         "1 FIF",
-        "expansions of 1 robots",
+        "2 robots have larger ones",
         "1 robots have a linear motor (LINPHI)",
         "1 robots have no BUS_ID",
-        "petal edges and GFA polygons are not used",
+        "petal edges and GFAs are those published: the file has none",
         "columns not used: DEVICE_ID, DEVICE_LOC, ENABLED, POS_NEIGHBORS, OBS_X",
     ):
         assert words in text, text
@@ -114,7 +114,12 @@ def test_sdss_v_needs_two_files_and_takes_four(made_up):
     plane = layout.plane
     assert plane.ids.tolist() == [3, 16, 40, 97, 252]
     assert plane.obstacles.tolist() == [[11.2, -19.398, 2.5]]
-    assert "1 GFAs are not used" in "\n".join(layout.notices)
+    (corners,) = plane.walls
+    front, back = corners[:2].mean(axis=0), corners[2:].mean(axis=0)
+    away = np.array([-0.87, 0.49])  # j of the table; the front is nearer the centre of the wok
+    assert np.allclose(back - front, 54.32 * away, atol=0.02)
+    assert np.allclose(back, [-284.7, 163.4], atol=0.02)
+    assert "GFAs are walls" in "\n".join(layout.notices)
     assert np.allclose(np.rad2deg(np.diff(plane.limits, axis=2)[:, :, 0]), [360, 180])
     with pytest.raises(FormatError, match="name the file with wokCoords too"):
         read_layout(made_up / "sdss_positionerTable.csv")

@@ -108,7 +108,7 @@ def same_plane(first, second):
             assert np.array_equal(getattr(first, name), getattr(second, name)), name
 
 
-SDSS = ("positionerTable", "wokCoords", "fiducialCoords")
+SDSS = ("positionerTable", "wokCoords", "fiducialCoords", "gfaCoords")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".ecsv", ".fits", ".fits.gz"])
@@ -129,10 +129,11 @@ def test_a_converted_layout_is_the_same_plane(made_up, suffix, names, preset_nam
     lines = convert(files, own, preset_name, what="layout")
     first = read_layout(files, preset_name)
     assert lines[0] == first.summary
-    discs = tmp_path / f"own_obstacles{suffix}"
-    second = read_layout(f"{own},{discs}" if discs.exists() else own)
+    discs, walls = (tmp_path / f"own_{kind}{suffix}" for kind in ("obstacles", "walls"))
+    second = read_layout([path for path in (own, walls, discs) if path.exists()])
     assert second.format_name == "own columns" and second.notices == ()
     assert discs.exists() == (len(first.plane.obstacles) > 0)
+    assert walls.exists() == (len(first.plane.walls) > 0)
     same_plane(first.plane, second.plane)
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull
 
-from fiber_core.array_types import Floats, Points
+from fiber_core.array_types import Floats
+from fiber_core.convex_parts import convex_hull
 from fiber_core.presets.figures import Polygon, Preset
 
 __all__ = ["DESI", "DESI_OUTLINES", "LINEAR_DEG", "keepouts"]
@@ -78,7 +78,7 @@ def keepouts(
     phi[:, :, 0] += np.where(phi[:, :, 0] > 0.0, front[:, None], 0.0)
     kinds = np.stack([np.broadcast_to(v, n) for v in (theta_mm, theta_deg)], axis=1)
     kinds, kind = np.unique(kinds.astype(float), axis=0, return_inverse=True)
-    hulls = [_hull(body) for body in _expanded(_THETA_BODY, len(kinds), *kinds.T)]
+    hulls = [convex_hull(body) for body in _expanded(_THETA_BODY, len(kinds), *kinds.T)]
     most = max((len(hull) for hull in hulls), default=1)
     hulls = [hull[np.minimum(np.arange(most), len(hull) - 1)] for hull in hulls]
     return np.array(hulls).reshape(-1, most, 2)[kind.reshape(-1)], phi
@@ -90,7 +90,3 @@ def _expanded(polygon: Polygon, n: int, radial: ArrayLike, angular: ArrayLike) -
     angle = np.arctan2(y, x)
     angle = angle + np.sign(angle) * np.deg2rad(np.broadcast_to(angular, n))[:, None]
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=2)
-
-
-def _hull(points: Points) -> Points:
-    return points[ConvexHull(points).vertices]

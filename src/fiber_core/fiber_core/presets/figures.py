@@ -7,9 +7,9 @@ from typing import Literal, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull
 
 from fiber_core.array_types import Floats
+from fiber_core.convex_parts import convex_hull
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.hexagonal_grid import hexagonal_centers
 
@@ -151,4 +151,4 @@ def _phi_vertices(outline: Literal["capsule", "tip"] | Polygon, arms: Floats) ->
 
 def _hull(polygon: Polygon) -> Floats:
     points = np.array(polygon, dtype=np.float64).reshape(-1, 2)
-    return points[ConvexHull(points).vertices] if len(points) else points  # counter-clockwise
+    return convex_hull(points) if len(points) else points

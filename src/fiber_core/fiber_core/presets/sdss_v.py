@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """SDSS-V: robots whose arms reach over their neighbours, on a hexagon."""
 
-from fiber_core.presets.figures import Preset
+from fiber_core.presets.figures import Polygon, Preset
 
-__all__ = ["SDSS_V"]
+__all__ = ["CAMERA_MM", "SDSS_V"]
+
+# A guide camera in its own frame [mm]: x along its front, y away from the centre of the wok. The
+# planner of SDSS-V (sdss/kaiju) keeps arms
+# 3 mm from a line of 113.08 mm, 51.32 mm before its place.
+CAMERA_MM: Polygon = ((-59.54, -54.32), (59.54, -54.32), (59.54, 0.0), (-59.54, 0.0))
 
 SDSS_V = Preset(
     robots=547,

@@ -2,14 +2,17 @@
 """DESI: table of the calibration with its history (`calib-*.csv`); the newest row a robot counts.
 
 Places are offset_x_cs5, offset_y_cs5 in the focal plane; offset_t is in the frame of the petal,
-whose place is the thousands of `location`.
+whose place is the thousands of `location`. Outlines, petal edges and cameras are not in the file:
+the published ones are used, outlines expanded as the columns tell.
 """
 
 import numpy as np
 
 from fiber_core.array_types import Bools
+from fiber_core.presets.desi_petals import petal_walls
 from fiber_formats.columns import MOST_ID, Columns
-from fiber_formats.formats.desi_frame import expansion_notices, petal_angle_deg
+from fiber_formats.formats.desi_frame import motor_notices, petal_angle_deg
+from fiber_formats.formats.desi_keepouts import expanded_outlines
 from fiber_formats.interface import Format
 from fiber_formats.records import LayoutColumns
 from fiber_formats.source import Source
@@ -52,15 +55,21 @@ def layout(source: Source) -> LayoutColumns:
     older = np.count_nonzero(~newest)
     if older:
         notices += (f"{older} rows are older than another row of the same robot and not used",)
-    notices += expansion_notices(columns)
-    for name in ("zeno_motor_t", "zeno_motor_p"):
-        if name in columns:
-            linear = np.count_nonzero(np.char.lower(columns.words(name, missing=True)) == "true")
-            if linear:
-                notices += (f"{linear} robots have a linear motor ({name}); that is not used",)
+    arms = np.stack([found["arm_theta_mm"], found["arm_phi_mm"]], axis=1)
+    outlines, more = expanded_outlines(columns, arms, _linear_phi(columns))
+    notices += motor_notices(columns) + more
     columns.check()
-    notices += ("petal edges and GFA polygons are not in the file and not used",)
-    return LayoutColumns(found, preset="desi_outlines", notices=notices + columns.unused_notice())
+    notices += ("petal edges and GFAs are those published: the file has none",)
+    notices += columns.unused_notice()
+    walls = petal_walls(np.unique(petal))
+    found |= outlines
+    return LayoutColumns(found, preset="desi_outlines", notices=notices, walls=walls)
+
+
+def _linear_phi(columns: Columns) -> Bools:
+    if "zeno_motor_p" not in columns:
+        return np.zeros(len(columns), dtype=bool)
+    return np.char.lower(columns.words("zeno_motor_p", missing=True)) == "true"
 
 
 def _newest_rows(table: Table) -> Bools:

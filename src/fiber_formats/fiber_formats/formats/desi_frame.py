@@ -1,19 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tables of DESI have in common: petals, and geometry that a plane cannot express yet."""
+"""What the tables of DESI have in common: petals, and motors that a plane does not know."""
 
 import numpy as np
 
 from fiber_core.array_types import Floats, Ints
 from fiber_formats.columns import Columns
 
-__all__ = ["expansion_notices", "petal_angle_deg"]
-
-_EXPANSIONS = (
-    "KEEPOUT_EXPANSION_PHI_RADIAL",
-    "KEEPOUT_EXPANSION_PHI_ANGULAR",
-    "KEEPOUT_EXPANSION_THETA_RADIAL",
-    "KEEPOUT_EXPANSION_THETA_ANGULAR",
-)
+__all__ = ["motor_notices", "petal_angle_deg"]
 
 
 def petal_angle_deg(petal: Ints) -> Floats:
@@ -21,21 +14,17 @@ def petal_angle_deg(petal: Ints) -> Floats:
     return 36.0 * (petal.astype(float) - 3.0)
 
 
-def expansion_notices(columns: Columns) -> tuple[str, ...]:
-    """Return notices of larger keep-outs and of robots that may only travel retracted."""
+def motor_notices(columns: Columns) -> tuple[str, ...]:
+    """Return notices of linear motors and of robots that may only travel retracted."""
     notices: tuple[str, ...] = ()
-    present = [name for name in _EXPANSIONS if name in columns]
-    larger = np.zeros(len(columns), dtype=bool)
-    for name in present:
-        larger |= np.nan_to_num(columns.numbers(name, missing=True)) != 0
-    if larger.any():
-        notices += (f"keep-out expansions of {np.count_nonzero(larger)} robots are not used",)
     if "CLASSIFIED_AS_RETRACTED" in columns:
         retracted = np.count_nonzero(columns.flags("CLASSIFIED_AS_RETRACTED"))
         if retracted:
             notices += (f"{retracted} robots are classified as retracted; that is not used",)
-    for name in ("LINPHI", "LINTHETA"):
-        if name in columns and columns.flags(name).any():
-            linear = np.count_nonzero(columns.flags(name))
-            notices += (f"{linear} robots have a linear motor ({name}); that is not used",)
+    for name in ("LINPHI", "LINTHETA", "ZENO_MOTOR_P", "ZENO_MOTOR_T"):
+        if name in columns:
+            words = np.char.lower(columns.words(name, missing=True))
+            linear = np.count_nonzero(np.isin(words, ("true", "t", "1")))
+            if linear:
+                notices += (f"{linear} robots have a linear motor ({name}): its speed is not used",)
     return notices

@@ -9,7 +9,13 @@ that zero and from OFFSET_P: tips from them lie 58 um (median) from the observed
 import numpy as np
 
 from fiber_formats.columns import Columns
-from fiber_formats.formats.desi_frame import expansion_notices, petal_angle_deg
+from fiber_formats.formats.desi_frame import motor_notices, petal_angle_deg
+from fiber_formats.formats.desi_keepouts import (
+    expanded_outlines,
+    file_outlines,
+    file_walls,
+    polygons_of,
+)
 from fiber_formats.interface import Format
 from fiber_formats.records import LayoutColumns, StartColumns
 from fiber_formats.source import Source
@@ -44,15 +50,24 @@ def layout(source: Source) -> LayoutColumns:
         "petal": petal,
         "bus": bus,
     }
-    notices += expansion_notices(columns)
+    arms = np.stack([found["arm_theta_mm"], found["arm_phi_mm"]], axis=1)
+    polygons = polygons_of(source.only.text or "")
+    outlines = file_outlines(columns, polygons)
+    linear = columns.flags("LINPHI") if "LINPHI" in columns else np.zeros(len(columns), dtype=bool)
+    expanded, more = expanded_outlines(columns, arms, linear)  # asks the columns in any case
+    notices += motor_notices(columns) + (() if outlines else more)
     columns.check()
+    centers = np.stack([found["x_mm"], found["y_mm"]], axis=1)
+    walls, more = file_walls(columns.every(), polygons, petal, centers)
+    notices += more
     if np.any(bus == _NO_BUS):
         notices += (
             f"{np.count_nonzero(bus == _NO_BUS)} robots have no BUS_ID: those of a petal are put "
             "on a bus of their own",
         )
-    notices += ("petal edges and GFA polygons are not used",)
-    return LayoutColumns(found, preset="desi_outlines", notices=notices + columns.unused_notice())
+    notices += columns.unused_notice()
+    found |= outlines or expanded
+    return LayoutColumns(found, preset="desi_outlines", notices=notices, walls=walls)
 
 
 def starts(source: Source) -> StartColumns:

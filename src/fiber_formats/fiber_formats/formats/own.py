@@ -4,7 +4,8 @@
 A layout needs `x_mm` and `y_mm`; `LAYOUT_COLUMNS` lists the others, which are optional. Targets
 need `id`, `x_mm`, `y_mm`; starts need `id`, `theta_deg`, `phi_deg`. A column that differs from a
 known name by a few letters is refused, an unknown one is named in a notice. A second file beside a
-layout holds obstacles: `x_mm`, `y_mm`, `radius_mm`.
+layout holds obstacles: `x_mm`, `y_mm`, `radius_mm`. Another one holds walls, a row for each
+corner: `wall`, `x_mm`, `y_mm`.
 """
 
 import numpy as np
@@ -13,6 +14,7 @@ from fiber_core.array_types import Bools, Floats
 from fiber_formats.columns import Columns, near
 from fiber_formats.errors import FormatError
 from fiber_formats.interface import Format
+from fiber_formats.outlines import WALL_COLUMNS, outlines_of, walls_of
 from fiber_formats.records import LayoutColumns, StartColumns, TargetColumns
 from fiber_formats.source import DataFile, Source
 from fiber_formats.table import folded
@@ -38,18 +40,17 @@ NUMBERS = {
 _ENABLED, _DISABLED = ("enabled", "functional"), ("nonfunctional", "disabled")
 _IDS = ("id", "location")
 _WIRED = ("petal", "bus", "address")
-LAYOUT_COLUMNS = ("id", "x_mm", "y_mm", *NUMBERS, "enabled", *_WIRED, "preset")
+OUTLINES = ("theta_outline_mm", "phi_outline_mm")
+LAYOUT_COLUMNS = ("id", "x_mm", "y_mm", *NUMBERS, *OUTLINES, "enabled", *_WIRED, "preset")
 _STARTS = ("theta_deg", "phi_deg")
 _LAYOUT_NAMES = (*LAYOUT_COLUMNS, *_IDS, *_ENABLED, *_DISABLED)
-_ONLY_LAYOUT = (*NUMBERS, *_ENABLED, *_DISABLED)
+_ONLY_LAYOUT = (*NUMBERS, *OUTLINES, *_ENABLED, *_DISABLED)
 _RESULT_NAMES = ("outcome", "reason", "reached_x_mm", "reached_y_mm", "error_um")
 
 
 def layout(source: Source) -> LayoutColumns:
     """Read the robots of a table, one row each, in any order of ids."""
     file, *others = source.files
-    if len(others) > 1:
-        raise FormatError(f"{source.name}: a layout of own columns has at most two files")
     table = file.likely_table("x_mm", "y_mm")
     columns = Columns(table)
     notices = file.other_tables(table)
@@ -60,6 +61,9 @@ def layout(source: Source) -> LayoutColumns:
     for name, unit in NUMBERS.items():
         if name in columns:
             found[name] = columns.numbers(name, unit)
+    for name in OUTLINES:
+        if name in columns:
+            found[name] = outlines_of(columns, name)
     for joint in ("theta", "phi"):
         ends = [f"{joint}_{end}_deg" for end in ("min", "max")]
         if sum(end in columns for end in ends) == 1:
@@ -77,11 +81,8 @@ def layout(source: Source) -> LayoutColumns:
     _refuse_near_names(columns, _LAYOUT_NAMES)
     columns.check()
     notices += why + columns.unused_notice()
-    discs = np.zeros((0, 3))
-    if others:
-        discs, more = obstacles_of(others[0])
-        notices += more
-    return LayoutColumns(found, discs, preset, notices)
+    discs, walls, more = _fixed_bodies(others)
+    return LayoutColumns(found, discs, preset, notices + more, walls)
 
 
 def starts(source: Source) -> StartColumns:
@@ -125,6 +126,22 @@ def obstacles_of(file: DataFile) -> tuple[Floats, tuple[str, ...]]:
     columns.refuse_rows(discs[:, 2] < 0, "radius_mm", "is negative")
     columns.check()
     return discs, columns.unused_notice()
+
+
+def _fixed_bodies(files: list[DataFile]) -> tuple[Floats, Floats, tuple[str, ...]]:
+    # obstacles and walls of the files beside a layout, at most one of each
+    discs, walls, notices = np.zeros((0, 3)), np.zeros((0, 1, 2)), ()
+    kinds = [file.has_columns(*WALL_COLUMNS) for file in files]
+    if sum(kinds) > 1 or len(kinds) - sum(kinds) > 1:
+        names = ", ".join(file.name for file in files)
+        raise FormatError(f"beside a layout, one file of obstacles and one of walls: {names}")
+    for file, are_walls in zip(files, kinds):
+        if are_walls:
+            walls, more = walls_of(file)
+        else:
+            discs, more = obstacles_of(file)
+        notices += more
+    return discs, walls, notices
 
 
 def _id_name(columns: Columns) -> str:

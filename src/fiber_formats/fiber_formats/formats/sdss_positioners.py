@@ -9,6 +9,7 @@ the axis of the beta arm.
 import numpy as np
 
 from fiber_core.array_types import Floats
+from fiber_core.presets.sdss_v import CAMERA_MM
 from fiber_formats.columns import Columns
 from fiber_formats.errors import FormatError
 from fiber_formats.interface import Format
@@ -20,7 +21,7 @@ __all__ = ["FORMAT"]
 _POSITIONERS = ("positionerID", "holeID", "alphaArmLen", "metX", "alphaOffset", "betaOffset")
 _HOLES = ("holeID", "holeType", "xWok", "yWok")
 _FIDUCIALS = ("holeID", "id", "xWok", "yWok", "xyVar")
-_CAMERAS = ("xWok", "yWok", "y_0", "y_1")
+_CAMERAS = ("xWok", "yWok", "ix", "iy", "jx", "jy", "y_0", "y_1")
 _FIDUCIAL_RADIUS_MM = 2.5
 _ZERO_DEG = -90.0  # alpha = 0 points to -y of the wok
 
@@ -31,7 +32,7 @@ def matches(source: Source) -> bool:
 
 
 def layout(source: Source) -> LayoutColumns:
-    """Read robots, and fiducials as obstacles."""
+    """Read robots, fiducials as obstacles, and cameras as walls."""
     files = _files(source)
     columns = Columns(files["positionerTable"].table_with(*_POSITIONERS))
     ids = columns.ids("positionerID")
@@ -52,14 +53,14 @@ def layout(source: Source) -> LayoutColumns:
         "the tip is the metrology fibre; the BOSS and APOGEE fibres (bossX, bossY, apX, apY), "
         "which are off the arm's axis, are not used",
     )
-    discs = np.zeros((0, 3))
+    discs, walls = np.zeros((0, 3)), np.zeros((0, 1, 2))
     if "fiducialCoords" in files:
         discs = _fiducials(files["fiducialCoords"])
         notices += (f"fiducials are given a radius of {_FIDUCIAL_RADIUS_MM} mm",)
     if "gfaCoords" in files:
-        rows = files["gfaCoords"].table_with(*_CAMERAS).rows
-        notices += (f"{rows} GFAs are not used: walls cannot be expressed yet",)
-    return LayoutColumns(found, discs, "sdss_v", notices + columns.unused_notice())
+        walls, more = _cameras(files["gfaCoords"])
+        notices += more
+    return LayoutColumns(found, discs, "sdss_v", notices + columns.unused_notice(), walls)
 
 
 def _files(source: Source) -> dict[str, DataFile]:
@@ -107,6 +108,21 @@ def _fiducials(file: DataFile) -> Floats:
     xy_mm = [columns.numbers(name, "mm") for name in ("xWok", "yWok")]
     columns.check()
     return np.stack([*xy_mm, np.full(len(columns), _FIDUCIAL_RADIUS_MM)], axis=1)
+
+
+def _cameras(file: DataFile) -> tuple[Floats, tuple[str, ...]]:
+    # the body of each camera as a wall: i along its front, j away from the centre of the wok
+    columns = Columns(file.table_with(*_CAMERAS))
+    place, along, away = (
+        np.stack([columns.numbers(name, "mm") for name in names], axis=1)
+        for names in (("xWok", "yWok"), ("ix", "iy"), ("jx", "jy"))
+    )
+    columns.check()
+    corners = np.array(CAMERA_MM)
+    walls = place[:, None] + corners[:, :1] * along[:, None] + corners[:, 1:] * away[:, None]
+    return walls, (
+        f"GFAs are walls of {np.ptp(corners[:, 0]):.1f} mm, as SDSS-V's own planner has them",
+    )
 
 
 def _optional(columns: Columns, name: str) -> Floats:
