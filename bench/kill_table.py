@@ -25,7 +25,8 @@ robots of the plant really did. Columns:
 - unordered: movements that a new bridge started by itself
 - contacts: pairs of robots that touched, by whole outlines in continuous time
 - false reached: robots said to have reached their targets that stand elsewhere
-- no end: plans without outcome or refusal 6 s after all processes are back
+- no end: plans without outcome or refusal 46 s after all processes are back
+- slow end: plans that ended later than 6 s after all processes were back
 - late: the next reconfiguration took more than 5 s, with its motion and a restarted process's start
 - died: processes that ended by themselves
 

@@ -84,7 +84,8 @@ ARROWS = {
         "fiber_viewer",
         "fiber_positioners",
     },
-    "bench.kill": {"fiber_bringup"},
+    "bench.kill": {"fiber_bringup", "kill_others"},
+    "bench.kill_others": {"fiber_client"},
 }
 # Compartments that may import the simulated plant directly. Run-time code for real buses may not;
 # the demonstration may, because it checks the names of faults before it starts the bridge.

@@ -219,7 +219,8 @@ class Session:
         """Identify the robots, and send units, limits and speeds to them.
 
         Robots that do not answer, or answer with another serial number, remain unknown and
-        are obstacles where they were read last; a later call tries them again. Of a robot that was
+        are obstacles where they were read last; a later call tries them again. Robots that stopped
+        by themselves are cleared, if all rest and none was stopped by a STOP. Of a robot that was
         never read, and that no memory and no operator vouches for, the place is not known: its
         neighbours do not move.
 

@@ -209,6 +209,51 @@ def test_a_new_session_finds_stopped_robots_stopped():
     assert second.state is SessionState.STOPPED
 
 
+def restarted(rig):
+    """A session that begins beside the robots of a rig."""
+    made = Session(rig.plane, rig.units, Safety(), SimulatedBuses(rig.robots), rig.session.angles)
+    rig.t = made.configure(rig.t)
+    return made
+
+
+def test_a_new_session_clears_robots_that_stopped_by_themselves():
+    rig = Rig(7)
+    rig.ready()
+    rig.call("start")
+    rig.robots.schedule([(3, rig.t + 0.2, Event.JAM_THETA, 1)])
+    rig.t += 1.0  # the controller is gone: robots without heartbeats stop
+    assert set(rig.robots.states(rig.t)) == {RobotState.FAULT}
+    rig.session = restarted(rig)
+    assert rig.session.state is SessionState.IDLE and rig.session.known.all()
+    assert np.array_equal(rig.session.counts, rig.where()) and not rig.session.robots["lost"].any()
+    rig.session.submit(rig.orders(np.where(np.arange(7) == 3, 0, -100), 0))
+    rig.call("start")
+    assert set(np.delete(rig.run().outcome, 3)) == {Outcome.REACHED}
+
+
+def test_a_new_session_does_not_clear_beside_robots_that_an_operator_stopped():
+    rig = Rig(7)
+    rig.ready()
+    rig.call("start")
+    rig.t += 0.3
+    rig.call("advance")
+    rig.call("stop")
+    rig.robots.memory["state"][2] = RobotState.FAULT  # one of them stopped by itself
+    assert restarted(rig).state is SessionState.STOPPED
+
+
+def test_a_new_session_does_not_clear_while_a_robot_moves():
+    # robots without a watchdog go on without a controller
+    rig = Rig(7, config=SessionConfig(silence_ms=0))
+    rig.ready(theta=100)
+    rig.call("start")
+    rig.robots.schedule([(3, rig.t + 0.1, Event.JAM_THETA, 1)])
+    rig.t += 0.3
+    assert sorted(rig.robots.states(rig.t)) == [RobotState.MOVING] * 6 + [RobotState.FAULT]
+    later = restarted(rig)
+    assert later.robots["lost"].sum() == 6 and later.state is SessionState.STOPPED
+
+
 STOPS = {
     "stalls": ([(3, 0.3, Event.JAM_THETA, 1)], ()),
     "loses power": ([(3, 0.3, Event.POWER, 0)], ()),

@@ -29,7 +29,7 @@ from fiber_bus_bridge.node.remembered import MemoryConfig, Remembered, memory_pa
 from fiber_bus_bridge.node.settings import AttemptConfig, ExecutionConfig, StartConfig
 from fiber_bus_bridge.node.stage_watch import StageWatch
 from fiber_bus_bridge.node.vouched_parameter import declare_vouched, follow_vouched_parameter
-from fiber_bus_bridge.protocol import State
+from fiber_bus_bridge.protocol import Event, State
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.session_state import SessionState
@@ -304,6 +304,8 @@ class BridgeNode(PlaneNode):
 
     def _find_robots(self, restore: bool = False) -> str:
         self._session.configure(self._now_s())
+        if Event.FOUND_ALONE in [step.event for step in self._session.take_transitions()]:
+            self.get_logger().warning("robots that had stopped by themselves are cleared")
         if restore:  # not at the start: robots that failed before a restart have failed
             self._availability.restore()
         self._attempts.end_all(Reason.NOT_PLANNED, "configured")
@@ -333,17 +335,11 @@ class BridgeNode(PlaneNode):
             raise SessionError("robots cannot be vouched for while a plan is under way")
         try:
             self._session.vouch(ids)
-            self._save_memory()
+            self._remembered.save_or_warn()
         finally:
             self._lock.release()
         self._reporter.publish()
         self.get_logger().info(f"vouched for by operators: {sorted(ids) or 'no robot'}")
-
-    def _save_memory(self) -> None:
-        try:
-            self._remembered.save()
-        except BridgeError as error:
-            self._reporter.refuse(str(error))
 
     # --- motion --------------------------------------------------------------
 
@@ -377,7 +373,7 @@ class BridgeNode(PlaneNode):
         """Publish the changes of a call; after a last call a plan gets no further attempt."""
         self._publish_state(last)
         if self._session.state is not SessionState.MOVING:
-            self._save_memory()
+            self._remembered.save_or_warn()
 
     def _publish_state(self, last: bool) -> None:
         self._now_s()

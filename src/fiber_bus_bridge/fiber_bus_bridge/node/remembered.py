@@ -67,6 +67,7 @@ class Remembered:
     ):
         self._session, self._availability, self._path = session, availability, path
         self._saved: RobotMemory | None = None
+        self._warn = warn
         if path is None:
             return
         memory = self._load(path, hardware, warn)
@@ -90,6 +91,13 @@ class Remembered:
                 "neighbours rest until it is read or vouched for"
             )
             return None
+
+    def save_or_warn(self) -> None:
+        """Save what has changed; tell when the file cannot be written."""
+        try:
+            self.save()
+        except BridgeError as error:
+            self._warn(str(error))
 
     def save(self, starting: bool = False) -> None:
         """Save what has changed.

@@ -43,8 +43,22 @@ def configure(c: Context) -> Event:
     # where a robot is that was never read, and that nothing vouches for, is not known
     robots["lost"] |= ~robots["placed"]
     begin_sequences(c.buses, c.bus[np.concatenate(read_rows)], np.concatenate(sequences))
-    halted = np.isin(robots["state"], (RobotState.STOPPED, RobotState.FAULT)) & robots["known"]
-    return Event.FOUND_STOPPED if halted.any() else Event.CONFIGURED
+    return _found(c)
+
+
+def _found(c: Context) -> Event:
+    """How the configured robots were found.
+
+    A robot in FAULT stopped by itself: its controller died, or a joint did not follow. Its place
+    was read, so that it may move again once all robots rest. A robot that was stopped waits for
+    an operator, as one may have stopped it.
+    """
+    state, known = c.robots["state"], c.robots["known"]
+    alone = known & (state == RobotState.FAULT)
+    stopped = known & (state == RobotState.STOPPED)
+    if stopped.any() or (alone.any() and (state == RobotState.MOVING).any()):
+        return Event.FOUND_STOPPED
+    return Event.FOUND_ALONE if alone.any() else Event.CONFIGURED
 
 
 def clear(c: Context) -> Event:

@@ -50,7 +50,8 @@ class Event(Enum):
 
     # results of steps
     CONFIGURED = "robots were asked and configured"
-    FOUND_STOPPED = "a configured robot was found stopped"
+    FOUND_STOPPED = "a configured robot was found stopped by a STOP"
+    FOUND_ALONE = "configured robots were found that stopped without a controller, all at rest"
     VERIFIED = "every bus with robots to start holds verified orders"
     SUSPECT = "a robot may hold another order: its bus needs a fresh sequence number"
     EXHAUSTED = "no sequence numbers are left to try"
@@ -92,6 +93,7 @@ TRANSITIONS: _Table = {
     (S.IDLE, E.CONFIGURE): S.CONFIGURING,
     (S.CONFIGURING, E.CONFIGURED): S.IDLE,
     (S.CONFIGURING, E.FOUND_STOPPED): S.STOPPED,
+    (S.CONFIGURING, E.FOUND_ALONE): S.CLEARING,
     (S.CONFIGURING, E.ERROR): S.UNCONFIGURED,
     (S.IDLE, E.SUBMIT): S.READY,
     (S.READY, E.SUBMIT): S.READY,
