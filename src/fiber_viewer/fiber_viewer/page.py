@@ -6,12 +6,13 @@ import base64
 import html
 import re
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fiber_core.errors import FiberError
 from fiber_recording.recording_file import load_recording
 
-__all__ = ["SCRIPTS", "main", "write_player"]
+__all__ = ["CONSOLE_SCRIPTS", "SCRIPTS", "console_page", "main", "write_player"]
 
 _SOURCES = Path(__file__).parent / "player"
 # a module may import from the modules before it
@@ -19,6 +20,11 @@ SCRIPTS = (
     "npz", "kinematics", "phases", "clearance", "recording", "theme", "coloring", "camera",
     "drawing", "plane", "neighbourhood", "axes", "profiles", "buses", "timeline", "headline",
     "roving", "lists", "address", "keys", "app",
+)  # fmt: skip
+# those of the console, which shows a running plane
+CONSOLE_SCRIPTS = (
+    "npz", "kinematics", "phases", "clearance", "recording", "theme", "coloring", "camera",
+    "drawing", "plane", "neighbourhood", "address", "live", "orders", "console",
 )  # fmt: skip
 _IMPORT = re.compile(r"^import .*;\n", re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=const|class|function|async)", re.MULTILINE)
@@ -39,22 +45,35 @@ def write_player(page: Path, recording: Path) -> None:
     title = about["report"]["plane"] or "Focal plane"
     if about["plan_ns"]:  # a plan made without ROS has no stamp
         title += f", plan {about['plan_ns']}"
-    text = (_SOURCES / "page.html").read_text()
     embedded = base64.b64encode(recording.read_bytes()).decode()
-    for mark, value in {
+    marks = {"RECORDING": embedded, "LENGTH": str(len(embedded))}
+    page.write_text(_filled("page.html", title, SCRIPTS, marks))
+
+
+def console_page() -> str:
+    """Return the page that shows a running plane; it finds its server and token in its address."""
+    return _filled("console.html", "Focal plane", CONSOLE_SCRIPTS, {})
+
+
+def _filled(source: str, title: str, scripts: Sequence[str], more: Mapping[str, str]) -> str:
+    text = (_SOURCES / source).read_text()
+    marks = {
         "TITLE": html.escape(title),
         "STYLE": (_SOURCES / "style.css").read_text(),
-        "SCRIPT": script(),
-        "RECORDING": embedded,
-        "LENGTH": str(len(embedded)),
-    }.items():
+        "SCRIPT": script(scripts),
+    }
+    for mark, value in {**marks, **more}.items():
         text = text.replace("{{" + mark + "}}", value)
-    page.write_text(text)
+    return text
 
 
-def script() -> str:
-    """Return the scripts of the page as one: end to end, without imports and exports."""
-    modules = ((_SOURCES / f"{name}.js").read_text() for name in SCRIPTS)
+def script(names: Sequence[str] = SCRIPTS) -> str:
+    """Return scripts of a page as one: end to end, without imports and exports.
+
+    Args:
+        names: names of the modules, each after those that it imports.
+    """
+    modules = ((_SOURCES / f"{name}.js").read_text() for name in names)
     return "\n".join(_EXPORT.sub("", _IMPORT.sub("", module)) for module in modules)
 
 

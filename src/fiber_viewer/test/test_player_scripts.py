@@ -19,7 +19,7 @@ from fiber_core.corridor import JointCorridors
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_recording import load_recording, save_recording
-from fiber_viewer.page import SCRIPTS, script
+from fiber_viewer.page import CONSOLE_SCRIPTS, SCRIPTS, script
 
 PLAYER = Path(fiber_viewer.__file__).parent / "player"
 DRAWS = 300
@@ -340,8 +340,13 @@ def test_a_newer_recording_is_refused_by_the_page(node, recording_file, tmp_path
 
 
 def test_the_modules_make_one_script():
-    assert sorted(SCRIPTS) == sorted(path.stem for path in PLAYER.glob("*.js"))
-    text = script()
+    every = set(SCRIPTS) | set(CONSOLE_SCRIPTS)
+    assert every == {path.stem for path in PLAYER.glob("*.js")}
+    for scripts in (SCRIPTS, CONSOLE_SCRIPTS):
+        _check_joined(script(scripts))
+
+
+def _check_joined(text):
     assert not re.search(r"^(import|export)\b", text, re.MULTILINE)
     # joined end to end, all modules share their top-level names
     names = re.findall(r"^(?:async )?(?:const|let|class|function) (\w+)", text, re.MULTILINE)

@@ -13,12 +13,18 @@ export class PlanePanel {
     this.canvas = canvas;
     this.app = app;
     this.camera = new Camera();
-    this.fitted = false;
     this.pointers = new Map();
-    const { plane } = app.recording;
+    this.robotsChanged();
+    this.listen();
+  }
+
+  /** Measures the robots of the plane, and shows all of it. */
+  robotsChanged() {
+    const { plane } = this.app.recording;
     this.reach = Array.from({ length: plane.n }, (_, row) => reachOf(plane, row));
     this.outlinesFrom = OUTLINES_FROM_PX / widthOf(plane);
-    this.listen();
+    this.fitted = false;
+    this.untouched = true;
   }
 
   /** Shows the whole plane. */

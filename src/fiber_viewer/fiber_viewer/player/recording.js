@@ -43,7 +43,8 @@ export async function openRecording(bytes) {
   return recording;
 }
 
-function planeOf(arrays) {
+/** Returns the plane and the targets in the arrays of a recording or a problem file. */
+export function planeOf(arrays) {
   const outline = (name, radius) => ({
     count: arrays[name].shape[1],
     vertices: arrays[name].data,
@@ -145,8 +146,9 @@ function pairsOf(arrays) {
   }));
 }
 
-/** Returns the state of a robot at a time. */
+/** Returns the state of a robot at a time; a running plane has states of its own. */
 export function stateAt(recording, row, t) {
+  if (recording.states) return recording.states[row];
   const { plane, motion, started, outcome } = recording;
   if (!plane.enabled[row]) return DISABLED;
   if (started[row]) {

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node `console`: a running plane in a browser, in a process of its own.
+
+It receives what all observers receive, and sends orders only when a browser asks for them. Nothing
+waits for it: when it ends or hangs, the plane goes on.
+"""
+
+import asyncio
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
+from sensor_msgs.msg import JointState, PointCloud2
+
+from fiber_console.errors import ConsoleError
+from fiber_console.orders import BridgeOrders
+from fiber_console.plane_feed import PlaneFeed
+from fiber_console.server import ConsoleServer, kept_token
+from fiber_core.bounds import Range, check_ranges
+from fiber_core.errors import FiberError
+from fiber_core.outcomes import PlanOutcome
+from fiber_msgs_py import (
+    PlanStamp,
+    diagnostics,
+    joint_states,
+    layout,
+    outcome,
+    progress,
+    targets,
+    topics,
+)
+from fiber_node import PlaneNode, Reporter, SessionGate, ThreadExecutor
+
+__all__ = ["ConsoleConfig", "ConsoleNode", "main", "serve"]
+
+_THREADS = 3
+_ANSWER_S = 20.0  # longest wait for an answer of the bridge
+
+
+@dataclass(frozen=True)
+class ConsoleConfig:
+    """Where the console is served.
+
+    Args:
+        port: port on loopback; 0 for any that is free.
+        folder: folder of the recordings that can be opened.
+        token_file: file of the token that browsers need; empty for one beside the logs of ROS.
+
+    Raises:
+        FiberError: the port is no whole number or out of bounds.
+    """
+
+    RANGES: ClassVar = {"port": Range(0, 65535, whole=True)}
+
+    port: int = 8137
+    folder: str = "recordings"
+    token_file: str = ""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, self.RANGES, FiberError)
+
+
+class ConsoleNode(PlaneNode):
+    """Follows a plane for browsers.
+
+    Args:
+        options: keyword arguments of rclpy.node.Node.
+    """
+
+    def __init__(self, **options: Any):
+        super().__init__("console", **options)
+        self.config = self.parameters.declare(ConsoleConfig, read_only=True).value
+        self.parameters.finish()
+        self.feed = PlaneFeed()
+        self.orders = BridgeOrders(self, self.feed.bridge_node, _ANSWER_S)
+        self.server: ConsoleServer | None = None
+        self._report = Reporter(self, "console")
+        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
+        for topic, observe in (
+            (topics.LAYOUT, self._on_layout),
+            (topics.JOINT_STATES, self._on_joint_states),
+            (topics.OUTCOME, self._on_outcome),
+        ):
+            gate.subscription(topic, self._refusing(topic.name, observe))
+        for topic, observe in (
+            (topics.TARGETS, self._on_targets),
+            (topics.PROGRESS, self._on_progress),
+            (topics.DIAGNOSTICS, self._on_diagnostics),
+        ):
+            topic.subscription(self, self._refusing(topic.name, observe))
+
+    def _refusing(self, topic: str, observe: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a callback that reports why a message was refused, and tells the browsers."""
+        name = topic.rpartition("/")[2]
+
+        def receive(message: Any) -> None:
+            try:
+                observe(message)
+            except FiberError as error:
+                self._report.refuse(f"{name} refused: {error}", name)
+            if self.server is not None:
+                self.server.touch()
+
+        return receive
+
+    def _on_layout(self, message: PointCloud2) -> None:
+        self.feed.set_plane(layout.decode(message)[0])
+
+    def _on_joint_states(self, message: JointState) -> None:
+        _, angles, speeds, _ = joint_states.decode(message)
+        if self.server is not None:
+            self.server.send_motion(self.feed.motion_message(angles, speeds))
+
+    def _on_outcome(self, message: PointCloud2) -> None:
+        stamp = PlanStamp.of(message)
+        self.feed.set_outcome(PlanOutcome(stamp.ns, *outcome.decode(message)))
+
+    def _on_targets(self, message: PointCloud2) -> None:
+        if targets.decode_attempt(message).number == 1:  # later ones have some of these again
+            self.feed.set_targets(*targets.decode(message)[:2])
+
+    def _on_progress(self, message: DiagnosticStatus) -> None:
+        self.feed.add_progress(progress.decode(message))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for received in diagnostics.decode(message):
+            status = received.of_namespace(self.get_namespace())
+            if status is not None:
+                self.feed.add_status(status)
+
+
+def _token_file(config: ConsoleConfig) -> Path:
+    if config.token_file:
+        return Path(config.token_file)
+    logs = os.environ.get("ROS_LOG_DIR") or Path.home() / ".ros" / "log"
+    return Path(logs).parent / "fiber_console.token"
+
+
+async def serve(node: ConsoleNode, ended: asyncio.Event) -> None:
+    """Serve a node that runs in another thread, until an event is set.
+
+    Args:
+        node: the node.
+        ended: ends the server.
+
+    Raises:
+        ConsoleError: the port is taken, or the token cannot be kept.
+    """
+    config = node.config
+    token = kept_token(_token_file(config))
+    server = ConsoleServer(node.feed, node.orders, token, Path(config.folder), config.port)
+    node.server = server
+    node.get_logger().info(f"the console is at {server.address}")
+    try:
+        await ended.wait()
+    finally:
+        node.server = None
+        server.close()
+
+
+async def _run(node: ConsoleNode) -> None:
+    ended, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ended.set)
+    await serve(node, ended)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the console until it is interrupted; return the exit code.
+
+    Args:
+        args: arguments for ROS; by default those of the process.
+    """
+    # signals end the loop of asyncio, which ends the rest
+    given = None if args is None else list(args)
+    rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+    code, executor, node = 0, ThreadExecutor(_THREADS), None
+    thread = threading.Thread(target=executor.spin, name="console", daemon=True)
+    try:
+        node = ConsoleNode()
+        executor.add_node(node)
+        thread.start()
+        asyncio.run(_run(node))
+    except (ConsoleError, FiberError) as error:
+        print(f"console: {error}", file=sys.stderr)
+        code = 2
+    finally:
+        executor.stop()
+        if thread.is_alive():
+            thread.join()
+        executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        try_shutdown()
+    return code
