@@ -38,6 +38,7 @@ export PYTHONWARNINGS := ignore:::setuptools,ignore:::pkg_resources
 
 INSTALLED := source install/setup.bash
 OUT ?= out/demo
+RECORDING ?= out/demo/recording.npz
 OPTIONS = $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) \
 	$(if $(SEED),--seed $(SEED)) $(if $(PLANNER),--planner $(PLANNER)) \
 	$(if $(LAYOUT),--layout $(LAYOUT)) $(if $(STARTS),--starts $(STARTS)) \
@@ -45,8 +46,9 @@ OPTIONS = $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) 
 
 .PHONY: help
 help: ## list the targets
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /|/' | column -t -s '|'
+	@grep -hE '^[a-z -]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /|/' | column -t -s '|'
 	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file STARTS=file TARGETS=file SPACING=mm OUT=folder; demo FAULTS=stall:2,reset"
+	@echo "the commands of a running plane take ARGS= for more options, such as ARGS=--help"
 
 .PHONY: venv
 venv: $(ENV_STAMP) ## make .venv from requirements.lock (PY=python3.12 chooses the Python)
@@ -82,14 +84,51 @@ build/.built: $(ENV_STAMP) tools/compile_loops.py tools/missing_for_interfaces.s
 		|| { cat log/latest_build/*/stderr.log; exit 1; }
 	@# compiled loops are cached a file each, and do not notice that what they call has changed
 	@find src install -name '*.nb[ic]' -delete
-	@echo "compiling the loops, once"
+	@echo "compiling the loops, once: a minute or two"
 	@$(INSTALLED) && $(PYTHON) tools/compile_loops.py
 	@touch $@
 
+# $(call command,PACKAGE,EXECUTABLE) is an installed command, as `ros2 run PACKAGE EXECUTABLE`
+command = $(INSTALLED) && install/$(1)/lib/$(1)/$(2)
+
+# What would fail after minutes of work fails at once.
+.PHONY: inputs
+inputs:
+	@tools/check_inputs.sh '$(CURDIR)' '$(OUT)' '$(SEED)' '$(ROBOTS)' $(foreach files,$(LAYOUT) $(STARTS) $(TARGETS),'$(files)')
+
 .PHONY: demo
-demo: build ## take 5000 simulated robots through one reconfiguration, into out/demo
+demo: inputs build ## take 5000 simulated robots through one reconfiguration, into out/demo
 	@$(INSTALLED) && install/fiber_bringup/lib/fiber_bringup/demo $(OPTIONS) \
 		$(if $(FAULTS),--faults $(FAULTS)) --out $(OUT)
+
+.PHONY: console
+console: inputs build ## a simulated plane in a browser until Ctrl-C, into out/live (PORT=, PRESET=, ROBOTS=, FAULTS=)
+	@$(call command,fiber_bringup,live) $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) \
+		$(if $(SEED),--seed $(SEED)) $(if $(PLANNER),--planner $(PLANNER)) $(if $(LAYOUT),--layout $(LAYOUT)) \
+		$(if $(STARTS),--starts $(STARTS)) $(if $(FAULTS),--faults $(FAULTS)) $(if $(PORT),--port $(PORT)) \
+		--out $(if $(filter-out out/demo,$(OUT)),$(OUT),out/live)
+
+.PHONY: reconfigure
+reconfigure: build ## take a running plane to new targets (TARGETS=random:1 or a file)
+	@$(call command,fiber_client,reconfigure) $(or $(TARGETS),random:0) $(ARGS)
+
+.PHONY: show
+show: build ## print a topic of a running plane as a table (TOPIC=outcome)
+	@$(call command,fiber_client,show) $(or $(TOPIC),outcome) $(ARGS)
+
+.PHONY: disable enable
+disable enable: build ## take robots of a running plane out of use, or put them back (IDS="3 17", WHY=); without IDS: list them
+	@$(call command,fiber_client,$@) $(or $(IDS),--list) $(if $(WHY),--why '$(WHY)') $(ARGS)
+
+.PHONY: player figures bag
+player: build ## write the page of a RECORDING= beside it
+	@$(call command,fiber_viewer,player) $(RECORDING) $(ARGS)
+
+figures: build ## draw the figures of a RECORDING= into out/figures, or OUT=
+	@$(call command,fiber_viewer,figures) $(RECORDING) -o $(if $(filter-out out/demo,$(OUT)),$(OUT),out/figures) $(ARGS)
+
+bag: build ## write a RECORDING= as a rosbag2 into out/bag, or OUT=
+	@$(call command,fiber_recording,bag) $(RECORDING) $(if $(filter-out out/demo,$(OUT)),$(OUT),out/bag) $(ARGS)
 
 .PHONY: screenshots
 screenshots: build ## take the pictures of docs/images from the last demo, and out/faults (needs chromium)
@@ -97,7 +136,8 @@ screenshots: build ## take the pictures of docs/images from the last demo, and o
 		$(addprefix --faults ,$(wildcard out/faults/recording.npz))
 
 .PHONY: bench
-bench: build ## plan one field with no ROS and print one JSON line, into OUT
+bench: inputs build ## plan one field with no ROS and print one JSON line, into OUT
+	@$(if $(FAULTS),echo "bench moves no robots, so FAULTS=$(FAULTS) has no effect: use make demo" >&2; exit 1,true)
 	@$(INSTALLED) && $(PYTHON) bench/plan_field.py $(OPTIONS) \
 		--out $(if $(filter-out out/demo,$(OUT)),$(OUT),out/bench)
 

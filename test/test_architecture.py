@@ -61,6 +61,7 @@ ARROWS = {
     "fiber_recording.bag": {"fiber_recording", "fiber_msgs_py", "rosbags"} | ROS,
     "fiber_viewer": {"fiber_recording", "matplotlib"},
     "fiber_viewer.node": {"fiber_viewer", "fiber_node", "visualization_msgs"} | ROS,
+    "fiber_console": {"fiber_client", "fiber_msgs_py", "fiber_viewer", "tornado"} | ROS,
     "fiber_positioners": {
         "fiber_planner",
         "fiber_discretizer",
@@ -99,7 +100,8 @@ SIMULATION_USERS = (
 )
 # import name -> rosdep key or package name, where they differ
 KEYS = {
-    name: f"python3-{name}" for name in ("numpy", "numba", "scipy", "astropy", "matplotlib", "rich")
+    name: f"python3-{name}"
+    for name in ("numpy", "numba", "scipy", "astropy", "matplotlib", "rich", "tornado")
 } | {
     "pytest": "python3-pytest",
     "hypothesis": "python3-hypothesis",

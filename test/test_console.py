@@ -270,18 +270,6 @@ def test_only_pages_of_the_console_with_its_token_are_served(console):
     assert (console.folder / "token").stat().st_mode & 0o077 == 0
 
 
-def test_a_port_that_is_taken_is_one_clear_line(console, plane):
-    parameters = ["-p", f"port:={console.port}", "-p", f"token_file:={console.folder / 'token'}"]
-    ran = subprocess.run(
-        [sys.executable, "-c", PROGRAM, "--ros-args", *parameters],
-        env=os.environ | {"ROS_DOMAIN_ID": str(plane.domain)},
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-    assert ran.returncode == 2
-    lines = [line for line in ran.stderr.splitlines() if line.startswith("console:")]
-    assert len(lines) == 1 and f"port {console.port}" in lines[0]
-
-
 def test_orders_that_make_no_sense_are_refused_with_a_reason(console, plane):
     async def ask(*messages):
         address = f"ws://127.0.0.1:{console.port}/live?token={console.token}"

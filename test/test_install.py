@@ -18,6 +18,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROS = {
     "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "fiber_bringup", "fiber_client",
+    "fiber_console",
     "fiber_msgs_py", "fiber_node", "geometry_msgs", "launch", "launch_ros", "rcl_interfaces",
     "rclpy", "sensor_msgs", "std_msgs", "std_srvs", "trajectory_msgs", "visualization_msgs",
 }  # fmt: skip

@@ -6,7 +6,7 @@ that is read-only, or came in a message, has a type of its own.
 """
 
 import sys
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from tempfile import TemporaryDirectory
 
 import numpy as np
@@ -56,8 +56,9 @@ def main() -> int:
         done = [pool.submit(_reconfigure, "dnf")]
         done += [pool.submit(_plan, name) for name in planners() if name != "dnf"]
         done.append(pool.submit(rehearse))
-        for each in done:
+        for count, each in enumerate(as_completed(done), 1):
             each.result()
+            print(f"compiled {count} of {len(done)} parts", flush=True)
     return 0
 
 

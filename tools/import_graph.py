@@ -17,7 +17,7 @@ __all__ = ["imports", "imports_of", "mermaid", "package_arrows", "project_module
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "architecture.md"
 _ROS = {"rclpy", "sensor_msgs", "std_msgs"}
-_ROS_PACKAGES = {"fiber_msgs_py", "fiber_node", "fiber_client", "fiber_bringup"}
+_ROS_PACKAGES = {"fiber_msgs_py", "fiber_node", "fiber_client", "fiber_console", "fiber_bringup"}
 BEGIN, END = "<!-- begin: tools/import_graph.py -->", "<!-- end: tools/import_graph.py -->"
 
 

@@ -9,7 +9,15 @@ if [ -L "$folder" ]; then
   exit 1
 fi
 python=$("$(dirname "$0")/find_python.sh" "${3-}")
-echo "making $folder with $("$python" --version): $(wc -l <"$lock") packages, a minute or two"
+count=$(wc -l <"$lock")
+echo "making $folder with $("$python" --version): $count packages, a minute or two"
 "$python" -m venv --clear "$folder"
 # The lock is complete: nothing is resolved, so nothing can drift.
-"$folder/bin/python" -m pip install --quiet --no-deps --disable-pip-version-check -r "$lock"
+log=$(mktemp)
+trap 'rm -f "$log"' EXIT
+set -o pipefail
+if ! "$folder/bin/python" -m pip install --no-deps --disable-pip-version-check --progress-bar off \
+  -r "$lock" 2>&1 | tee "$log" | "$(dirname "$0")/pip_progress.sh" "$count"; then
+  tail -n 15 "$log" >&2
+  exit 1
+fi

@@ -40,6 +40,7 @@ setup(
         "console_scripts": [
             "demo = fiber_bringup.demo:main",
             "graph = fiber_bringup.graph:main",
+            "live = fiber_bringup.live:main",
         ]
     },
 )

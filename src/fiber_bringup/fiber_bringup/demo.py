@@ -69,9 +69,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the nodes with it
     options = _parser().parse_args(argv)
     begin = time.monotonic()
-    options.out.mkdir(parents=True, exist_ok=True)
     with ProgressDisplay() as display:
         try:
+            options.out.mkdir(parents=True, exist_ok=True)
             problem, run = _simulate(options, display)
         except (FiberError, OSError) as error:
             display.say(f"demo: {error}")

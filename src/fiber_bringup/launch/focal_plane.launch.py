@@ -14,7 +14,7 @@ from launch.actions import (
     SetEnvironmentVariable,
     Shutdown,
 )
-from launch.conditions import UnlessCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import (
     EnvironmentVariable,
     EqualsSubstitution,
@@ -99,6 +99,12 @@ def _arguments() -> list[DeclareLaunchArgument]:
         ),
         DeclareLaunchArgument(
             "folder", default_value="recordings", description="folder of the recordings"
+        ),
+        DeclareLaunchArgument(
+            "console", default_value="false", description="serve the console for a browser"
+        ),
+        DeclareLaunchArgument(
+            "port", default_value="8137", description="port of the console, on loopback"
         ),
     ]
 
@@ -258,5 +264,23 @@ def _observers(parameters: LaunchConfiguration) -> list[Node]:
             output="screen",
             **_process(),
             parameters=[parameters],
+        ),
+        # no part of the plane: it is started again, and the plane goes on without it
+        Node(
+            package="fiber_console",
+            executable="console",
+            name="console",
+            output="screen",
+            ros_arguments=["--log-level", LaunchConfiguration("log_level")],
+            respawn=True,
+            respawn_delay=2.0,
+            condition=IfCondition(LaunchConfiguration("console")),
+            parameters=[
+                parameters,
+                {
+                    "folder": ParameterValue(LaunchConfiguration("folder"), value_type=str),
+                    "port": ParameterValue(LaunchConfiguration("port"), value_type=int),
+                },
+            ],
         ),
     ]

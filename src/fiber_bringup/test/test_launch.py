@@ -8,13 +8,16 @@ import re
 from pathlib import Path
 
 import pytest
+import rclpy
 import yaml
+from rclpy.context import Context
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from fiber_bringup.graph import Graph
 from fiber_bus_bridge.plant import main
 from fiber_bus_bridge.simulation import SimulationConfig
+from fiber_console.node import ConsoleNode
 from fiber_msgs_py import FRAME_ID
 from fiber_msgs_py.topics import JOINT_STATES, VIEW_ARMS, VIEW_PLANE, VIEW_TARGETS
 from fiber_viewer.node import WATCHED
@@ -74,26 +77,32 @@ def plant_arguments():
 @pytest.fixture(scope="module")
 def declared(new_domain):
     """Parameters of every node, with their values, as the nodes declare them."""
+    context = Context()
+    rclpy.init(args=[], context=context, domain_id=new_domain())
+    console = ConsoleNode(context=context)  # a process of its own, not part of a graph
     with Graph(bridge={"robots": 7}, recorder={}, viewer={}, domain=new_domain()) as graph:
-        return {
+        found = {
             node.get_name(): {
                 name: _plain(parameter.value)
                 for name, parameter in node.get_parameters_by_prefix("").items()
             }
-            for node in graph.nodes
+            for node in [*graph.nodes, console]
         }
+    console.destroy_node()
+    context.try_shutdown()
+    return found
 
 
 def test_every_argument_is_declared_and_used():
     arguments = {call.args[0].value for call in calls("DeclareLaunchArgument")}
     of_nodes = {name for typed in nodes().values() for name in typed}
-    of_all = {"namespace", "params_file", "use_sim_time", "log_level", "use_respawn"}
+    of_all = {"namespace", "params_file", "use_sim_time", "log_level", "use_respawn", "console"}
     for name in of_all:
         assert f"LaunchConfiguration('{name}')" in ast.unparse(TREE), name
     arguments -= of_all
     assert arguments == of_nodes | set(plant_arguments()) - of_all
     known = {"preset", "robots", "seed", "layout", "problem", "planner", "time_scale", "folder"}
-    assert known | {"starts", "disabled_file", "plant", "faults", "spacing_mm"} == arguments
+    assert known | {"starts", "disabled_file", "plant", "faults", "spacing_mm", "port"} == arguments
 
 
 def test_arguments_have_the_type_of_the_parameter_they_set(declared):

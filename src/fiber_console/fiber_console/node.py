@@ -83,6 +83,7 @@ class ConsoleNode(PlaneNode):
         self.feed = PlaneFeed()
         self.orders = BridgeOrders(self, self.feed.bridge_node, _ANSWER_S)
         self.server: ConsoleServer | None = None
+        self._layout: bytes | None = None
         self._report = Reporter(self, "console")
         gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
         for topic, observe in (
@@ -113,7 +114,10 @@ class ConsoleNode(PlaneNode):
         return receive
 
     def _on_layout(self, message: PointCloud2) -> None:
-        self.feed.set_plane(layout.decode(message)[0])
+        content = bytes(message.data)
+        if content != self._layout:  # it comes again and again
+            self.feed.set_plane(layout.decode(message)[0])
+            self._layout = content
 
     def _on_joint_states(self, message: JointState) -> None:
         _, angles, speeds, _ = joint_states.decode(message)

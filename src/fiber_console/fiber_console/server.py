@@ -6,6 +6,7 @@ import json
 import os
 import secrets
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -82,6 +83,7 @@ class ConsoleServer:
         self._loop = asyncio.get_running_loop()
         self._motion: bytes | None = None
         self._told = asyncio.Event()
+        self._stop_thread = ThreadPoolExecutor(1)  # free, whatever other orders wait for
         application = Application(
             [
                 ("/", _Page),
@@ -128,9 +130,15 @@ class ConsoleServer:
         """Leave all browsers alone."""
         for task in self._tasks:
             task.cancel()
+        self._stop_thread.shutdown(wait=False)
         self._http.stop()
         for client in list(self.clients):
             client.close()
+
+    async def carry_out(self, order: str, plan: str | None, ids: Sequence[int], why: str) -> str:
+        """Carry out an order in a thread; stop has one of its own."""
+        pool = self._stop_thread if order == "stop" else None
+        return await self._loop.run_in_executor(pool, self.order, order, plan, ids, why)
 
     def newest_motion(self) -> bytes | None:
         """Return the joint angles that were sent last."""
@@ -224,7 +232,7 @@ class _Live(WebSocketHandler, _Guarded):
 
     def open(self, *_: str, **__: str) -> None:
         self.set_nodelay(True)
-        self._sending: asyncio.Future[None] | None = None
+        self.sending: asyncio.Future[None] | None = None
         self._orders: set[asyncio.Future[None]] = set()
         self.server.clients.add(self)
         self.tell(self.server.status())
@@ -236,8 +244,8 @@ class _Live(WebSocketHandler, _Guarded):
         self.server.clients.discard(self)
 
     def send_motion(self, message: bytes) -> None:
-        if self._sending is None or self._sending.done():  # else the browser is behind
-            self._sending = self._send(message)
+        if self.sending is None or self.sending.done():  # else the browser is behind
+            self.sending = self._send(message)
 
     def tell(self, text: str) -> None:
         self._orders.add(self._send(text))
@@ -263,7 +271,7 @@ class _Live(WebSocketHandler, _Guarded):
             answer |= {"number": wanted["number"], "order": wanted["order"]}
             ids = [int(robot) for robot in wanted.get("ids", [])]
             plan, why = wanted.get("plan"), str(wanted.get("why", ""))
-            text = await asyncio.to_thread(self.server.order, wanted["order"], plan, ids, why)
+            text = await self.server.carry_out(str(wanted["order"]), plan, ids, why)
             answer |= {"ok": True, "text": text}
         except Exception as error:  # whatever a browser sends, it is told why that was refused
             answer |= {"text": str(error) or type(error).__name__}

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run a simulated focal plane with its console until interrupted.
+
+Starts plant, bridge, planner, discretizer, recorder and console as processes on this machine, in
+the ROS domain of the environment, and prints the address of the console: open it in a browser. It
+shows the plane as it moves, and has buttons for the orders of an operator. Targets come from
+another terminal, as from an observatory: `make reconfigure TARGETS=random:1`.
+
+A console that ends is started again. When another process ends, all end, and the exit code is 1.
+"""
+
+import argparse
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from fiber_bringup.errors import ProcessError
+from fiber_bringup.processes import Processes
+from fiber_bus_bridge.plant import plant_socket
+from fiber_core.errors import FiberError
+from fiber_core.presets import PRESETS
+from fiber_core.problem import save_problem
+from fiber_formats import problem_from
+from fiber_node.ros_environment import use_loopback
+from fiber_planner import DEFAULT_PLANNER, planners
+
+__all__ = ["main"]
+
+_LOOK_S = 0.2  # time between two looks at the processes
+_ADDRESS = "the console is at "
+_CONSOLE = "console"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run from the command line; return the exit code."""
+    options = _parser().parse_args(argv)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    use_loopback()
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        _run(options)
+    except (FiberError, OSError) as error:
+        print(f"console: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("console: interrupted, all nodes were ended", file=sys.stderr)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="live", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--preset", choices=list(PRESETS), help="instrument, default desi")
+    parser.add_argument("--robots", type=int, help="number of robots; by default all")
+    parser.add_argument("--layout", help="files of robots instead of a preset, joined by commas")
+    parser.add_argument("--starts", help="files with the present angles; by default random")
+    parser.add_argument("--seed", type=int, default=0, help="seed of random starts")
+    parser.add_argument("--planner", choices=planners(), default=DEFAULT_PLANNER)
+    parser.add_argument("--faults", default="", metavar="KIND[:COUNT],...", help="as of the demo")
+    parser.add_argument("--port", type=int, default=8137, help="port of the console, 8137")
+    parser.add_argument("--out", type=Path, default=Path("out/live"), help="logs and recordings")
+    return parser
+
+
+def _run(options: argparse.Namespace) -> None:
+    found = problem_from(
+        layout=options.layout,
+        preset=options.preset,
+        robots=options.robots,
+        seed=options.seed,
+        starts=options.starts,
+    )
+    for line in found.lines:
+        print(line, file=sys.stderr)
+    out = options.out.resolve()
+    problem_file, name = str(out / "problem.npz"), found.problem.plane.name
+    save_problem(problem_file, found.problem)
+    plant = str(plant_socket(f"live.{os.getpid()}"))
+    with Processes(options.out) as processes:
+        processes.start_command(
+            "fiber_bus_bridge",
+            "plant",
+            [f"--problem={problem_file}", f"--seed={options.seed}", f"--faults={options.faults}",
+             "--time-scale=1.0", f"--socket={plant}"],
+        )  # fmt: skip
+        bridge = {"problem": problem_file, "time_scale": 1.0, "plant": plant}
+        processes.start("fiber_bus_bridge", "bridge", bridge)
+        processes.start("fiber_planner", "planner", {"planner": options.planner})
+        processes.start("fiber_discretizer", "discretizer", {})
+        recorder = {"folder": str(out), "preset": name, "planner": options.planner}
+        processes.start("fiber_recording", "recorder", recorder)
+        console = {"folder": str(out), "port": options.port}
+        processes.start("fiber_console", _CONSOLE, console)
+        print(f"{found.problem.plane.n} robots of {name}; logs and recordings in {options.out}")
+        print(_address(processes, options.out / f"{_CONSOLE}.log"), flush=True)
+        while True:
+            time.sleep(_LOOK_S)
+            ended = processes.ended()
+            if ended == [_CONSOLE]:
+                print("the console has ended and is started again", file=sys.stderr)
+                processes.restart(_CONSOLE)
+            elif ended:
+                processes.check()
+
+
+def _address(processes: Processes, log: Path) -> str:
+    """Wait until the console says where it is."""
+    while True:
+        processes.check()
+        for line in log.read_text(errors="replace").splitlines():
+            if _ADDRESS in line:
+                return f"console: {line.partition(_ADDRESS)[2]}"
+        if not log.exists():
+            raise ProcessError(f"{log} is missing")
+        time.sleep(_LOOK_S)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,30 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Refuse at once, in one line, what would fail after minutes of work:
+# check_inputs.sh CLONE OUT SEED ROBOTS [FILES,...]...
+set -eu
+clone=$1 out=$2 seed=$3 robots=$4
+shift 4
+refuse() {
+  echo "$*" >&2
+  exit 1
+}
+case $seed in *[!0-9]*) refuse "SEED=$seed: a seed is a whole number, 0 or more" ;; esac
+case $robots in *[!0-9]* | 0) refuse "ROBOTS=$robots: robots are a whole number, 1 or more" ;; esac
+# a folder is written to, or made in the nearest folder that is there
+writable() {
+  local place=$1
+  while [ ! -e "$place" ] && [ ! -L "$place" ]; do place=$(dirname "$place"); done
+  [ -d "$place" ] && touch "$place/.fiber_writable" 2>/dev/null && rm "$place/.fiber_writable"
+}
+writable "$clone" || refuse "$clone cannot be written to, and the build is made there: copy the clone elsewhere"
+writable "$out" || refuse "OUT=$out cannot be written to: choose another folder"
+for files in "$@"; do
+  IFS=, read -ra each <<<"$files"
+  for file in "${each[@]}"; do
+    [ -e "$file" ] || refuse "$file: there is no such file"
+  done
+done
+if [ -r /sys/class/net/lo/flags ] && [ $(($(</sys/class/net/lo/flags) & 1)) -eq 0 ]; then
+  refuse "the loopback interface is down, and the nodes talk over it: 'ip link set lo up'"
+fi
