@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """A focal plane of a few dozen robots, some of them disabled, for the tests of the graph."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from fiber_core.fields import random_problem
 from fiber_core.presets import preset
 from fiber_core.problem import save_problem
+
+sys.path.append(str(Path(__file__).parent))  # helper modules in this folder
 
 ROBOTS = 61
 DISABLED = [3, 17, 40]

@@ -26,6 +26,7 @@ STOCK_MESSAGES = {
     "builtin_interfaces",
     "diagnostic_msgs",
     "geometry_msgs",
+    "lifecycle_msgs",
     "sensor_msgs",
     "std_msgs",
     "std_srvs",

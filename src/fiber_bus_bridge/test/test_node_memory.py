@@ -81,7 +81,7 @@ class Night(Rest):
 
     def left_out(self):
         statuses = diagnostics.decode(self.received[topics.DIAGNOSTICS.name][-1])
-        return next(s for s in statuses if s.name == "bridge: left out").values
+        return next((s.values for s in statuses if s.name == "bridge: left out"), {})
 
 
 @pytest.fixture

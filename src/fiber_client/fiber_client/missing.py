@@ -57,12 +57,7 @@ def _iterate_missing(
         yield "a bridge"
         return
     statuses = monitor.statuses
-    for stage in STAGES:
-        status = statuses.get(stage)
-        if status is None:
-            yield f"diagnostics of {stage}"
-        elif stage != BRIDGE and not _knows_plane(monitor, status):
-            yield f"{stage} to know the plane"
+    yield from _stages_missing(monitor)
     for name in also:
         if name not in statuses:
             yield f"diagnostics of {name}"
@@ -80,3 +75,14 @@ def _iterate_missing(
     # a node that was paused for longer than its lease comes back without its name
     if len(unseen) > [info.node_name for info in found].count(_UNNAMED):
         yield from (f"{name} to subscribe to targets" for name in unseen)
+
+
+def _stages_missing(monitor: PlaneMonitor) -> Iterator[str]:
+    for stage in STAGES:
+        status = monitor.statuses.get(stage)
+        if status is None:
+            yield f"diagnostics of {stage}"
+        elif status.values.get("state", "active") != "active":
+            yield f"{stage} to be activated, it is {status.values['state']}"
+        elif stage != BRIDGE and not _knows_plane(monitor, status):
+            yield f"{stage} to know the plane"

@@ -27,9 +27,8 @@ from fiber_node import (
     DISCRETIZER,
     AcceptedAttempts,
     Claim,
+    ManagedNode,
     PlaneCache,
-    PlaneNode,
-    Reporter,
     SessionGate,
     run,
 )
@@ -37,52 +36,71 @@ from fiber_node import (
 __all__ = ["DiscretizerNode", "main"]
 
 
-class DiscretizerNode(PlaneNode):
+class DiscretizerNode(ManagedNode):
     """Turns each trajectory, of any planner, into orders that are proven safe.
 
     It works on the attempts that the bridge has accepted, and stays out while an earlier
-    discretizer is in the graph.
+    discretizer is in the graph. Configured it follows the plane; active it has the role of the
+    discretizer and works; deactivated it ends the work under way, whose plan ends with an outcome
+    of the bridge.
 
     Args:
         options: keyword arguments of rclpy.node.Node.
     """
 
     def __init__(self, **options: Any):
-        super().__init__("discretizer", **options)
+        super().__init__("discretizer", DISCRETIZER, **options)
         self._options = self.parameters.declare(DiscretizeOptions)
         self._safety = self.parameters.declare(Safety, "safety")
         self.parameters.finish()
         self._newest: Attempt | None = None  # whose orders were published last
-        self._report = Reporter(self, DISCRETIZER)
-        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
-        self._plane_cache = PlaneCache(gate, self._report)
+        self._claim: Claim | None = None  # while it is active
+        self.begin()
+
+    def configure(self) -> None:
+        """Follow the plane, and hear trajectories."""
+        gate = SessionGate(self, lambda topic, text: self.reporter.refuse(text, topic))
+        self._plane_cache = PlaneCache(gate, self.reporter)
         self._accepted = AcceptedAttempts(self, gate)
         self._held = topics.HELD_BY_DISCRETIZER.publisher(self)
         self._segments = topics.SEGMENTS.publisher(self)
         self._corridors = topics.CORRIDORS.publisher(self)
         self._worker = self.worker("discretizing")
-        self._worker.follow_stop(self._report, self._is_done)
+        self._worker.follow_stop(self.reporter, self._is_done)
         gate.subscription(topics.TRAJECTORY, self._on_trajectory)
         # a publisher with the default quality of service matches this one alone
         gate.subscription(topics.TRAJECTORY.volatile, self._on_trajectory)
+
+    def activate(self) -> None:
+        """Claim the role of the discretizer."""
         self._claim = Claim(self, DISCRETIZER)  # last: the node is complete
+
+    def deactivate(self) -> None:
+        """End the work under way, and give up the role."""
+        claim, self._claim = self._claim, None
+        if claim is not None:
+            claim.release()
+        for attempt in self._worker.cancel():
+            self.reporter.drop(f"plan {attempt}: discretizing ended: the node is deactivated")
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         try:
             stamp = PlanStamp.of(message)
         except FiberError as error:
-            self._report.refuse(f"trajectory refused: {error}", "trajectory")
+            self.reporter.refuse(f"trajectory refused: {error}", "trajectory")
             return
 
         def discretize_when_current(attempt: Attempt, session: str) -> None:
             if session != session_of(message):
-                self._report.refuse(
+                self.reporter.refuse(
                     f"trajectory {attempt} refused: it belongs to {session_of(message)}, the plan "
                     f"to {session}",
                     "trajectory",
                 )
+            elif self._claim is None:
+                self.reporter.drop(f"trajectory {attempt} not used: this discretizer is inactive")
             elif self._claim.earlier():
-                self._report.drop(
+                self.reporter.drop(
                     f"trajectory {attempt} left to the discretizer that was here before"
                 )
             else:
@@ -94,12 +112,14 @@ class DiscretizerNode(PlaneNode):
         if self._accepted.has_ended(stamp):
             return  # heard before, by the other subscription perhaps
         if not self._accepted.when_accepted(stamp, discretize_when_current):
-            self._report.waiting(f"trajectory {stamp} waits until the bridge accepts its plan")
+            self.reporter.waiting(f"trajectory {stamp} waits until the bridge accepts its plan")
 
     def _is_done(self, attempt: Attempt) -> bool:
         return attempt == self._newest
 
     def _discretize(self, attempt: Attempt, session: str, message: JointTrajectory) -> None:
+        if self._claim is None:
+            return  # deactivated while the attempt waited for the plane
         try:
             ids, motion, velocities = trajectory.decode(message)
             safety, state = self._safety.value, self._plane_cache.state
@@ -111,14 +131,14 @@ class DiscretizerNode(PlaneNode):
                 state.units,
                 safety,
                 options=self._options.value,
-                progress=self._report.progress_of(attempt, self._worker.check),
+                progress=self.reporter.progress_of(attempt, self._worker.check),
                 velocities=velocities,
             )
             self._worker.check()
             self._newest = attempt
             self._publish(result, state.plane, safety, attempt, session)
         except FiberError as error:
-            self._report.refuse(f"trajectory refused: {error}", "trajectory", attempt)
+            self.reporter.refuse(f"trajectory refused: {error}", "trajectory", attempt)
 
     def _publish(
         self,
@@ -142,14 +162,14 @@ class DiscretizerNode(PlaneNode):
             )
         moving = int(wire.moves.sum())
         clearance = f"{certificate.min_gap_mm:.4f}"
-        self._report.counters |= {
+        self.reporter.counters |= {
             "plan": attempt,
             "moving": moving,
             "held": int(is_held.sum()),
             "segments": len(wire.ticks),
             "clearance_mm": clearance,
         }
-        self._report.done(
+        self.reporter.done(
             attempt,
             f"{moving} robots move, {is_held.sum()} held, {len(wire.ticks)} segments, "
             f"least clearance {clearance} mm",

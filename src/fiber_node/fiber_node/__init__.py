@@ -3,6 +3,7 @@
 
 from fiber_node.accepted_attempts import AcceptedAttempts
 from fiber_node.claims import BRIDGE, DISCRETIZER, PLANNER, Claim, claims
+from fiber_node.managed_node import ManagedNode
 from fiber_node.parameters import Declared, NodeParameters, ParameterError
 from fiber_node.plane_cache import PlaneCache
 from fiber_node.plane_node import PlaneNode
@@ -19,6 +20,7 @@ __all__ = [
     "Claim",
     "DISCRETIZER",
     "Declared",
+    "ManagedNode",
     "NodeParameters",
     "PLANNER",
     "ParameterError",

@@ -22,7 +22,7 @@ _RANDOM_BYTES = 4
 
 
 class Claim:
-    """The claim of a node to a role, from its making until the node goes.
+    """The claim of a node to a role, from its making until it is released or the node goes.
 
     Args:
         node: the node.
@@ -36,6 +36,10 @@ class Claim:
         self._subscription = node.create_subscription(
             Empty, _name(role, self.id), lambda _: None, 1
         )
+
+    def release(self) -> None:
+        """Give up the role; every node sees it."""
+        self._node.destroy_subscription(self._subscription)
 
     def others(self) -> list[str]:
         """Return the other claims to the same role, the earliest first."""

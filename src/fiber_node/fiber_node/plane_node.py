@@ -41,9 +41,14 @@ class PlaneNode(Node):
         self._workers.append(Worker(self, name))
         return self._workers[-1]
 
+    def end_workers(self) -> None:
+        """Cancel the work of all workers, and wait for its end, half a second at most for each."""
+        self._workers = [each for each in self._workers if not each.close(_WORK_ENDS_S)]
+
     def destroy_node(self) -> None:
         """Cancel the work of all workers, and give up the node."""
-        self.ended = all([worker.close(_WORK_ENDS_S) for worker in self._workers])
+        self.end_workers()
+        self.ended = not self._workers
         super().destroy_node()
 
     def declare_parameters(

@@ -54,15 +54,22 @@ class Worker:
             self._waiting.append(_Job(attempt, work))
             self._changed.notify_all()
 
-    def cancel(self, until: PlanStamp) -> list[Attempt]:
-        """Cancel all work that waits or is under way on attempts with stamps up to one.
+    def cancel(self, until: PlanStamp | None = None) -> list[Attempt]:
+        """Cancel all work that waits or is under way.
+
+        Args:
+            until: cancel only work on attempts with stamps up to this one.
 
         Returns:
             The attempts whose work was cancelled.
         """
         with self._changed:
             jobs = [job for job in (self._current, *self._waiting) if job is not None]
-            jobs = [job for job in jobs if job.attempt.stamp <= until and not job.cancelled]
+            jobs = [
+                job
+                for job in jobs
+                if (until is None or job.attempt.stamp <= until) and not job.cancelled
+            ]
             for job in jobs:
                 job.cancelled = True
             return [job.attempt for job in jobs]

@@ -26,9 +26,8 @@ from fiber_node import (
     PLANNER,
     AcceptedAttempts,
     Claim,
+    ManagedNode,
     PlaneCache,
-    PlaneNode,
-    Reporter,
     SessionGate,
     run,
 )
@@ -62,33 +61,49 @@ class PlannerChoice:
             )
 
 
-class PlannerNode(PlaneNode):
+class PlannerNode(ManagedNode):
     """Plans each table of targets from the joint angles that the encoders report.
 
     It plans the attempts that the bridge has accepted, and stays out while an earlier planner is
-    in the graph.
+    in the graph. Configured it follows the plane; active it has the role of the planner and plans;
+    deactivated it ends the planning under way, whose plan ends with an outcome of the bridge.
 
     Args:
         options: keyword arguments of rclpy.node.Node.
     """
 
     def __init__(self, **options):
-        super().__init__("planner", **options)
+        super().__init__("planner", PLANNER, **options)
         self._choice = self.parameters.declare(PlannerChoice)
         self._settings = {
             name: self.parameters.declare(parameters_of(name), name) for name in planners()
         }
         self.parameters.finish()
-        self._report = Reporter(self, PLANNER)
-        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
-        self._plane_cache = PlaneCache(gate, self._report)
+        self._claim: Claim | None = None  # while it is active
+        self.begin()
+
+    def configure(self) -> None:
+        """Follow the plane, and hear targets."""
+        gate = SessionGate(self, lambda topic, text: self.reporter.refuse(text, topic))
+        self._plane_cache = PlaneCache(gate, self.reporter)
         self._accepted = AcceptedAttempts(self, gate)
         self._held = topics.HELD_BY_PLANNER.publisher(self)
         self._trajectory = topics.TRAJECTORY.publisher(self)
         self._worker = self.worker("planning")
-        self._worker.follow_stop(self._report)
+        self._worker.follow_stop(self.reporter)
         topics.TARGETS.subscription(self, self._on_targets)
+
+    def activate(self) -> None:
+        """Claim the role of the planner."""
         self._claim = Claim(self, PLANNER)  # last: the node is complete
+
+    def deactivate(self) -> None:
+        """End the planning under way, and give up the role."""
+        claim, self._claim = self._claim, None
+        if claim is not None:
+            claim.release()
+        for attempt in self._worker.cancel():
+            self.reporter.drop(f"plan {attempt}: planning ended: the node is deactivated")
 
     def planner(self) -> Planner:
         """Return the planner that plans next, with the parameters that are in effect."""
@@ -99,12 +114,15 @@ class PlannerNode(PlaneNode):
         try:
             stamp = PlanStamp.of(message)
         except FiberError as error:
-            self._report.refuse(f"targets refused: {error}", "targets")
+            self.reporter.refuse(f"targets refused: {error}", "targets")
             return
 
         def plan_when_current(attempt: Attempt, session: str) -> None:
+            if self._claim is None:
+                self.reporter.drop(f"targets {attempt} not planned: this planner is inactive")
+                return
             if self._claim.earlier():
-                self._report.drop(f"targets {attempt} left to the planner that was here before")
+                self.reporter.drop(f"targets {attempt} left to the planner that was here before")
                 return
             work = partial(self._plan, attempt, session, message)
             self._plane_cache.when_current(
@@ -112,14 +130,16 @@ class PlannerNode(PlaneNode):
             )
 
         if not self._accepted.when_accepted(stamp, plan_when_current):
-            self._report.waiting(f"targets {stamp} wait until the bridge accepts them")
+            self.reporter.waiting(f"targets {stamp} wait until the bridge accepts them")
 
     def _plan(self, attempt: Attempt, session: str, message: PointCloud2) -> None:
+        if self._claim is None:
+            return  # deactivated while the attempt waited for the plane
         try:
             ids, xy_mm = targets.decode(message)
             plane, _, start, moving = self._plane_cache.state
             if moving:
-                self._report.refuse(
+                self.reporter.refuse(
                     f"targets {attempt} refused: robots are moving", "targets", attempt
                 )
                 return
@@ -132,12 +152,12 @@ class PlannerNode(PlaneNode):
                 start,
                 assignment,
                 planner,
-                self._report.progress_of(attempt, self._worker.check),
+                self.reporter.progress_of(attempt, self._worker.check),
             )
             self._worker.check()
             self._publish(result, attempt, session)
         except FiberError as error:
-            self._report.refuse(f"targets refused: {error}", "targets", attempt)
+            self.reporter.refuse(f"targets refused: {error}", "targets", attempt)
 
     def _publish(self, result: PlanStageResult, attempt: Attempt, session: str) -> None:
         ids, motion, is_held = result.problem.plane.ids, result.planned.motion, result.held
@@ -147,14 +167,14 @@ class PlannerNode(PlaneNode):
         )
         self._trajectory.publish(trajectory.encode(ids, motion, attempt.stamp, session))
         arriving, holds = (int(np.count_nonzero(mask)) for mask in (result.arriving, is_held))
-        self._report.counters |= {
+        self.reporter.counters |= {
             "plan": attempt,
             "arriving": arriving,
             "held": holds,
             "tangled": len(result.planned.tangled),
             "makespan_s": f"{motion.makespan_s:.3f}",
         }
-        self._report.done(
+        self.reporter.done(
             attempt, f"{arriving} robots arrive in {motion.makespan_s:.2f} s, {holds} held"
         )
 

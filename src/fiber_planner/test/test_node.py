@@ -176,7 +176,7 @@ def test_a_later_planner_stays_out_until_the_earlier_one_is_gone(rest):
     trajectories = len(rest.trajectories)
     rest.ask(9)
     left = "left to the planner that was here before"
-    peer.wait_for(lambda: left in second._report._text, WAIT_S)
+    peer.wait_for(lambda: left in second.reporter._text, WAIT_S)
     peer.wait_for(lambda: len(rest.trajectories) > trajectories, WAIT_S)
     assert len(rest.trajectories) == trajectories + 1
 

@@ -2,6 +2,7 @@
 """Plans from their targets to their orders: accepted or refused, then awaited, then ended."""
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.publisher import Publisher
@@ -17,7 +18,7 @@ from fiber_core.array_types import Points
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Reason
 from fiber_msgs_py import Attempt, PlanStamp, progress, targets
-from fiber_node import Claim, Reporter
+from fiber_node import Reporter
 
 __all__ = ["AcceptedPlans"]
 
@@ -36,28 +37,30 @@ class AcceptedPlans:
     Args:
         watch: knows which nodes work on the plans.
         session: the session with the robots.
-        claim: the claim of this bridge, whose id is that of the session in messages.
+        session_id: id of the session in messages.
         inputs: keeps the accepted plans.
         outgoing: publishes encoders and outcomes.
         reporter: publishes acceptances and refusals.
         sender: publishes targets without a stamp again, with one.
+        check_role: refuses by a SessionError while this bridge may move no robot.
     """
 
     def __init__(
         self,
         watch: StageWatch,
         session: Session,
-        claim: Claim,
+        session_id: str,
         inputs: PlanInputs,
         outgoing: Publishers,
         reporter: Reporter,
         sender: Publisher,
+        check_role: Callable[[], None],
     ):
-        self._watch, self._session, self._claim = watch, session, claim
+        self._watch, self._session, self._session_id = watch, session, session_id
         self._inputs, self._outgoing, self._reporter = inputs, outgoing, reporter
         self._open: dict[PlanStamp, Attempt] = {}  # accepted, and without orders yet
         self._announced_s = self._foreign_s = 0.0
-        self._sender = sender
+        self._sender, self._check_role = sender, check_role
 
     def hear_targets(self, message: Any) -> PlanStamp | None:
         """Accept or refuse the targets of a plan; return its stamp if they are accepted."""
@@ -115,8 +118,7 @@ class AcceptedPlans:
         return True
 
     def _check_state(self) -> None:
-        if self._claim.earlier():
-            raise SessionError("another bridge of this plane is in the graph")
+        self._check_role()
         state = self._session.state
         if state is SessionState.MOVING:
             raise SessionError(f"robots are moving: {state.value}")
@@ -177,7 +179,7 @@ class AcceptedPlans:
             MessageError: the message is malformed.
         """
         received = progress.decode(message)
-        ours = received.session == self._claim.id and received.stage in STAGES
+        ours = received.session == self._session_id and received.stage in STAGES
         if not ours or not received.refused:
             return None
         return received.attempt.stamp, f"{received.stage}: {received.text}"

@@ -2,8 +2,8 @@
 """The bus bridge as a node: segments in, frames on the buses, outcomes out."""
 
 import threading
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -18,133 +18,166 @@ from fiber_bus_bridge.capture import Tap
 from fiber_bus_bridge.errors import BridgeError, SessionError
 from fiber_bus_bridge.node.accepted_plans import AcceptedPlans
 from fiber_bus_bridge.node.attempts import Attempts
-from fiber_bus_bridge.node.disabled_parameter import (
-    declare_availability,
-    follow_disabled_parameter,
-)
-from fiber_bus_bridge.node.hardware import declare_hardware
+from fiber_bus_bridge.node.declared_parameters import declare_bridge
+from fiber_bus_bridge.node.disabled_parameter import follow_disabled_parameter
+from fiber_bus_bridge.node.hardware import Hardware, open_hardware
+from fiber_bus_bridge.node.locked_calls import LockedCalls
+from fiber_bus_bridge.node.operator_changes import OperatorChanges
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
+from fiber_bus_bridge.node.plane_claim import OtherBridges, claim_plane
 from fiber_bus_bridge.node.publishers import Publishers
-from fiber_bus_bridge.node.remembered import MemoryConfig, Remembered, memory_path
-from fiber_bus_bridge.node.settings import AttemptConfig, ExecutionConfig, StartConfig
+from fiber_bus_bridge.node.remembered import Remembered, memory_path
 from fiber_bus_bridge.node.stage_watch import StageWatch
-from fiber_bus_bridge.node.vouched_parameter import declare_vouched, follow_vouched_parameter
+from fiber_bus_bridge.node.vouched_parameter import follow_vouched_parameter
 from fiber_bus_bridge.protocol import Event, State
 from fiber_bus_bridge.session import Session
-from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.session_state import SessionState
-from fiber_core.clearance import Safety
-from fiber_core.errors import FiberError
 from fiber_core.outcomes import Reason
-from fiber_msgs_py import PlanStamp, guarded, topics
-from fiber_node import BRIDGE, Claim, Declared, PlaneNode, Reporter, run
+from fiber_msgs_py import PlanStamp, Status, guarded, topics
+from fiber_node import BRIDGE, ManagedNode, run
 
 __all__ = ["BridgeNode", "main"]
 
 _TICK_S = 0.1  # time of the buses between two publications while robots move
 _SOON_S = 1e-3
-_POLL_S = 0.02
 _CHECK_PERIOD_S = 0.25
 _REPEAT_PERIOD_S = 1.0  # of layout and joint states at rest
-_LEASE_S = 4.0  # a bridge that was killed has left the graph by then
-_STAYS_S = 2 * _LEASE_S  # a bridge that refuses to run has left the graph by then
-_ANSWER_S = 0.25  # longest wait of a change of parameters for other work of the bridge
 _Response: TypeAlias = Trigger.Response
 
 
-class BridgeNode(PlaneNode):
+class BridgeNode(ManagedNode):
     """Executes plans on positioners and publishes the outcome of every robot.
 
     The time of simulated buses advances only while robots move, `time_scale` seconds a second.
+    Configured, the bridge has claimed its plane and found the robots, and publishes where they are;
+    active, it accepts targets and moves robots. Deactivated in motion it stops them first.
 
     Args:
         options: keyword arguments of rclpy.node.Node.
     """
 
     def __init__(self, **options: Any):
-        super().__init__("bridge", **options)
-        hardware = declare_hardware(self.parameters, self.get_namespace())
-        safety = self.parameters.declare(Safety, "safety", read_only=True).value
-        execution = self.parameters.declare(ExecutionConfig, read_only=True).value
-        attempt_config = self.parameters.declare(AttemptConfig)
-        self._to_start = self.parameters.declare(StartConfig)
-        scale, self._capture = execution.time_scale, execution.capture
-        self._hardware, plane = hardware, hardware.plane
-        self._tap = Tap(hardware.buses, hardware.timing) if self._capture else None
-        config = self.parameters.declare(SessionConfig, "session", read_only=True).value
-        self._session = Session(
-            plane, hardware.units, safety, self._tap or hardware.buses, hardware.start, config
-        )
         self._lock, self._stop_requested = threading.Lock(), threading.Event()
+        self._calls = LockedCalls(self, self._lock)
+        # transitions are served while a call is at work
+        super().__init__("bridge", BRIDGE, MutuallyExclusiveCallbackGroup(), **options)
+        self._parameters_given = declare_bridge(self, self.parameters)
+        self._to_start = self._parameters_given.start
+        self._capture = self._parameters_given.execution.capture
+        follow_disabled_parameter(self, self._disable, self.reporter.refuse)
+        follow_vouched_parameter(self, self._vouch, self.reporter.refuse)
+        self.begin()
+
+    def configure(self) -> None:
+        """Open the buses, claim the plane, find the robots, and tell where they are.
+
+        Raises:
+            FiberError: the parameters describe no hardware, its plant or devices are not there, or
+                another bridge has the plane.
+        """
+        hardware = open_hardware(self._parameters_given.hardware, self.get_namespace())
+        try:
+            with self._lock:  # what hears and serves waits until all is there
+                self._build(hardware)
+                self._find_robots()
+                self._calls.open = True
+        except Exception:
+            hardware.close()
+            raise
+        for line in hardware.lines:
+            self.get_logger().info(line)
+        buses = len(self._session.transactions.buses)
+        self.get_logger().info(f"{hardware.plane.n} robots on {buses} buses")
+
+    def _build(self, hardware: Hardware) -> None:
+        given, plane = self._parameters_given, hardware.plane
+        self._hardware = hardware
+        self._tap = Tap(hardware.buses, hardware.timing) if self._capture else None
+        self._session = Session(
+            plane, hardware.units, given.safety, self._tap or hardware.buses, hardware.start,
+            given.session,
+        )  # fmt: skip
         self._time_s = self._due_s = 0.0
-        self._others_since_s: dict[str, float] = {}  # claims of other bridges
-        memory = memory_path(self.parameters.declare(MemoryConfig, read_only=True).value, hardware)
-        self._availability = declare_availability(self, self.parameters, plane, memory)
-        declare_vouched(self, self.parameters)
-        self.parameters.finish()
+        memory = memory_path(given.memory, hardware)
+        self._availability = given.disabled.availability(plane, memory)
         self._session.enable(self._availability.enabled)
-        self._claim = self._claimed(execution.discovery_s)
+        self._claim = claim_plane(self, given.execution.discovery_s)
+        self._others = OtherBridges(self._claim)
         self._outgoing = Publishers(self, self._session, self._availability, self._claim.id)
-        self._reporter = Reporter(self, BRIDGE, self._outgoing.statuses)
-        self._reporter.session = self._claim.id
-        self._attempts = self._make_attempts(attempt_config)
+        self.reporter.session = self._claim.id
+        self._attempts = self._make_attempts()
         self._stopped = topics.STOPPED.publisher(self)
         self._work_group = MutuallyExclusiveCallbackGroup()
         self._remembered = Remembered(
-            self._session, self._availability, hardware, memory, self._reporter.refuse
+            self._session, self._availability, hardware, memory, self.reporter.refuse
         )
+        self._operators = OperatorChanges(
+            self, self._lock, self._session, self._availability, self._attempts, self._outgoing,
+            self._remembered.save_or_warn,
+        )  # fmt: skip
         self._subscribe()
-        pause_s = _SOON_S if hardware.in_real_time or not scale else _TICK_S / scale
+        self._make_timers(given.execution.time_scale)
+
+    def _make_timers(self, scale: float) -> None:
+        in_real_time, work = self._hardware.in_real_time, self._work_group
+        pause_s = _SOON_S if in_real_time or not scale else _TICK_S / scale
         # simulated buses follow the clock of the node, as one of use_sim_time; real ones cannot
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(
             pause_s,
-            guarded(self, "tick", self._on_tick),
-            callback_group=self._work_group,
-            clock=steady if hardware.in_real_time else self.get_clock(),
+            guarded(self, "tick", self._calls.locked(self._on_tick)),
+            callback_group=work,
+            clock=steady if in_real_time else self.get_clock(),
         )
         self._timer.cancel()
-        self.create_timer(
-            _CHECK_PERIOD_S,
-            guarded(self, "plans", self._check_plans),
-            callback_group=self._work_group,
-            clock=steady,
-        )
-        self.create_timer(
-            _REPEAT_PERIOD_S, guarded(self, "repeat", self._repeat), callback_group=self._work_group
-        )
-        self._find_robots()
-        for line in hardware.lines:
-            self.get_logger().info(line)
-        self.get_logger().info(f"{plane.n} robots on {len(self._session.transactions.buses)} buses")
+        for period_s, name, call, clock in (
+            (_CHECK_PERIOD_S, "plans", self._check_plans, steady),
+            (_REPEAT_PERIOD_S, "repeat", self._repeat, self.get_clock()),
+        ):
+            self.create_timer(
+                period_s,
+                guarded(self, name, self._calls.locked(call)),
+                callback_group=work,
+                clock=clock,
+            )
 
-    def _claimed(self, discovery_s: float) -> Claim:
-        """Claim the plane, before any robot is asked.
+    def deactivate(self) -> None:
+        """Stop robots that move, and end all plans; orders that wait are forgotten.
 
-        Raises:
-            BridgeError: an earlier bridge of the same plane is in the graph, and does not leave.
+        After a stop the service `clear` makes the next plan possible, as after any stop.
         """
-        claim, begin_s = Claim(self, BRIDGE), time.monotonic()
-        while (now_s := time.monotonic()) < begin_s + discovery_s or claim.earlier():
-            if now_s > begin_s + discovery_s + _LEASE_S:
-                earlier = claim.earlier()[0]
-                self.destroy_node()
-                raise BridgeError(
-                    f"a bridge of this plane is in the graph already, of {earlier}: end it first, "
-                    "or use another ROS_DOMAIN_ID or namespace"
-                )
-            time.sleep(_POLL_S)
-        return claim
+        with self._stopping(), self._lock:
+            state = self._session.state
+            if state is SessionState.MOVING:
+                self._session.stop(self._now_s())
+            elif state is SessionState.READY:
+                self._session.clear(self._now_s())
+            self._publish_changes(last=True)
+            self._attempts.end_all(Reason.STOPPED, "the bridge is deactivated")
+        self.get_logger().info(f"deactivated: {self._session.state.value}")
 
-    def _make_attempts(self, config: Declared[AttemptConfig]) -> Attempts:
+    def cleanup(self) -> None:
+        """End the session: robots stay where they are, and their memory is kept."""
+        with self._lock:
+            self._remembered.save_or_warn()
+            self._calls.open = False
+            self._hardware.close()
+        vouched = Parameter("vouched", Parameter.Type.INTEGER_ARRAY, [])
+        self.set_parameters([vouched])
+
+    def statuses(self) -> Iterable[Status]:
+        """Return the diagnostics of every bus, and of the robots left out of plans."""
+        return self._outgoing.statuses() if self._calls.open else ()
+
+    def _make_attempts(self) -> Attempts:
         inputs, watch = PlanInputs(self._hardware.plane, self._claim.id), StageWatch(self)
         accepted = AcceptedPlans(
-            watch, self._session, self._claim, inputs, self._outgoing, self._reporter,
-            topics.TARGETS.publisher(self),
+            watch, self._session, self._claim.id, inputs, self._outgoing, self.reporter,
+            topics.TARGETS.publisher(self), self._check_role,
         )  # fmt: skip
         return Attempts(
             self, watch, self._session, self._claim.id, accepted, inputs, self._availability,
-            self._outgoing, self._reporter, config, self._stop_requested,
+            self._outgoing, self.reporter, self._parameters_given.attempts, self._stop_requested,
             self._now_s, self._start_orders, self._save_traffic,
         )  # fmt: skip
 
@@ -158,72 +191,40 @@ class BridgeNode(PlaneNode):
             (topics.PROGRESS, self._attempts.hear_progress),
             (topics.SEGMENTS, self._attempts.hear_segments),
         ):
-            topic.subscription(self, self._locked(hear), callback_group=work)
+            topic.subscription(self, self._calls.locked(hear), callback_group=work)
         for service, call in (
             (topics.START, self._start),
             (topics.HOME, self._home),
             (topics.CLEAR, self._clear),
             (topics.CONFIGURE, self._configure),
         ):
-            service.server(self, self._served(service.name, call), callback_group=work)
+            service.server(self, self._calls.serving(service.name, call), callback_group=work)
         # stop is served while another call is at work
         own_group = MutuallyExclusiveCallbackGroup()
         topics.STOP.server(self, self._on_stop, callback_group=own_group)
-        follow_disabled_parameter(self, self._disable, self._reporter.refuse)
-        follow_vouched_parameter(self, self._vouch, self._reporter.refuse)
-
-    def _locked(self, hear: Callable[[Any], None]) -> Callable[[Any], None]:
-        def receive(message: Any) -> None:
-            with self._lock:
-                hear(message)
-
-        return receive
 
     def _repeat(self) -> None:
-        with self._lock:
-            if self._session.state is not SessionState.MOVING:
-                self._outgoing.repeat()
+        if self._session.state is not SessionState.MOVING:
+            self._outgoing.repeat()
 
     def _check_plans(self) -> None:
-        with self._lock:
-            self._attempts.check()
-            self._check_other_bridges()
+        self._attempts.check()
+        self._check_other_bridges()
 
     def _check_other_bridges(self) -> None:
-        # A later bridge refuses to run while this one is in the graph. One that stays has not seen
-        # this one, which was paused perhaps, and may have moved robots.
-        now_s, others = time.monotonic(), self._claim.others()
-        self._others_since_s = {each: self._others_since_s.get(each, now_s) for each in others}
-        stays = any(since_s < now_s - _STAYS_S for since_s in self._others_since_s.values())
-        if stays and self._session.state in (SessionState.IDLE, SessionState.READY):
+        at_rest = self._session.state in (SessionState.IDLE, SessionState.READY)
+        if self._others.stay() and at_rest:
             self._attempts.end_all(Reason.STOPPED, "another bridge is in the graph")
             self._session.clear(self._now_s())
             self._publish_changes(last=True)
             self._session.protocol.state = State.UNCONFIGURED
-            self._reporter.refuse("another bridge is in the graph: end one, then configure")
+            self.reporter.refuse("another bridge is in the graph: end one, then configure")
 
     def _save_traffic(self, plan: PlanStamp) -> None:
         if self._tap is not None:
             self._tap.write(Path(self._capture) / str(plan))
 
     # --- services ------------------------------------------------------------
-
-    def _served(self, name: str, call: Callable[[], str]) -> Callable[[Any, _Response], _Response]:
-        """Make a Trigger service of a call; a refusal of the core becomes the response."""
-        name = name.rpartition("/")[2]
-
-        def serve(_: Any, response: _Response) -> _Response:
-            try:
-                with self._lock:
-                    response.message = call()
-                response.success = True
-                self.get_logger().info(f"service {name}: {response.message}")
-            except FiberError as error:
-                response.success, response.message = False, str(error)
-                self._reporter.refuse(f"service {name} refused: {error}")
-            return response
-
-        return serve
 
     def _start(self) -> str:
         plan = self._to_start.value.start_plan
@@ -240,10 +241,20 @@ class BridgeNode(PlaneNode):
         Raises:
             SessionError: its orders do not wait, or have been replaced since they were ready.
         """
-        if self._claim.earlier():
-            raise SessionError("another bridge of this plane is in the graph")
+        self._check_role()
         self._attempts.check_start(plan)
         return self._start_orders()
+
+    def _check_role(self) -> None:
+        """Refuse what moves robots, or leads to it, while this bridge may not.
+
+        Raises:
+            SessionError: the bridge is inactive, or an earlier one has the plane.
+        """
+        if not self.active:
+            raise SessionError("the bridge is inactive: activate it first")
+        if self._claim.earlier():
+            raise SessionError("another bridge of this plane is in the graph")
 
     def _start_orders(self) -> str:
         self._session.start(self._now_s(), self._may_go)
@@ -251,8 +262,7 @@ class BridgeNode(PlaneNode):
         return self._report_started()
 
     def _home(self) -> str:
-        if self._claim.earlier():
-            raise SessionError("another bridge of this plane is in the graph")
+        self._check_role()
         self._attempts.end_all(Reason.NOT_PLANNED, "the robots go home")
         self._session.home(self._now_s(), self._may_go)
         self._attempts.begin_home()
@@ -262,7 +272,7 @@ class BridgeNode(PlaneNode):
         try:
             self._remembered.save(starting=True)
         except BridgeError as error:
-            self._reporter.refuse(f"no robot is started: {error}")
+            self.reporter.refuse(f"no robot is started: {error}")
             return False
         return not self._stop_requested.is_set()
 
@@ -275,14 +285,20 @@ class BridgeNode(PlaneNode):
             self._timer.reset()
         return f"plan {current}: {started} robots started"
 
-    def _on_stop(self, request: Any, response: _Response) -> _Response:
+    @contextmanager
+    def _stopping(self) -> Iterator[None]:
+        """Let no start send its GO, and end planning and discretizing."""
         self._stop_requested.set()  # a start that is still checking will not send GO
         now, newest = PlanStamp(self._outgoing.now_ns()), self._attempts.newest
         self._stopped.publish((now if newest is None else max(now, newest)).to_time())
         try:
-            return self._served(topics.STOP.name, self._stop)(request, response)
+            yield
         finally:
             self._stop_requested.clear()
+
+    def _on_stop(self, request: Any, response: _Response) -> _Response:
+        with self._stopping():
+            return self._calls.serving(topics.STOP.name, self._stop)(request, response)
 
     def _stop(self) -> str:
         self._session.stop(self._now_s())
@@ -314,32 +330,16 @@ class BridgeNode(PlaneNode):
         return f"{self._session.known.sum()} of {self._session.plane.n} robots configured"
 
     def _disable(self, ids: Sequence[int], reason: str) -> None:
-        if not self._lock.acquire(timeout=_ANSWER_S):
-            raise SessionError("robots cannot be disabled or enabled while a plan is under way")
-        try:
-            changed = sorted(set(ids) ^ set(self._availability.disabled))
-            moving = self._session.state is SessionState.MOVING
-            if changed and (moving or self._attempts.awaited is not None):
-                verb = "disabled" if changed[0] in ids else "enabled"
-                raise SessionError(f"robot {changed[0]} cannot be {verb} while a plan is under way")
-            self._availability.disable(ids, reason)
-            self._session.enable(self._availability.enabled)
-            self._outgoing.publish_layout()
-        finally:
-            self._lock.release()
-        self._reporter.publish()
-        self.get_logger().info(f"disabled by operators: {sorted(ids) or 'no robot'}")
+        disabled = self._parameters_given.disabled
+        if self._calls.open:  # else the plane is not known yet
+            self._operators.disable(ids, reason)
+        disabled.given, disabled.reason = list(ids), reason
 
     def _vouch(self, ids: Sequence[int]) -> None:
-        if not self._lock.acquire(timeout=_ANSWER_S):
-            raise SessionError("robots cannot be vouched for while a plan is under way")
-        try:
-            self._session.vouch(ids)
-            self._remembered.save_or_warn()
-        finally:
-            self._lock.release()
-        self._reporter.publish()
-        self.get_logger().info(f"vouched for by operators: {sorted(ids) or 'no robot'}")
+        if self._calls.open:
+            self._operators.vouch(ids)
+        elif ids:
+            raise SessionError("robots cannot be vouched for before the bridge is configured")
 
     # --- motion --------------------------------------------------------------
 
@@ -350,14 +350,13 @@ class BridgeNode(PlaneNode):
         return self._time_s
 
     def _on_tick(self) -> None:
-        with self._lock:
-            if self._session.state is SessionState.MOVING:
-                self._advance()
-                self._publish_changes()
-            else:
-                # in this thread and never in the one that serves stop: a timer that is cancelled
-                # when it is due fails in rclpy as it is taken, with its whole callback group
-                self._timer.cancel()
+        if self._session.state is SessionState.MOVING:
+            self._advance()
+            self._publish_changes()
+        else:
+            # in this thread and never in the one that serves stop: a timer that is cancelled
+            # when it is due fails in rclpy as it is taken, with its whole callback group
+            self._timer.cancel()
 
     def _advance(self) -> None:
         # from tick to tick, independent of the time that the polls take on the buses
@@ -386,7 +385,7 @@ class BridgeNode(PlaneNode):
         if self._session.state is SessionState.MOVING and loaded_plan is not None:
             makespan_s = max(loaded_plan.motion.decoded().makespan_s, _TICK_S)
             fraction = np.clip((self._time_s - loaded_plan.start_s) / makespan_s, 0.0, 1.0)
-            self._reporter.progress(current, float(fraction), "robots are moving")
+            self.reporter.progress(current, float(fraction), "robots are moving")
         elif (result := self._session.take_result()) is not None:
             self._attempts.finish(current, result, last)
 

@@ -4,6 +4,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
@@ -15,7 +16,7 @@ from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_node import NodeParameters
 
-__all__ = ["declare_availability", "follow_disabled_parameter", "ids_of"]
+__all__ = ["DisabledParameters", "declare_disabled", "follow_disabled_parameter", "ids_of"]
 
 
 @dataclass(frozen=True)
@@ -48,37 +49,57 @@ _ABOUT = (
 )
 
 
-def declare_availability(
-    node: Node, parameters: NodeParameters, plane: FocalPlane, memory: Path | None = None
-) -> Availability:
-    """Declare `disabled`, `disabled_why` and `disabled_file`; return the availability of robots.
-
-    With a file the list comes from the file; the parameter `disabled` then shows the list.
+@dataclass
+class DisabledParameters:
+    """The parameters `disabled`, `disabled_why` and `disabled_file` of a node.
 
     Args:
         node: the node.
-        parameters: its parameters.
-        plane: the focal plane.
-        memory: file with the memory of the robots, beside which the list is kept if
-            `disabled_file` is not set; None to keep it in memory only. There, `disabled` overrides
-            the list.
-
-    Raises:
-        BridgeError: the list cannot be read, or names a robot that the plane does not have.
+        given: the list that operators gave last, None for none.
+        reason: the reason that was given with it.
+        file: the file of the list, empty without one.
     """
+
+    node: Node
+    given: Any
+    reason: str
+    file: str
+
+    def availability(self, plane: FocalPlane, memory: Path | None = None) -> Availability:
+        """Return the availability of the robots, and show their list in the parameter.
+
+        With a file the list comes from the file.
+
+        Args:
+            plane: the focal plane.
+            memory: file with the memory of the robots, beside which the list is kept if
+                `disabled_file` is not set; None to keep it in memory only. There, `disabled`
+                overrides the list.
+
+        Raises:
+            BridgeError: the list cannot be read, or names a robot that the plane does not have.
+        """
+        beside = None if memory is None else memory.with_name(f"{memory.stem}-disabled.yaml")
+        availability = Availability(plane, Path(self.file) if self.file else beside)
+        if not self.file and (self.given is not None or beside is None):
+            availability.disable(ids_of(self.given, "disabled"), self.reason)
+        ids = sorted(availability.disabled)
+        self.node.set_parameters([Parameter("disabled", Parameter.Type.INTEGER_ARRAY, ids)])
+        self.given = ids
+        return availability
+
+
+def declare_disabled(node: Node, parameters: NodeParameters) -> DisabledParameters:
+    """Declare `disabled`, `disabled_why` and `disabled_file`."""
     file = parameters.declare(_ListFile, read_only=True).value.disabled_file
     reason = parameters.declare(_Why).value.disabled_why
     given = parameters.take("disabled")
     # dynamic typing: an empty list has no element type
     about = ParameterDescriptor(description=_ABOUT, dynamic_typing=True)
     node.declare_parameter("disabled", None, about, ignore_override=True)
-    beside = None if memory is None else memory.with_name(f"{memory.stem}-disabled.yaml")
-    availability = Availability(plane, Path(file) if file else beside)
-    if not file and (given is not None or beside is None):
-        availability.disable(ids_of(given, "disabled"), reason)
-    shown = Parameter("disabled", Parameter.Type.INTEGER_ARRAY, sorted(availability.disabled))
+    shown = Parameter("disabled", Parameter.Type.INTEGER_ARRAY, ids_of(given, "disabled"))
     node.set_parameters([shown])
-    return availability
+    return DisabledParameters(node, given, reason, file)
 
 
 def follow_disabled_parameter(

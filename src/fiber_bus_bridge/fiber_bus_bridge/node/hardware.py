@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,9 +20,11 @@ from fiber_core.wire_units import WireUnits
 from fiber_node import NodeParameters
 
 __all__ = [
+    "DeclaredHardware",
     "Hardware",
     "declare_hardware",
     "device_hardware",
+    "open_hardware",
     "plant_hardware",
     "simulated_hardware",
 ]
@@ -63,6 +66,11 @@ class Hardware:
         """Whether the time of the buses is the time of this machine."""
         return bool(np.isfinite(self.slice_s))
 
+    def close(self) -> None:
+        """Leave the buses; robots that move stop by their own watchdogs."""
+        if isinstance(self.buses, (LinuxBuses, PlantBuses)):
+            self.buses.close()
+
 
 @dataclass(frozen=True)
 class HardwareConfig:
@@ -79,21 +87,41 @@ class HardwareConfig:
     devices: tuple[str, ...] = ("",)
 
 
-def declare_hardware(parameters: NodeParameters, namespace: str = "") -> Hardware:
-    """Declare the parameters of the hardware; return the hardware they describe.
-
-    The parameters are those of SimulationConfig and of HardwareConfig, which replaces the simulated
-    buses. None of them can change while the bridge runs.
+class DeclaredHardware(NamedTuple):
+    """The parameters of the hardware.
 
     Args:
-        parameters: the parameters of the node.
+        plane: the plane, and the simulation of its robots.
+        chosen: the plant or the I2C adapters in place of simulated buses.
+    """
+
+    plane: SimulationConfig
+    chosen: HardwareConfig
+
+
+def declare_hardware(parameters: NodeParameters) -> DeclaredHardware:
+    """Declare the parameters of the hardware: those of SimulationConfig and of HardwareConfig.
+
+    HardwareConfig replaces the simulated buses. None of them can change while the bridge runs.
+
+    Raises:
+        FiberError: a value is refused.
+    """
+    plane = parameters.declare(SimulationConfig, read_only=True).value
+    return DeclaredHardware(plane, parameters.declare(HardwareConfig, read_only=True).value)
+
+
+def open_hardware(declared: DeclaredHardware, namespace: str = "") -> Hardware:
+    """Return the hardware that parameters describe.
+
+    Args:
+        declared: the parameters.
         namespace: the namespace of the node, which is part of the path of its plant.
 
     Raises:
         FiberError: the parameters describe no hardware, or there is no plant.
     """
-    config = parameters.declare(SimulationConfig, read_only=True).value
-    chosen = parameters.declare(HardwareConfig, read_only=True).value
+    config, chosen = declared
     if chosen.devices:
         if chosen.plant != "none":
             raise BridgeError(

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All parameters of the bridge, declared before any robot is asked."""
+
+from dataclasses import dataclass
+
+from rclpy.node import Node
+
+from fiber_bus_bridge.node.disabled_parameter import DisabledParameters, declare_disabled
+from fiber_bus_bridge.node.hardware import DeclaredHardware, declare_hardware
+from fiber_bus_bridge.node.remembered import MemoryConfig
+from fiber_bus_bridge.node.settings import AttemptConfig, ExecutionConfig, StartConfig
+from fiber_bus_bridge.node.vouched_parameter import declare_vouched
+from fiber_bus_bridge.session_config import SessionConfig
+from fiber_core.clearance import Safety
+from fiber_node import Declared, NodeParameters
+
+__all__ = ["BridgeParameters", "declare_bridge"]
+
+
+@dataclass(frozen=True, eq=False)
+class BridgeParameters:
+    """The parameters of the bridge with the values that they were given.
+
+    Args:
+        hardware: the robots and their buses.
+        safety: the clearance that is required of the loaded bytes.
+        execution: pace of simulated buses, captures, wait for other bridges.
+        attempts: attempts of a plan; can change.
+        start: the plan of the next start; can change.
+        session: the controller's settings.
+        memory: where robots are remembered over a restart.
+        disabled: the operators' list; can change.
+    """
+
+    hardware: DeclaredHardware
+    safety: Safety
+    execution: ExecutionConfig
+    attempts: Declared[AttemptConfig]
+    start: Declared[StartConfig]
+    session: SessionConfig
+    memory: MemoryConfig
+    disabled: DisabledParameters
+
+
+def declare_bridge(node: Node, parameters: NodeParameters) -> BridgeParameters:
+    """Declare the parameters of the bridge.
+
+    Args:
+        node: the node.
+        parameters: its parameters.
+
+    Raises:
+        FiberError: a value is refused.
+    """
+    declared = BridgeParameters(
+        declare_hardware(parameters),
+        parameters.declare(Safety, "safety", read_only=True).value,
+        parameters.declare(ExecutionConfig, read_only=True).value,
+        parameters.declare(AttemptConfig),
+        parameters.declare(StartConfig),
+        parameters.declare(SessionConfig, "session", read_only=True).value,
+        parameters.declare(MemoryConfig, read_only=True).value,
+        declare_disabled(node, parameters),
+    )
+    declare_vouched(node, parameters)
+    parameters.finish()
+    return declared
