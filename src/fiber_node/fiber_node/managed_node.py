@@ -188,13 +188,17 @@ class ManagedNode(LifecycleNodeMixin, PlaneNode):
 
     def _release(self) -> None:
         self.end_workers()
-        destroyers: tuple[tuple[Iterable[Any], Callable[[Any], object]], ...] = (
-            (self.publishers, self.destroy_publisher),
-            (self.subscriptions, self.destroy_subscription),
-            (self.services, self.destroy_service),
-            (self.clients, self.destroy_client),
-            (self.timers, self.destroy_timer),
-        )
-        for entities, destroy in destroyers:
-            for entity in [each for each in entities if id(each) not in self._kept]:
-                destroy(entity)
+
+        def made(entities: Iterable[Any]) -> list[Any]:
+            return [each for each in entities if id(each) not in self._kept]
+
+        for publisher in made(self.publishers):
+            self.destroy_publisher(publisher)
+        for subscription in made(self.subscriptions):
+            self.destroy_subscription(subscription)
+        for service in made(self.services):
+            self.destroy_service(service)
+        for client in made(self.clients):
+            self.destroy_client(client)
+        for timer in made(self.timers):
+            self.destroy_timer(timer)
