@@ -9,6 +9,8 @@ array types in ``fiber_core.array_types``.
 from fiber_core.assignment import Assignment, assign
 from fiber_core.corridor import JointCorridors
 from fiber_core.custom_plane import hexagonal
+from fiber_core.drive import CurveMotion, Drive, carried_out
+from fiber_core.drive.named import DRIVES, with_drive
 from fiber_core.errors import FiberError, FieldError, LayoutError, MotionError, TargetsError
 from fiber_core.fields import Field, random_field, random_problem
 from fiber_core.focal_plane import FocalPlane
@@ -22,8 +24,11 @@ from fiber_core.problem import Problem, load_plan, load_problem, save_plan, save
 from fiber_core.wire_units import WireMotion, WireUnits
 
 __all__ = [
+    "DRIVES",
     "PRESETS",
     "Assignment",
+    "CurveMotion",
+    "Drive",
     "FiberError",
     "Field",
     "FieldError",
@@ -43,6 +48,7 @@ __all__ = [
     "WireMotion",
     "WireUnits",
     "assign",
+    "carried_out",
     "first_reason",
     "forward",
     "hexagonal",
@@ -59,4 +65,5 @@ __all__ = [
     "random_problem",
     "save_plan",
     "save_problem",
+    "with_drive",
 ]

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiber_core import bounds
 from fiber_core.array_types import Angles, Floats, Ids, Ints, Mask, Points, Rows, Velocities
+from fiber_core.drive.drive import Drive
 from fiber_core.errors import LayoutError
 from fiber_core.fibres import checked_choice, checked_fibres, checked_names
 from fiber_core.validation import frozen_array
@@ -21,7 +22,7 @@ FIXED_JOINT_RAD = 1e-5  # a joint with a narrower range is fixed: it never moves
 _ROBOTS_PER_BUS = 500  # ten controllers for 5000 robots: Kaci et al. (SPIE 9912, 2016)
 # fields that are not rows of robots, and the ids, which are numbered again in a part of a plane
 _OF_THE_PLANE = (
-    "ids", "obstacles", "walls", "spacing_mm", "envelope_mm", "name", "fibre_names"
+    "ids", "obstacles", "walls", "spacing_mm", "envelope_mm", "name", "fibre_names", "drive"
 )  # fmt: skip
 
 
@@ -66,6 +67,7 @@ class FocalPlane:
         fibre_names: a name for each of the f fibres; by default their numbers.
         fibre: number of the fibre that the target of each robot is for, -1 where any of them may
             be on the target, shape (n,); by default -1.
+        drive: how the motors carry out orders, of n robots; by default ideally.
 
     Raises:
         LayoutError: a shape does not fit or a value is out of range; names the robot.
@@ -91,6 +93,7 @@ class FocalPlane:
     fibres: Floats
     fibre_names: tuple[str, ...]
     fibre: Ints
+    drive: Drive
 
     def __init__(
         self,
@@ -114,6 +117,7 @@ class FocalPlane:
         fibres: ArrayLike | None = None,
         fibre_names: tuple[str, ...] | None = None,
         fibre: ArrayLike | None = None,
+        drive: Drive | None = None,
     ):
         n = np.size(ids)
         bounds.check_number(n, "number of robots", 0, bounds.MAX_ROBOTS, LayoutError)
@@ -144,11 +148,14 @@ class FocalPlane:
         self._set("spacing_mm", spacing_mm)
         self._set("envelope_mm", spacing_mm if envelope_mm is None else envelope_mm)
         self._set("name", name)
+        self._set("drive", Drive(n) if drive is None else drive)
+        if self.drive.n != n:
+            raise LayoutError(f"the drive is of {self.drive.n} robots, the plane has {n}")
         self._check_ids()
         self._check_values()
         self._check_addresses()
 
-    def _set(self, field: str, value: NDArray[Any] | float | str | tuple[str, ...]) -> None:
+    def _set(self, field: str, value: NDArray[Any] | float | str | tuple[str, ...] | Drive) -> None:
         object.__setattr__(self, field, value)  # the class is frozen
 
     def _check_ids(self) -> None:
@@ -232,6 +239,7 @@ class FocalPlane:
         if self.theta_vertices.shape[1]:
             theta = np.hypot(*np.moveaxis(self.theta_vertices, -1, 0)).max(axis=1)
             reach = np.maximum(reach, theta + self.theta_radius)
+        reach = reach + self.growth_mm.max(axis=1)
         reach.setflags(write=False)
         return reach
 
@@ -243,6 +251,23 @@ class FocalPlane:
         tips = np.stack([self.arms[:, 1], np.zeros(self.n)], axis=1)[:, None]
         tips.setflags(write=False)
         return tips
+
+    @cached_property
+    def growth_mm(self) -> Floats:
+        """How far uncertain joints can displace the outlines of theta and phi link [mm], (n, 2).
+
+        A link that turns by an angle displaces none of its vertices by more than the angle times
+        its reach, and the rounding as much as the vertices.
+        """
+        theta, phi = self.drive.uncertainty_rad.T
+        phi_reach = np.hypot(*np.moveaxis(self.phi_vertices, -1, 0)).max(axis=1)
+        growth = np.zeros((self.n, 2))
+        growth[:, 1] = theta * (self.arms[:, 0] + phi_reach) + phi * phi_reach
+        if self.theta_vertices.shape[1]:
+            reach = np.hypot(*np.moveaxis(self.theta_vertices, -1, 0)).max(axis=1)
+            growth[:, 0] = theta * reach
+        growth.setflags(write=False)
+        return growth
 
     def index_of(self, ids: ArrayLike) -> Rows:
         """Return the row of each id, -1 where the plane has no such robot; shape as ids."""
@@ -298,7 +323,7 @@ class FocalPlane:
             for field in fields(self)
             if field.name not in _OF_THE_PLANE
         }
-        return replace(self, ids=np.arange(len(order)), **rows)
+        return replace(self, ids=np.arange(len(order)), drive=self.drive.of_robots(order), **rows)
 
 
 def addresses_on(bus: ArrayLike) -> Ints:

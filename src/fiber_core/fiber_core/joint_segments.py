@@ -26,14 +26,14 @@ class JointSegments:
     """Constant-velocity segments of theta and phi of n robots, one after another.
 
     The segments of robot i, joint j (0 theta, 1 phi) are profile 2 i + j, the part
-    ``offsets[2 i + j] : offsets[2 i + j + 1]`` of the flat arrays. The two kinds of motion,
-    SegmentMotion and WireMotion, name these arrays and check them.
+    ``offsets[2 i + j] : offsets[2 i + j + 1]`` of the flat arrays. The kinds of motion,
+    SegmentMotion, WireMotion and CurveMotion, name these arrays.
     """
 
     start: NDArray[Any]
     offsets: Offsets
 
-    _COLUMNS: ClassVar[tuple[str, str]]  # names of the duration and the velocity of a segment
+    _COLUMNS: ClassVar[tuple[str, ...]]  # names of the flat arrays, the duration of a segment first
 
     @property
     def n(self) -> int:

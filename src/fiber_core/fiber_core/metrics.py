@@ -9,6 +9,7 @@ import numpy as np
 from fiber_core import kinematics
 from fiber_core.array_types import Codes, Floats
 from fiber_core.clearance import Certificate
+from fiber_core.drive import carried_out
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome, Reason
@@ -24,17 +25,26 @@ def lower_bound_s(problem: Problem) -> float:
     """Return the time that the slowest robot would need if it were alone [s].
 
     Each robot takes the elbow and turn that is fastest for it, with both joints at full
-    speed; collisions are ignored. Disabled robots and robots without a reachable target do
-    not count.
+    speed and acceleration; collisions are ignored. Disabled robots and robots without a
+    reachable target do not count.
 
     Args:
         problem: the problem.
     """
     movable = np.where(problem.plane.enabled[:, None], problem.targets, np.nan)
     angles, valid = kinematics.inverse(problem.plane, movable)
-    travel = np.abs(angles - problem.start[:, None]) / problem.plane.speeds[:, None]
-    alone = np.where(valid, travel.max(axis=2), np.inf).min(axis=1, initial=np.inf)
+    travel_s = _travel_s(problem.plane, np.abs(angles - problem.start[:, None]))
+    alone = np.where(valid, travel_s.max(axis=2), np.inf).min(axis=1, initial=np.inf)
     return float(alone[np.isfinite(alone)].max(initial=0.0))
+
+
+def _travel_s(plane: FocalPlane, turn: Floats) -> Floats:
+    # the shortest time in which each joint turns by some angles, from rest to rest, (n, k, 2)
+    speed, limit = plane.speeds[:, None], plane.drive.acceleration_rad_s2[:, None]
+    if np.isinf(limit).all():
+        return turn / speed
+    rise_s = speed / limit
+    return np.where(turn < speed * rise_s, 2.0 * np.sqrt(turn / limit), turn / speed + rise_s)
 
 
 def plan_metrics(
@@ -65,9 +75,11 @@ def plan_metrics(
     error_um: Floats = 1e3 * error_mm[reached]
     segments = motion.counts[motion.counts > 0]
     bound = lower_bound_s(problem)
+    makespan_s = carried_out(plane.drive, motion).makespan_s
     codes, counts = np.unique(reason[asked], return_counts=True)
     return {
         "plane": plane.name,
+        "drive": plane.drive.name,
         "robots": plane.n,
         "enabled": int(plane.enabled.sum()),
         "asked": int(asked.sum()),
@@ -77,9 +89,10 @@ def plan_metrics(
         "reasons": {
             Reason(code).name.lower(): count for code, count in zip(codes.tolist(), counts.tolist())
         },
-        "makespan_s": motion.makespan_s,
+        "makespan_s": makespan_s,
         "lower_bound_s": bound,
-        "makespan_ratio": motion.makespan_s / bound if bound else None,
+        "makespan_ratio": makespan_s / bound if bound else None,
+        "drive_violations": int(certificate.limits_broken.sum()),
         "certified": certificate.ok,
         "min_clearance_mm": certificate.min_gap_mm if certificate.min_pair else None,
         "min_clearance_ids": _names(plane, certificate.min_pair),

@@ -20,10 +20,12 @@ from fiber_core.joint_segments import JointSegments, profile_rows
 from fiber_core.ragged import Parts
 from fiber_core.validation import frozen_array
 
-__all__ = ["MotionArrays", "SampledMotion", "SegmentMotion", "profile_rows"]
+__all__ = ["CurveArrays", "MotionArrays", "SampledMotion", "SegmentMotion", "profile_rows"]
 
 # start, offsets, duration_s and velocity_rad_s of a SegmentMotion
 MotionArrays: TypeAlias = tuple[Angles, Offsets, Floats, Floats]
+# the same and the acceleration of each piece, an empty array if no piece has one
+CurveArrays: TypeAlias = tuple[Angles, Offsets, Floats, Floats, Floats]
 
 
 def _finite(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Floats:
@@ -130,7 +132,7 @@ class SegmentMotion(JointSegments):
     duration_s: Floats
     velocity_rad_s: Floats
 
-    _COLUMNS: ClassVar[tuple[str, str]] = ("duration_s", "velocity_rad_s")
+    _COLUMNS: ClassVar[tuple[str, ...]] = ("duration_s", "velocity_rad_s")
 
     def __post_init__(self):
         start = _finite(self.start, (None, 2), "start")
@@ -180,6 +182,11 @@ class SegmentMotion(JointSegments):
         """Start, offsets, durations and velocities, as compiled loops take them."""
         return self.start, self.offsets, self.duration_s, self.velocity_rad_s
 
+    @property
+    def curve_arrays(self) -> CurveArrays:
+        """The same arrays and an empty one in place of accelerations."""
+        return *self.arrays, np.zeros(0)
+
     @cached_property
     def _extremes(self) -> tuple[Angles, Angles, Velocities]:
         return _extremes(self.start, self.offsets, self.duration_s, self.velocity_rad_s)
@@ -198,6 +205,11 @@ class SegmentMotion(JointSegments):
     def fastest(self) -> Velocities:
         """Highest speed of each joint [rad/s], shape (n, 2)."""
         return self._extremes[2]
+
+    @property
+    def hardest(self) -> Floats:
+        """Highest acceleration of each joint [rad/s2], shape (n, 2): none is given, so zeros."""
+        return np.zeros((self.n, 2))
 
     @cached_property
     def durations(self) -> Floats:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiber_core import bounds
 from fiber_core.array_types import Angles, Bools, Codes, Floats, Mask, Points
+from fiber_core.drive import CurveMotion, Drive, carried_out
 from fiber_core.errors import FiberError, LayoutError, MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -91,7 +92,8 @@ def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
         problem: the problem.
     """
     plane = problem.plane
-    columns: dict[str, NDArray[Any]] = {
+    drive = {} if plane.drive.is_ideal else _drive_columns(plane.drive)
+    columns: dict[str, NDArray[Any]] = drive | {
         "id": plane.ids,
         "center_mm": plane.centers,
         "arm_mm": plane.arms,
@@ -119,6 +121,27 @@ def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
             "fibre": plane.fibre,
         }
     return columns
+
+
+def _drive_columns(drive: Drive) -> dict[str, NDArray[Any]]:
+    return {
+        "drive": np.array(drive.name),
+        "ramp_s": np.array(drive.ramp_s),
+        "acceleration_rad_s2": drive.acceleration_rad_s2,
+        "uncertainty_rad": drive.uncertainty_rad,
+    }
+
+
+def _drive_of(data: Mapping[str, NDArray[Any]], n: int) -> Drive:
+    # the drive in named arrays, an ideal one where they hold none
+    ramp = frozen_array(data.get("ramp_s", 0.0), np.float64, (), "ramp_s", LayoutError)
+    return Drive(
+        n,
+        float(ramp),
+        data.get("acceleration_rad_s2", np.inf),
+        data.get("uncertainty_rad", 0.0),
+        str(data.get("drive", "ideal")),
+    )
 
 
 def save_problem(path: FilePath, problem: Problem) -> None:
@@ -154,7 +177,7 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
 
     Args:
         data: named arrays, as from problem_columns; outlines, discs, walls, fibres, buses,
-            spacing, envelope and name may be missing.
+            spacing, envelope, name and the drive may be missing.
         name: name of the plane if the arrays hold none.
 
     Raises:
@@ -192,19 +215,34 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
         fibres=data.get("fibre_mm"),
         fibre_names=tuple(data["fibre_names"].tolist()) if "fibre_names" in data else None,
         fibre=data.get("fibre"),
+        drive=_drive_of(data, n),
     )
     return Problem(plane, data["start_rad"], data["target_mm"])
 
 
-def save_plan(path: FilePath, motion: SegmentMotion, outcome: ArrayLike, reason: ArrayLike) -> None:
+def save_plan(
+    path: FilePath,
+    motion: SegmentMotion,
+    outcome: ArrayLike,
+    reason: ArrayLike,
+    drive: Drive | None = None,
+) -> None:
     """Write a plan: the motion decoded from the bytes, and the outcome of each robot.
+
+    With a ramp, the fields ``curve_*`` hold the true curves: for each change of the law of each
+    joint its time, and angle, velocity and acceleration from then on. A joint rests from the last
+    change on, whose velocity and acceleration are zero.
 
     Args:
         path: the .npz file.
         motion: the motion as sent.
         outcome: Outcome of each robot, shape (n,).
         reason: Reason of each robot, shape (n,).
+        drive: how the motors carry out orders; by default ideally.
     """
+    curves: dict[str, Any] = {}
+    if drive is not None and drive.ramp_s > 0.0:
+        curves = _curve_columns(carried_out(drive, motion))
     np.savez_compressed(
         path,
         offsets=motion.offsets,
@@ -214,7 +252,27 @@ def save_plan(path: FilePath, motion: SegmentMotion, outcome: ArrayLike, reason:
         outcome=np.asarray(outcome, dtype=np.int64),
         outcome_names=np.array([o.name.lower() for o in Outcome]),
         reason=np.asarray(reason, dtype=np.int64),
+        **curves,
     )
+
+
+def _curve_columns(true_motion: SegmentMotion | CurveMotion) -> dict[str, Any]:
+    assert isinstance(true_motion, CurveMotion)  # there is a ramp
+    knots = true_motion.parts.knots
+    inner = np.ones(knots.total, dtype=bool)
+    inner[knots.offsets[1:] - 1] = False  # the last knot of each profile
+    columns = {
+        "curve_offsets": knots.offsets,
+        "curve_time_s": true_motion.parts.running(true_motion.duration_s),
+    }
+    for name, values, last in (
+        ("curve_angle_rad", true_motion.angle_rad, true_motion.end.ravel()),
+        ("curve_velocity_rad_s", true_motion.velocity_rad_s, 0.0),
+        ("curve_acceleration_rad_s2", true_motion.acceleration_rad_s2, 0.0),
+    ):
+        columns[name] = np.empty(knots.total)
+        columns[name][inner], columns[name][~inner] = values, last
+    return columns
 
 
 def load_plan(path: FilePath, start: ArrayLike) -> tuple[SegmentMotion, Codes]:

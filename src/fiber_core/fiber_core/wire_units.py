@@ -175,7 +175,7 @@ class WireMotion(JointSegments):
     ticks: Ints
     velocity: Ints
 
-    _COLUMNS: ClassVar[tuple[str, str]] = ("ticks", "velocity")
+    _COLUMNS: ClassVar[tuple[str, ...]] = ("ticks", "velocity")
 
     def __post_init__(self):
         columns = {"start": (None, 2), "offsets": (None,), "ticks": (None,), "velocity": (None,)}

@@ -23,7 +23,7 @@ from fiber_core.clearance import Safety, neighbour_pairs
 
 NUMBERS = ("spacing_mm", "envelope_mm")
 EXTREMES = (0.0, -1.0, np.nan, np.inf, -np.inf, 1e-300, 1e12, 1e25, 2.0**63, "many", None)
-COLUMNS = [f.name for f in fields(FocalPlane) if f.name not in ("name", "enabled")]
+COLUMNS = [f.name for f in fields(FocalPlane) if f.name not in ("name", "enabled", "drive")]
 
 
 @pytest.mark.parametrize("extreme", EXTREMES, ids=str)

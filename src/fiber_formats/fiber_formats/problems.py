@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fiber_core.drive.named import with_drive
 from fiber_core.fields import random_problem
 from fiber_core.presets import preset as preset_plane
 from fiber_core.problem import Problem, load_problem
@@ -39,6 +40,7 @@ def problem_from(
     targets: Paths | None = None,
     random_targets: bool = True,
     spacing_mm: float | None = None,
+    drive: str | None = None,
 ) -> FoundProblem:
     """Return a problem; what no file gives is random.
 
@@ -54,9 +56,10 @@ def problem_from(
         random_targets: whether targets are drawn where starts come from a file and targets from
             none; otherwise no robot has a target then.
         spacing_mm: least distance between two targets, in place of that of the plane [mm].
+        drive: name of the drive, one of `fiber_core.DRIVES`, in place of that of the plane.
 
     Raises:
-        FiberError: there is no such preset, or a file is refused.
+        FiberError: there is no such preset or drive, or a file is refused.
         OSError: problem.npz cannot be read.
     """
     lines: tuple[str, ...] = ()
@@ -70,6 +73,8 @@ def problem_from(
         plane = preset_plane(preset or DEFAULT_PRESET, robots or None)
     if spacing_mm is not None:
         plane = replace(plane, spacing_mm=spacing_mm)
+    if drive is not None:
+        plane = with_drive(plane, drive)
     start = None if base is None else base.start
     if starts:
         begun = read_starts(starts, plane)

@@ -5,6 +5,7 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 
 from fiber_core.array_types import Floats
+from fiber_core.drive import Drive
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
@@ -31,6 +32,10 @@ _COLUMNS = (
 # vertices or places x0, y0, x1, y1, ... [m]; a theta link without an outline, a plane without walls
 # and robots whose only fibre is at the tip have no such column
 _OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8", "wall": "<f8", "fibres": "<f8"}
+# the ramp [s], then of theta and phi the accelerations [rad/s2], 0 where unlimited, and the
+# uncertainties [rad]; a plane with an ideal drive has no such column
+_DRIVE = {"drive": "<f8"}
+_DRIVE_NUMBERS = 5
 
 
 def encode(
@@ -59,7 +64,9 @@ def encode(
     }
     outlines = [(name, "<f8", (2 * v.shape[1],)) for name, v in vertices.items() if v.shape[1]]
     corners = [("wall", "<f8", (2 * plane.walls.shape[1],))] if len(plane.walls) else []
-    rows = np.zeros(n + plane.fixtures, dtype=[*_COLUMNS.items(), *outlines, *corners])
+    drives = [] if plane.drive.is_ideal else [("drive", "<f8", (_DRIVE_NUMBERS,))]
+    dtype = [*_COLUMNS.items(), *outlines, *corners, *drives]
+    rows = np.zeros(n + plane.fixtures, dtype=dtype)
     robots, fixed, walls = np.split(rows, [n, n + len(discs)])
     robots["kind"], robots["enabled"] = _ROBOT, plane.enabled
     for name, values in {"id": ids, "bus": plane.bus, "address": plane.address}.items():
@@ -79,6 +86,8 @@ def encode(
     robots["theta_min"], robots["theta_max"] = plane.limits[:, 0].T
     robots["phi_min"], robots["phi_max"] = plane.limits[:, 1].T
     robots["theta_speed"], robots["phi_speed"] = plane.speeds.T
+    if drives:
+        robots["drive"] = _drive_numbers(plane.drive)
     fixed["kind"], fixed["id"] = _DISC, np.arange(len(discs))
     fixed["x"], fixed["y"], fixed["arm_radius"] = discs.T / 1e3
     walls["kind"], walls["id"] = _WALL, np.arange(len(walls))
@@ -101,7 +110,7 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
             a value that differs between rows and must not, or a value that is not possible for a
             robot; names robot and value.
     """
-    rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES)
+    rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES | _DRIVE)
     kind, ids = rows["kind"], rows["id"]
     why = "is neither 0 (robot), 1 (disc) nor 2 (wall)"
     refuse(kind > _WALL, "layout", "kind", ids, kind, why)
@@ -151,7 +160,29 @@ def _plane(robots: np.ndarray, fixed: np.ndarray, walls: np.ndarray) -> FocalPla
         spacing_mm=float(robots["spacing"][0]) * 1e3,
         envelope_mm=float(robots["envelope"][0]) * 1e3,
         fibres=_vertices(robots, "fibres"),
+        drive=_drive(robots),
     )
+
+
+def _drive_numbers(drive: Drive) -> Floats:
+    limit = drive.acceleration_rad_s2
+    ramp = np.full((drive.n, 1), drive.ramp_s)
+    return np.hstack([ramp, np.where(np.isinf(limit), 0.0, limit), drive.uncertainty_rad])
+
+
+def _drive(robots: np.ndarray) -> Drive | None:
+    # the drive of the robots, None where the layout has none
+    if "drive" not in column_names(robots):
+        return None
+    numbers = robots["drive"]
+    if numbers.shape[1] != _DRIVE_NUMBERS:
+        why = f"numbers, expected {_DRIVE_NUMBERS}"
+        raise MessageError("layout", why, field="drive has", value=numbers.shape[1])
+    ramp = numbers[:, 0]
+    why = f"is not the {ramp[0]} of the other robots"
+    refuse(ramp != ramp[0], "layout", "drive", robots["id"], ramp, why)
+    limit = np.where(numbers[:, 1:3] == 0.0, np.inf, numbers[:, 1:3])
+    return Drive(len(robots), float(ramp[0]), limit, numbers[:, 3:5], "layout")
 
 
 def _stacked(rows: np.ndarray, *names: str) -> Floats:

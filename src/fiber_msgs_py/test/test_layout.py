@@ -6,11 +6,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from fiber_core.drive import Drive
 from fiber_core.errors import FiberError
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import MessageError, layout
 
-LISTS = ("phi_outline", "theta_outline", "wall", "fibres")
+LISTS = ("phi_outline", "theta_outline", "wall", "fibres", "drive")
 UNITS = WireUnits(tick_us=60_000, quantum_prad=4_000_000_000, velocity_bits=16, duration_bits=12)
 
 
@@ -42,7 +43,7 @@ def test_round_trip(plane, stamp, outlined, discs):
     decoded, units = layout.decode(layout.encode(plane, UNITS, stamp))
     assert units == UNITS
     for field in fields(plane):
-        if field.name == "name":
+        if field.name in ("name", "drive"):  # the name stays, the drive has its own test
             continue
         ours, theirs = getattr(plane, field.name), getattr(decoded, field.name)
         assert np.shape(ours) == np.shape(theirs), field.name
@@ -156,3 +157,24 @@ def test_fibres_are_pairs_of_a_column_that_plain_planes_lack(plane, stamp):
     message.data = rows.tobytes()
     with pytest.raises(MessageError, match="robot 42: fibre 0 must be"):
         layout.decode(message)
+
+
+def test_the_drive_travels_with_the_robots(plane, stamp):
+    rng = np.random.default_rng(5)
+    limit = np.where(rng.random((plane.n, 2)) < 0.3, np.inf, rng.uniform(1.0, 50.0, (plane.n, 2)))
+    drive = Drive(plane.n, 0.09, limit, rng.uniform(0.0, 0.1, (plane.n, 2)))
+    message = layout.encode(replace(plane, drive=drive), WireUnits(), stamp)
+    got = layout.decode(message)[0].drive
+    assert got.ramp_s == drive.ramp_s
+    assert (got.acceleration_rad_s2 == limit).all()
+    assert (got.uncertainty_rad == drive.uncertainty_rad).all()
+    assert layout.decode(layout.encode(plane, WireUnits(), stamp))[0].drive.is_ideal
+
+
+def test_a_drive_that_no_robot_can_have_is_refused(plane, stamp):
+    drive = Drive(plane.n, 0.09, 20.0)
+    for value, words in ((0.08, "is not the 0.09 of the other robots"), (-1.0, "ramp")):
+        message = layout.encode(replace(plane, drive=drive), WireUnits(), stamp)
+        raw_rows(message)["drive"][1 if value > 0 else slice(None), 0] = value
+        with pytest.raises(MessageError, match=words):
+            layout.decode(message)

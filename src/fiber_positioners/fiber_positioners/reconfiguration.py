@@ -147,7 +147,8 @@ class Reconfiguration:
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         save_problem(folder / "problem.npz", self.problem)
-        save_plan(folder / "plan.npz", self.motion, self.outcome, self.reason)
+        drive = self.plane.drive
+        save_plan(folder / "plan.npz", self.motion, self.outcome, self.reason, drive)
         save_report(folder / "report.json", self.report)
         if recording:
             save_recording(folder / "recording.npz", self.recording)

@@ -11,6 +11,7 @@ from fiber_core.clearance.collision_bodies import Bodies, bodies_of
 from fiber_core.clearance.minimum_distance import FINEST_MM, Minima, minimum_gaps
 from fiber_core.clearance.neighbours import neighbour_pairs
 from fiber_core.clearance.safety import Safety
+from fiber_core.drive.curves import CurveMotion, carried_out
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 
@@ -30,7 +31,8 @@ class Certificate:
             tolerance of that gap where it is below the required gap or the smallest of all.
         time_s: instant of the smallest gap found of each pair [s], shape (p,).
         unsafe: pairs not proven to keep their required gap, shape (p,).
-        limits_broken: robots that move a joint outside its limits or too fast, shape (n,).
+        limits_broken: robots that move a joint outside its limits, or faster or harder than it
+            can, shape (n,).
         moved_disabled: disabled robots that move, shape (n,).
     """
 
@@ -89,33 +91,38 @@ def certify(
 
     The gap of a pair cannot change faster than the sum of the speeds of its fastest
     points, so gaps at finitely many instants bound it at all of them. Rest after the
-    end of a profile is part of the motion.
+    end of a profile is part of the motion. Joints follow the curve that the drive of the plane
+    makes of their orders, within its uncertainty.
 
     Args:
         plane: the focal plane.
-        motion: joint profiles of all robots.
+        motion: joint profiles of all robots, as ordered.
         safety: the margin and the timing errors that the motion must survive.
         pairs: rows a < b to examine, shape (p, 2); by default all pairs that could ever
             come closer than the largest required gap (at least 1 mm).
         tolerance_mm: resolution of the gaps below their required value and of the smallest
             of all, at least 1e-6 [mm].
     """
+    true_motion = carried_out(plane.drive, motion)
     if pairs is None:
-        pairs = certified_pairs(plane, motion, safety)
+        pairs = certified_pairs(plane, true_motion, safety)
     pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
     bodies = bodies_of(plane)
-    required = safety.required_mm(plane, motion, pairs)
+    required = safety.required_mm(plane, true_motion, pairs)
     minima = Minima.unknown(len(pairs))
     every = np.arange(len(pairs))
     minimum_gaps(
-        bodies, motion.arrays, np.zeros(motion.n, dtype=bool), pairs, every,
+        bodies, true_motion.curve_arrays, np.zeros(motion.n, dtype=bool), pairs, every,
         required, tolerance_mm, True, minima,
     )  # fmt: skip
-    return certificate_of(plane, motion, pairs, required, minima, tolerance_mm)
+    return certificate_of(plane, true_motion, pairs, required, minima, tolerance_mm)
 
 
 def unproven(
-    bodies: Bodies, motion: SegmentMotion, pairs: ArrayLike, required_mm: ArrayLike
+    bodies: Bodies,
+    motion: SegmentMotion | CurveMotion,
+    pairs: ArrayLike,
+    required_mm: ArrayLike,
 ) -> Mask:
     """Return which pairs are not proven to keep their gap at every instant, shape (p,).
 
@@ -123,7 +130,7 @@ def unproven(
 
     Args:
         bodies: outlines, from bodies_of.
-        motion: joint profiles of all robots.
+        motion: true joint profiles of all robots; no drive is applied to them.
         pairs: rows a, b of bodies, shape (p, 2).
         required_mm: gap that each pair must keep [mm], shape (p,).
     """
@@ -132,7 +139,7 @@ def unproven(
 
 
 def smallest_gaps(
-    bodies: Bodies, motion: SegmentMotion, pairs: ArrayLike, level_mm: ArrayLike
+    bodies: Bodies, motion: SegmentMotion | CurveMotion, pairs: ArrayLike, level_mm: ArrayLike
 ) -> Gaps:
     """Return a lower bound of the smallest gap of each pair in a motion [mm], shape (p,).
 
@@ -140,7 +147,7 @@ def smallest_gaps(
 
     Args:
         bodies: outlines, from bodies_of.
-        motion: joint profiles of all robots.
+        motion: true joint profiles of all robots; no drive is applied to them.
         pairs: rows a, b of bodies, shape (p, 2).
         level_mm: gap of each pair above which no better bound is needed [mm], shape (p,).
     """
@@ -148,18 +155,24 @@ def smallest_gaps(
 
 
 def _lower_bounds(
-    bodies: Bodies, motion: SegmentMotion, pairs: ArrayLike, level: Floats, resolve: bool
+    bodies: Bodies,
+    motion: SegmentMotion | CurveMotion,
+    pairs: ArrayLike,
+    level: Floats,
+    resolve: bool,
 ) -> Gaps:
     pairs = np.asarray(pairs, dtype=np.int32).reshape(-1, 2)
     minima, rows = Minima.unknown(len(pairs)), np.arange(len(pairs))
     minimum_gaps(
-        bodies, motion.arrays, np.zeros(motion.n, dtype=bool), pairs, rows,
+        bodies, motion.curve_arrays, np.zeros(motion.n, dtype=bool), pairs, rows,
         level, _TOLERANCE_MM, resolve, minima,
     )  # fmt: skip
     return minima.lower
 
 
-def certified_pairs(plane: FocalPlane, motion: SegmentMotion, safety: Safety) -> Pairs:
+def certified_pairs(
+    plane: FocalPlane, motion: SegmentMotion | CurveMotion, safety: Safety
+) -> Pairs:
     """Return every pair that must be examined to certify a motion, shape (p, 2)."""
     with_itself = np.repeat(np.arange(plane.n)[:, None], 2, axis=1)
     most = safety.required_mm(plane, motion, with_itself).max(initial=0.0)
@@ -168,7 +181,7 @@ def certified_pairs(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
 
 def certificate_of(
     plane: FocalPlane,
-    motion: SegmentMotion,
+    motion: SegmentMotion | CurveMotion,
     pairs: Pairs,
     required: Gaps,
     minima: Minima,
@@ -178,7 +191,7 @@ def certificate_of(
 
     Args:
         plane: the focal plane.
-        motion: joint profiles of all robots.
+        motion: true joint profiles of all robots.
         pairs: rows a, b of bodies, shape (p, 2).
         required: gap that each pair must keep [mm], shape (p,).
         minima: the smallest gaps as far as they are known; updated.
@@ -196,22 +209,23 @@ def certificate_of(
     )
 
 
-def limits_broken(plane: FocalPlane, motion: SegmentMotion) -> Mask:
-    """Return the robots that move a joint outside its limits or too fast, shape (n,)."""
+def limits_broken(plane: FocalPlane, motion: SegmentMotion | CurveMotion) -> Mask:
+    """Return the robots that move a joint outside its limits, or faster or harder than it can."""
     low, high = np.moveaxis(plane.limits, -1, 0)
     outside = (motion.lowest < low - 1e-9) | (motion.highest > high + 1e-9)
     too_fast = motion.fastest > plane.speeds * (1 + 1e-9)
-    return np.any((motion.fastest > 0.0) & outside | too_fast, axis=1)
+    too_hard = motion.hardest > plane.drive.acceleration_rad_s2 * (1 + 1e-9)
+    return np.any((motion.fastest > 0.0) & outside | too_fast | too_hard, axis=1)
 
 
-def moved_disabled(plane: FocalPlane, motion: SegmentMotion) -> Mask:
+def moved_disabled(plane: FocalPlane, motion: SegmentMotion | CurveMotion) -> Mask:
     """Return the disabled robots that move, shape (n,)."""
     return ~plane.enabled & (motion.fastest > 0.0).any(axis=1)
 
 
 def _resolve_smallest(
     bodies: Bodies,
-    motion: SegmentMotion,
+    motion: SegmentMotion | CurveMotion,
     pairs: Pairs,
     required: Gaps,
     minima: Minima,
@@ -232,5 +246,7 @@ def _resolve_smallest(
             return
         nearest = rows[np.argmin(minima.best[rows])]
         only = np.array([nearest])
-        minimum_gaps(bodies, motion.arrays, resting, pairs, only, level, tolerance_mm, True, minima)
+        minimum_gaps(
+            bodies, motion.curve_arrays, resting, pairs, only, level, tolerance_mm, True, minima
+        )
         smallest = min(smallest, minima.best[nearest])

@@ -67,6 +67,8 @@ class Bodies(NamedTuple):
 def bodies_of(plane: FocalPlane) -> Bodies:
     """Return the outlines of all robots, then of obstacles and walls as rows n, n + 1, ...
 
+    An outline is grown by as much as the uncertainty of its joints can displace it.
+
     Args:
         plane: the focal plane.
     """
@@ -93,12 +95,14 @@ def _build(plane: FocalPlane) -> Bodies:
     phi_hull, phi_count, phi_disc, phi_reach = _hulls(
         padded(plane.phi_vertices, walls - middles[:, None])
     )
-    phi_radius = rows(plane.phi_radius, np.append(discs[:, 2], np.zeros(len(walls))))
+    growth = plane.growth_mm
+    rounding = np.append(discs[:, 2], np.zeros(len(walls)))
+    phi_radius = rows(plane.phi_radius + growth[:, 1], rounding)
     theta_hull, theta_count, theta_disc, theta_reach = _hulls(
         rows(plane.theta_vertices, np.zeros((plane.fixtures, *plane.theta_vertices.shape[1:])))
     )
     theta_count[plane.n :] = 0
-    theta_radius = rows(plane.theta_radius, nothing)
+    theta_radius = rows(plane.theta_radius + growth[:, 0], nothing)
 
     def record(count: Ints, radius: Floats, disc: Floats, hull: Floats) -> Floats:
         corners = hull.reshape(len(hull), 2 * hull.shape[1])

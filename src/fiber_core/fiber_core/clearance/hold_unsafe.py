@@ -16,6 +16,7 @@ from fiber_core.clearance.collision_bodies import bodies_of
 from fiber_core.clearance.minimum_distance import Minima, minimum_gaps
 from fiber_core.clearance.neighbours import neighbours_of
 from fiber_core.clearance.safety import Safety
+from fiber_core.drive.curves import CurveMotion, carried_out
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 
@@ -40,7 +41,7 @@ def hold_until_safe(
 
     Args:
         plane: the focal plane.
-        motion: joint profiles of all robots.
+        motion: joint profiles of all robots, as ordered; their true curves are certified.
         safety: the margin and the timing errors that the motion must survive.
         pairs: rows a < b to examine, shape (p, 2), as for certify.
         tolerance_mm: resolution of the gaps below their required value [mm].
@@ -49,10 +50,11 @@ def hold_until_safe(
         The motion that remains, which robots were held, shape (n,), and the certificate of
         the motion that remains.
     """
+    true_motion = carried_out(plane.drive, motion)
     if pairs is None:
-        pairs = certified_pairs(plane, motion, safety)
-    search = _Search(plane, motion, safety, pairs, tolerance_mm)
-    faulty = limits_broken(plane, motion) | moved_disabled(plane, motion)
+        pairs = certified_pairs(plane, true_motion, safety)
+    search = _Search(plane, true_motion, safety, pairs, tolerance_mm)
+    faulty = limits_broken(plane, true_motion) | moved_disabled(plane, true_motion)
     search.hold(faulty)
     search.hold_until_covered()
     if not search.unsafe.any():
@@ -60,7 +62,7 @@ def hold_until_safe(
         while candidates.any():
             candidates = search.release(candidates) & ~faulty
         search.hold_until_covered()  # released robots may have made the whole motion longer
-    return search.motion, search.held, search.certificate()
+    return motion.without(search.held), search.held, search.certificate()
 
 
 class _Search:
@@ -69,7 +71,7 @@ class _Search:
     def __init__(
         self,
         plane: FocalPlane,
-        motion: SegmentMotion,
+        motion: SegmentMotion | CurveMotion,
         safety: Safety,
         pairs: ArrayLike,
         tolerance_mm: float,
@@ -83,7 +85,7 @@ class _Search:
         self.update()
 
     @property
-    def motion(self) -> SegmentMotion:
+    def motion(self) -> SegmentMotion | CurveMotion:
         return self.wished.without(self.held)
 
     def update(self) -> None:
@@ -98,7 +100,7 @@ class _Search:
         # improve the bounds of some pairs until each is proven safe or found unsafe
         minimum_gaps(
             self.bodies,
-            self.wished.arrays,
+            self.wished.curve_arrays,
             self.held,
             self.pairs,
             rows,

@@ -10,7 +10,7 @@ import numpy as np
 from fiber_core.array_types import Angles, Floats, Gaps, Mask, Offsets, Pairs, Rows, Times
 from fiber_core.clearance.collision_bodies import Bodies
 from fiber_core.clearance.distance import table_gap
-from fiber_core.motion import MotionArrays
+from fiber_core.motion import CurveArrays
 
 __all__ = ["FINEST_MM", "Minima", "minimum_gaps"]
 
@@ -39,15 +39,49 @@ class Minima(NamedTuple):
 
 @nb.njit(cache=True, error_model="numpy")
 def _speed(
-    arm1: float, phi_reach: float, theta_reach: float, w_theta: float, w_phi: float
+    arm1: float,
+    phi_reach: float,
+    theta_reach: float,
+    w_theta: float,
+    w_phi: float,
+    u_theta: float,
+    u_phi: float,
 ) -> float:
-    # No vertex of a body moves faster [mm/s]. The phi link is bounded in two ways: elbow
-    # plus turning about it, or theta about the centre plus phi about the elbow.
-    phi_link = min(
+    # No vertex of a body moves faster [mm/s] while its joint speeds change evenly from w to u. The
+    # phi link is bounded in two ways: elbow plus turning about it, or theta about the centre
+    # plus phi about the elbow. Both are convex in the speeds, so they are largest at an end.
+    about_elbow = max(
         abs(w_theta) * arm1 + abs(w_theta + w_phi) * phi_reach,
-        abs(w_theta) * (arm1 + phi_reach) + abs(w_phi) * phi_reach,
+        abs(u_theta) * arm1 + abs(u_theta + u_phi) * phi_reach,
     )
-    return max(phi_link, abs(w_theta) * theta_reach)
+    about_center = max(
+        abs(w_theta) * (arm1 + phi_reach) + abs(w_phi) * phi_reach,
+        abs(u_theta) * (arm1 + phi_reach) + abs(u_phi) * phi_reach,
+    )
+    return max(min(about_elbow, about_center), max(abs(w_theta), abs(u_theta)) * theta_reach)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _pair_speed(
+    arm1: Floats,
+    phi_reach: Floats,
+    theta_reach: Floats,
+    a: int,
+    b: int,
+    w: Floats,
+    c: Floats,
+    begin: float,
+    end: float,
+) -> float:
+    # No gap of bodies a and b changes faster between two times after a piece began [mm/s]; w are
+    # its joint speeds then, c its accelerations.
+    return _speed(
+        arm1[a], phi_reach[a], theta_reach[a],
+        w[0] + c[0] * begin, w[1] + c[1] * begin, w[0] + c[0] * end, w[1] + c[1] * end,
+    ) + _speed(
+        arm1[b], phi_reach[b], theta_reach[b],
+        w[2] + c[2] * begin, w[3] + c[3] * begin, w[2] + c[2] * end, w[3] + c[3] * end,
+    )  # fmt: skip
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -55,6 +89,32 @@ def _lower_bound(g0: float, g1: float, way: float) -> float:
     # Piyavskii (1972), Shubert (1972): no gap between two instants is below this when
     # the gap can change by at most `way` in between. g0 and g1 may be lower bounds.
     return max(0.5 * (g0 + g1 - way), max(g0, g1) - way)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _gap_after(
+    table: Floats,
+    a: int,
+    b: int,
+    q: Floats,
+    w: Floats,
+    c: Floats,
+    passed: float,
+    cutoff: float,
+) -> float:
+    # the gap of bodies a and b some time after a piece began, exact below the cutoff [mm]
+    half = 0.5 * passed * passed
+    return table_gap(
+        table, a, b,
+        q[0] + (w[0] * passed + c[0] * half), q[1] + (w[1] * passed + c[1] * half),
+        q[2] + (w[2] * passed + c[2] * half), q[3] + (w[3] * passed + c[3] * half),
+        cutoff,
+    )  # fmt: skip
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _value(acceleration: Floats, segment: int) -> float:
+    return acceleration[segment] if len(acceleration) else 0.0
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -72,19 +132,21 @@ def _cut(
     offsets: Offsets,
     duration: Floats,
     velocity: Floats,
+    acceleration: Floats,
     resting: Mask,
     a: int,
     b: int,
     t: Times,
     q: Floats,
     w: Floats,
+    c: Floats,
     now: Floats,
 ) -> int:
-    # Cut the motion of bodies a and b into pieces on which all four joint speeds are
-    # constant: begin t[k], angles q[k] there, speeds w[k]. Returns their number; one row
-    # more holds the end. An obstacle has no joints: its row is beyond those of the robots.
-    # The rows of `now` are, for the present segment of each joint, when it begins, when it ends,
-    # and the angle at its begin.
+    # Cut the motion of bodies a and b into pieces on which all four joint accelerations are
+    # constant: begin t[k], angles q[k] and speeds w[k] there, accelerations c[k]. Returns their
+    # number; one row more holds the end. An obstacle has no joints: its row is beyond those of the
+    # robots. The rows of `now` are, for the present segment of each joint, when it begins, when
+    # it ends, and the angle at its begin.
     robots = len(start)
     cursor, last = np.zeros(4, dtype=np.int64), np.zeros(4, dtype=np.int64)
     begins, ends, angle = now[0], now[1], now[2]
@@ -103,16 +165,19 @@ def _cut(
     while (cursor < last).any():
         t[k + 1] = np.inf
         for j in range(4):
-            w[k, j] = 0.0
+            w[k, j] = c[k, j] = 0.0
             if cursor[j] < last[j]:
-                w[k, j] = velocity[cursor[j]]
+                c[k, j] = _value(acceleration, cursor[j])
+                w[k, j] = velocity[cursor[j]] + c[k, j] * (t[k] - begins[j])
                 t[k + 1] = min(t[k + 1], ends[j])
         for j in range(4):
             q[k + 1, j] = q[k, j]
             if cursor[j] < last[j]:
-                q[k + 1, j] = angle[j] + w[k, j] * (t[k + 1] - begins[j])
+                v, bend = velocity[cursor[j]], 0.5 * c[k, j]
+                passed, lasts = t[k + 1] - begins[j], duration[cursor[j]]
+                q[k + 1, j] = angle[j] + v * passed + bend * passed * passed
                 if ends[j] <= t[k + 1]:
-                    angle[j] += w[k, j] * duration[cursor[j]]
+                    angle[j] = angle[j] + v * lasts + bend * lasts * lasts
                     begins[j] = ends[j]
                     cursor[j] += 1
                     if cursor[j] < last[j]:
@@ -124,7 +189,7 @@ def _cut(
 @nb.njit(cache=True, error_model="numpy", nogil=True)  # the longest loop of all
 def minimum_gaps(
     bodies: Bodies,
-    motion: MotionArrays,
+    motion: CurveArrays,
     resting: Mask,
     pairs: Pairs,
     rows: Rows,
@@ -140,7 +205,7 @@ def minimum_gaps(
 
     Args:
         bodies: outlines, from bodies_of.
-        motion: the arrays of a SegmentMotion.
+        motion: the curve_arrays of a SegmentMotion or a CurveMotion.
         resting: robots that stay at their start instead, shape (n,).
         pairs: rows a, b of bodies, shape (p, 2).
         rows: pairs to work on, shape (r,).
@@ -152,11 +217,13 @@ def minimum_gaps(
     # Fields are read once: each reading of a tuple's array costs two atomic operations.
     table, arm1 = bodies.table, bodies.arm1
     phi_reach, theta_reach = bodies.phi_reach, bodies.theta_reach
-    start, offsets, duration, velocity = motion
+    start, offsets, duration, velocity, acceleration = motion
+    curved = len(acceleration) > 0
     tolerance = max(tolerance, FINEST_MM)
     longest = _most_segments(offsets)
     piece_t = np.empty(4 * longest + 1)
     piece_q, piece_w = np.empty((4 * longest + 1, 4)), np.empty((4 * longest + 1, 4))
+    piece_c = np.zeros((4 * longest + 1, 4))
     now = np.empty((3, 4))
     row: int
     a: int
@@ -164,8 +231,9 @@ def minimum_gaps(
     for row in rows:
         a, b = pairs[row]
         pieces = _cut(
-            start, offsets, duration, velocity, resting, a, b, piece_t, piece_q, piece_w, now
-        )
+            start, offsets, duration, velocity, acceleration, resting, a, b,
+            piece_t, piece_q, piece_w, piece_c, now,
+        )  # fmt: skip
         q = piece_q[0]
         gap = table_gap(table, a, b, q[0], q[1], q[2], q[3], np.inf)
         best, when, lower = gap, 0.0, gap
@@ -173,11 +241,10 @@ def minimum_gaps(
         queue = [(np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0)]
         for k in range(pieces):
             w = piece_w[k]
-            speed = _speed(arm1[a], phi_reach[a], theta_reach[a], w[0], w[1])
-            speed += _speed(arm1[b], phi_reach[b], theta_reach[b], w[2], w[3])
+            t0, t1, q, before = piece_t[k], piece_t[k + 1], piece_q[k + 1], gap
+            speed = _pair_speed(arm1, phi_reach, theta_reach, a, b, w, piece_c[k], 0.0, t1 - t0)
             if speed == 0.0:
                 continue
-            t0, t1, q, before = piece_t[k], piece_t[k + 1], piece_q[k + 1], gap
             way = speed * (t1 - t0)
             gap = table_gap(table, a, b, q[0], q[1], q[2], q[3], enough + way)
             if gap < min(best, enough + way):
@@ -191,16 +258,15 @@ def minimum_gaps(
             _, t0, g0, t1, g1, speed, k = heapq.heappop(queue)
             t = 0.5 * (t0 + t1)
             way = speed * (t - t0)
-            q, w, passed = piece_q[k], piece_w[k], t - piece_t[k]
-            gap = table_gap(
-                table, a, b,
-                q[0] + w[0] * passed, q[1] + w[1] * passed,
-                q[2] + w[2] * passed, q[3] + w[3] * passed,
-                enough + way,
-            )  # fmt: skip
+            q, w, c, passed = piece_q[k], piece_w[k], piece_c[k], t - piece_t[k]
+            gap = _gap_after(table, a, b, q, w, c, passed, enough + way)
             if gap < min(best, enough + way):
                 best, when = gap, t
             for u0, h0, u1, h1 in ((t0, g0, t, gap), (t, gap, t1, g1)):
+                if curved:
+                    begin, end = u0 - piece_t[k], u1 - piece_t[k]
+                    speed = _pair_speed(arm1, phi_reach, theta_reach, a, b, w, c, begin, end)
+                    way = speed * (u1 - u0)
                 bound = _lower_bound(h0, h1, way)
                 if bound >= enough:
                     lower = min(lower, bound)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from fiber_core import bounds
 from fiber_core.array_types import Floats, Gaps
 from fiber_core.clearance.distance import gaps
+from fiber_core.drive.curves import CurveMotion
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -52,7 +53,9 @@ class Safety:
     def __post_init__(self) -> None:
         bounds.check_ranges(self, self.RANGES, MotionError)
 
-    def required_mm(self, plane: FocalPlane, motion: SegmentMotion, pairs: ArrayLike) -> Gaps:
+    def required_mm(
+        self, plane: FocalPlane, motion: SegmentMotion | CurveMotion, pairs: ArrayLike
+    ) -> Gaps:
         """Return the gap that each pair must keep on the nominal motion [mm], shape (p,).
 
         Two robots whose clocks are off by up to e and that start up to s apart are where they

@@ -16,6 +16,7 @@ from fiber_discretizer.fit.linearize import Polylines, linearize
 from fiber_discretizer.options import DiscretizeOptions
 from fiber_discretizer.quantize import Rounding, quantize
 from fiber_discretizer.sequential.segment_plan import SegmentPlan
+from fiber_discretizer.soften import softened
 
 __all__ = ["Candidates"]
 
@@ -253,7 +254,7 @@ class Candidates:
         return self._quantized(rows, Polylines.of_joints(lines[0], lines[1]), slack_rad)
 
     def _quantized(self, rows: Rows, lines: Polylines, slack_rad: Floats) -> SegmentMotion:
-        return quantize(
+        orders = quantize(
             lines,
             self.start[rows],
             self.goal[rows],
@@ -263,7 +264,8 @@ class Candidates:
             self._plan.units,
             self._rounding,
             self._latest_s,
-        ).decoded()
+        )
+        return softened(self._plan.plane.drive.of_robots(rows), orders).decoded()
 
 
 def _rounding_of(plane: FocalPlane, units: WireUnits, rounding: Rounding) -> Rounding:

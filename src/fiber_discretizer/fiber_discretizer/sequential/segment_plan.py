@@ -16,6 +16,7 @@ from fiber_core.clearance import (
     point_speeds,
     unproven,
 )
+from fiber_core.drive import CurveMotion, carried_out
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.wire_units import WireUnits
@@ -27,6 +28,7 @@ class Snapshot(NamedTuple):
     """The state of a SegmentPlan at some moment; fields as its attributes."""
 
     motion: SegmentMotion
+    true_motion: SegmentMotion | CurveMotion
     is_rounded: Mask
     unsafe: Bools
 
@@ -62,15 +64,16 @@ class SegmentPlan:
     ):
         self.plane, self.units = plane, units
         self.motion = SegmentMotion.at_rest(units.to_angles(start))
-        self._safety, self._makespan_s = safety, makespan_s
+        self._true_motion = carried_out(plane.drive, self.motion)
+        self._safety, self._makespan_s = safety, makespan_s + plane.drive.ramp_s
         self.levers_mm = levers_of(plane)
         speeds = point_speeds(self.levers_mm, plane.speeds * plane.enabled[:, None])
         two = np.repeat(np.argsort(speeds)[-1:], 2)  # the fastest robot, twice
-        most = safety.required_at(speeds, makespan_s, two).max(initial=0.0)
+        most = safety.required_at(speeds, self._makespan_s, two).max(initial=0.0)
         self.pairs = neighbour_pairs(plane, max(1.0, most))
         self._at_start_mm = gaps(plane, self.pairs, self.motion.start)
         self.most_required_mm = safety.required_at(
-            speeds, makespan_s, self.pairs, self._at_start_mm
+            speeds, self._makespan_s, self.pairs, self._at_start_mm
         )
         self.bodies, self.neighbours = bodies_of(plane), neighbours_of(plane.n, self.pairs)
         self.is_rounded = np.ones(plane.n, dtype=bool)
@@ -101,19 +104,38 @@ class SegmentPlan:
     ) -> Bools:
         """Return whether pairs would be unsafe with another motion of some robots, shape (k,).
 
+        Joints follow the curves that the drive makes of the motion. A pair with a robot that
+        would be accelerated harder than it can is unsafe.
+
         Args:
             pairs: the pairs that are checked, shape (k,).
             rows: robots that would move in another way, shape (m,); none by default.
             changed: their motion, of m robots.
         """
-        motion = self.motion
+        true_motion = self._true_motion
         if rows is not None and changed is not None:
-            motion = motion.with_robots(rows, changed)
-        speeds = point_speeds(self.levers_mm, motion.fastest)
+            true_motion = self._with_robots(rows, changed)
+        speeds = point_speeds(self.levers_mm, true_motion.fastest)
         required = self._safety.required_at(
             speeds, self._makespan_s, self.pairs[pairs], self._at_start_mm[pairs]
         )
-        return unproven(self.bodies, motion, self.pairs[pairs], required)
+        unsafe = unproven(self.bodies, true_motion, self.pairs[pairs], required)
+        drive = self.plane.drive
+        if drive.ramp_s == 0.0:
+            return unsafe
+        too_hard = true_motion.hardest > drive.acceleration_rad_s2 * (1 + 1e-9)
+        if too_hard.any():
+            fixtures = np.zeros(self.plane.fixtures, dtype=bool)
+            robots = np.append(too_hard.any(axis=1), fixtures)
+            unsafe |= robots[self.pairs[pairs]].any(axis=1)
+        return unsafe
+
+    def _with_robots(self, rows: Rows, motion: SegmentMotion) -> SegmentMotion | CurveMotion:
+        # the true motion of all robots if some of them, m rows, had another motion, of m robots
+        changed = carried_out(self.plane.drive, motion)
+        if isinstance(self._true_motion, CurveMotion) and isinstance(changed, CurveMotion):
+            return self._true_motion.with_robots(rows, changed)
+        return self.motion.with_robots(rows, motion)
 
     def assign(self, rows: Rows, motion: SegmentMotion, is_rounded: bool = True) -> None:
         """Replace the motion of some robots.
@@ -123,6 +145,7 @@ class SegmentPlan:
             motion: their motion, of m robots.
             is_rounded: whether its segments are of whole units.
         """
+        self._true_motion = self._with_robots(rows, motion)
         self.motion = self.motion.with_robots(rows, motion)
         self.is_rounded[rows] = is_rounded
         affected = self.pairs_of(rows)
@@ -130,11 +153,11 @@ class SegmentPlan:
 
     def snapshot(self) -> Snapshot:
         """Return the present state, for `restore`."""
-        return Snapshot(self.motion, self.is_rounded.copy(), self.unsafe.copy())
+        return Snapshot(self.motion, self._true_motion, self.is_rounded.copy(), self.unsafe.copy())
 
     def restore(self, snapshot: Snapshot) -> None:
         """Undo all that was assigned since a snapshot."""
-        self.motion, self.is_rounded, self.unsafe = snapshot
+        self.motion, self._true_motion, self.is_rounded, self.unsafe = snapshot
 
     def rest(self, robots: Mask) -> None:
         """Let some robots, shape (n,), stay where they are."""

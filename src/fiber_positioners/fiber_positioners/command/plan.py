@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fiber_core.drive.named import DRIVES
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem
 from fiber_formats import FORMS, FormatError, kind_of, problem_from
@@ -32,6 +33,7 @@ examples:
   fiber-positioners plan --layout plane.csv --targets targets.csv --out out/field
   fiber-positioners plan --layout fp-20260219.ecsv --starts fp-20260219.ecsv
       --targets fiberassign-000001.fits.gz --results results.fits --form desi
+  fiber-positioners plan --preset desi --drive accelerated
   fiber-positioners plan --preset moons --planner dnf --player out/moons.html
 """
 
@@ -46,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--targets", metavar="FILES", help="targets; by default random")
     add("--spacing", type=length, metavar="MM", help="least distance between two targets")
     add("--robots", type=positive, help="number of robots of the preset; by default all")
+    add("--drive", choices=sorted(DRIVES), help="motors of the robots; by default ideal ones")
     add("--seed", type=int, default=0, help="seed of the random field and of the robots' clocks")
     add("--planner", choices=planners(), default=DEFAULT_PLANNER, help="planner")
     add("--capture", type=Path, help="folder for waveforms (VCD) and packets (pcap) of the buses")
@@ -68,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
         args.starts,
         args.targets,
         spacing_mm=args.spacing,
+        drive=args.drive,
     )
     problem = found.problem
     with ProgressLine() as progress:

@@ -1,0 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drives: how motors carry out their orders, and the curves that the joints then follow."""
+
+from fiber_core.drive.curves import CurveMotion, carried_out
+from fiber_core.drive.drive import Drive
+
+__all__ = ["CurveMotion", "Drive", "carried_out"]
