@@ -11,7 +11,8 @@ from fiber_core import FocalPlane, LayoutError, forward, preset
 
 def columns(**changes):
     plane = preset("desi_outlines", 7)
-    values = {f.name: np.array(getattr(plane, f.name)) for f in fields(plane) if f.name != "drive"}
+    arrays = [f.name for f in fields(plane) if f.name not in ("drive", "fibre_names")]
+    values = {name: np.array(getattr(plane, name)) for name in arrays}
     values |= {"spacing_mm": 4.0, "envelope_mm": 5.0, "name": "seven"}
     values["ids"] = values["ids"] + 100
     for name, change in changes.items():
