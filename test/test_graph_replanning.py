@@ -9,6 +9,7 @@ from fiber_bringup.graph import Graph
 from fiber_bus_bridge.simulation import EVENT, Event, Faults, SimulatedBuses
 from fiber_client.client import PlaneClient
 from fiber_client.disable import DisabledRobots
+from fiber_client.vouch import vouch
 from fiber_core.clearance import Safety, certify
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
@@ -52,6 +53,7 @@ def graph(problem_file, new_domain, monkeypatch):
 
         monkeypatch.setattr(fiber_bus_bridge.node.hardware, "simulated_buses", with_faults)
         domain = new_domain()
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))  # for commands
         parameters = {"problem": problem_file, "time_scale": 0.0} | bridge
         open_now.append(Graph(bridge=parameters, recorder=recorder, viewer=viewer, domain=domain))
         open_now[-1].__enter__()
@@ -220,6 +222,32 @@ def test_robots_stopped_for_a_lost_robot_continue_in_the_next_attempt(graph, pro
     assert (replayed.motion.end != replayed.motion.start).any(axis=1).sum() > 40
     near_mm = np.hypot(*(problem.plane.centers - problem.plane.centers[silent]).T)
     assert near_mm[ended.reason == Reason.PLACE_UNKNOWN].max() < 13
+
+
+def test_an_operator_vouches_for_robots_that_were_never_read(graph, problem, capsys):
+    client, _ = graph([(row, 0.0, Event.POWER, 0) for row in LOST])
+    assert vouch(["--list"]) == 0
+    named = capsys.readouterr().out.splitlines()[1:]
+    assert [int(line.split()[0]) for line in named] == LOST
+    tips = forward(problem.plane, client.angles)[1][LOST]
+    shown = np.array([line.split()[3:] for line in named], dtype=float)
+    np.testing.assert_allclose(shown, tips, atol=0.006)
+
+    asked, lost = problem.asked, np.isin(problem.plane.ids, LOST)
+    stamp = send_targets(client, problem)
+    client.start(WAIT_S)
+    ended = client.wait_for_outcome(stamp, WAIT_S)
+    waited = ended.ids[ended.reason == Reason.PLACE_UNKNOWN]
+    assert len(waited) > 4 and not np.isin(waited, LOST).any()
+    assert vouch(["1"]) == 1
+    assert "robot 1 cannot be vouched for: its place is known" in capsys.readouterr().err
+    assert vouch([*map(str, LOST)]) == 0
+    assert vouch(["--list"]) == 0
+    assert "the places of all robots are known" in capsys.readouterr().out
+    stamp = send_targets(client, problem)
+    client.start(WAIT_S)
+    ended = client.wait_for_outcome(stamp, WAIT_S)
+    assert np.all(ended.outcome[asked & ~lost] == Outcome.REACHED)
 
 
 def test_robots_disabled_after_they_were_planned_for_are_planned_around(graph, problem):

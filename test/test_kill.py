@@ -53,7 +53,8 @@ def test_robots_never_touch_nor_move_unverified(campaign, number, names, how, st
     assert line["movements"] >= 37, "no robot moved, so this run shows nothing"
     assert line["next_s"] < 40.0, f"the graph does not come back: {line}"
     if how == "kill" and names[0] == "bridge":
-        assert not line["why"], f"an operator had to call a service first: {line}"
+        refused = [why for why in line["why"] if "clear first" in why]
+        assert not refused, f"an operator had to clear first: {line}"
 
 
 def test_the_judge_counts_robots_that_stand_elsewhere_than_reported(campaign):

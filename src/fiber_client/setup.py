@@ -30,6 +30,7 @@ setup(
             "reconfigure = fiber_client.reconfigure:main",
             "disable = fiber_client.disable:disable",
             "enable = fiber_client.disable:enable",
+            "vouch = fiber_client.vouch:vouch",
             "show = fiber_client.show:main",
             "gateway = fiber_client.gateway:main",
         ]

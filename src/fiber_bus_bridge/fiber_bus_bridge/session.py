@@ -203,7 +203,7 @@ class Session:
             ids: ids of the robots, shape (k,).
 
         Raises:
-            SessionError: a robot does not exist, or robots are moving.
+            SessionError: a robot does not exist, its place is known, or robots are moving.
         """
         self._require(Event.ENABLE, "vouch for robots")
         ids = np.asarray(ids, dtype=np.int64)
@@ -212,8 +212,10 @@ class Session:
             raise SessionError(
                 f"robot {ids[rows < 0][0]} cannot be vouched for: the plane has no such robot"
             )
-        self.robots["placed"][rows] = True
-        self.robots["lost"][rows] = False
+        known = ~self.robots["lost"][rows]
+        if known.any():
+            raise SessionError(f"robot {ids[known][0]} cannot be vouched for: its place is known")
+        self.robots["placed"][rows], self.robots["lost"][rows] = True, False
 
     def configure(self, t: float) -> float:
         """Identify the robots, and send units, limits and speeds to them.

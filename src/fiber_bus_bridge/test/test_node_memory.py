@@ -143,6 +143,10 @@ def test_an_operator_vouches_for_a_robot_whose_place_is_not_known(night):
     night.until(lambda: "place" not in str(night.left_out().get("robot 0")))
     assert not load_memory(night.path, PLANE, QUANTUM, 1).lost.any()
     bad = night.bridge.set_parameters([Parameter("vouched", value=[99])])[0]
+    again = night.bridge.set_parameters([Parameter("vouched", value=[0])])[0]
+    assert (
+        not again.successful and "robot 0 cannot be vouched for: its place is known" in again.reason
+    )
     assert not bad.successful and "robot 99 cannot be vouched for" in bad.reason
     counts, motion = night.counts(), turning(ticks=300)
     night.ready(20, type(motion)(UNITS, counts, motion.offsets, motion.ticks, motion.velocity))

@@ -130,10 +130,12 @@ class Publishers:
             f"{len(reasons)} disabled by operators, {unknown.sum()} not found, "
             f"{failed.sum()} failed, {lost.sum()} at unknown places"
         )
-        if self._session.state is not SessionState.MOVING:
-            for row in np.flatnonzero(lost)[:_NAMED]:
-                reasons[f"robot {ids[row]}"] = "place unknown: its neighbours rest"
         for row in np.flatnonzero(failed)[:_NAMED]:
             reasons[f"robot {ids[row]}"] = Reason(availability.failed[row]).name.lower()
+        if self._session.state is not SessionState.MOVING:
+            for row in np.flatnonzero(lost)[:_NAMED]:
+                before = reasons.get(f"robot {ids[row]}")
+                why = f" ({before})" if before else ""
+                reasons[f"robot {ids[row]}"] = f"place unknown{why}: its neighbours rest"
         level = Level.WARN if unknown.any() or failed.any() else Level.OK
         return Status("bridge: left out", level, text, reasons)
