@@ -7,10 +7,11 @@ import subprocess
 import sys
 
 import pytest
+from astropy.table import Table
 
 from fiber_core.problem import load_problem
 from fiber_positioners import study
-from fiber_positioners.command import main
+from fiber_positioners.command import main, plan
 from fiber_positioners.command.arguments import arm_pairs, numbers, whole_numbers
 from fiber_recording import load_recording
 
@@ -25,10 +26,21 @@ def test_plan_prints_one_json_line_and_writes_its_files(tmp_path, capsys, result
     assert report["reached"] == 37 and report["certified"]
     assert "robots are moving" in printed.err
     assert sorted(path.name for path in out.iterdir()) == [
-        "plan.npz", "problem.npz", "recording.npz", "report.json",
+        "outcomes.ecsv", "plan.npz", "player.html", "problem.npz", "recording.npz", "report.json",
     ]  # fmt: skip
     assert load_problem(out / "problem.npz").plane.n == 37
     assert (tmp_path / "player.html").stat().st_size > 50_000
+    assert (out / "player.html").read_bytes() == (tmp_path / "player.html").read_bytes()
+    assert len(Table.read(out / "outcomes.ecsv")) == 37
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(plan, "reconfigure", lambda *_, **__: pytest.fail("work was begun"))
+    (tmp_path / "file").touch()
+    arguments = ["plan", "--robots", "7", "--out", str(tmp_path / "file/below")]
+    assert main(arguments) != 0
+    error = capsys.readouterr().err.strip()
+    assert error.count("\n") == 0 and str(tmp_path / "file/below") in error
 
 
 def test_plan_takes_a_problem_file_and_a_table_of_targets(tmp_path, capsys, result):

@@ -20,6 +20,7 @@ from fiber_positioners.study import (
 
 def row(**values):
     nothing = {"asked": 10, "reached": 10, "makespan_ratio": 1.0, "segments_mean": 1.0}
+    nothing |= {"makespan_s": 2.0}
     return nothing | {"bytes_mean": 10.0, "certified": True, "error": ""} | values
 
 
@@ -101,8 +102,8 @@ def test_a_summary_has_mean_least_and_greatest_of_its_draws():
         (case, row(error="a robot found no start", reached=None)),
     ]
     (summary,) = summarize(done)
-    assert summary.figures["reached_percent"] == Spread(95.0, 90.0, 100.0)
-    assert summary.figures["makespan_ratio"].text(2) == "1.10 (1.00..1.20)"
+    assert summary.figures["reached_percent"] == Spread(95.0, 90.0, 100.0, pytest.approx(50**0.5))
+    assert summary.figures["makespan_ratio"].text(2) == "1.10 +- 0.14 (1.00..1.20)"
     assert summary.figures["bytes_mean"].text(1) == "10.0"
     assert (summary.fields, summary.impossible) == (2, 1) and summary.certified
 
@@ -118,11 +119,20 @@ def test_the_picture_has_a_line_for_each_other_parameter():
         for case in grid(pitch_mm=[9.0, 10.0, 11.0], radius_mm=[0.8, 1.0])
     ]
     figure = study_figure(summarize(done))
-    assert [axes.get_title() for axes in figure.axes] == [
-        "reached %", "makespan / bound", "segments a motor", "bytes a robot",
+    assert [axes.get_title() for axes in figure.axes[:5]] == [
+        "reached %", "makespan s", "makespan / bound", "segments a motor", "bytes a robot",
     ]  # fmt: skip
-    for axes in figure.axes:
+    assert not any(axes.axison for axes in figure.axes[5:])
+    for axes in figure.axes[:5]:
         assert axes.get_xlabel() == "pitch [mm]" and len(axes.containers) == 2
-    x, y = figure.axes[2].containers[0][0].get_data()
+    x, y = figure.axes[3].containers[0][0].get_data()
     assert list(x) == list(y) == [9.0, 10.0, 11.0]
     assert {c.get_label() for c in figure.axes[0].containers} == {"radius_mm 0.8", "radius_mm 1.0"}
+
+
+def test_the_picture_has_a_dot_for_every_draw():
+    case = Case()
+    draws = [1.0, 1.1, 2.7]  # one robot stretches the motion of all others
+    figure = study_figure(summarize([(case, row(makespan_ratio=ratio)) for ratio in draws]))
+    dots = figure.axes[2].lines[-1]
+    assert dots.get_marker() == "." and sorted(dots.get_ydata()) == draws

@@ -16,6 +16,7 @@ from fiber_positioners.command.exit_codes import DONE
 from fiber_positioners.command.progress import ProgressLine
 from fiber_positioners.reconfiguration import reconfigure
 from fiber_positioners.report import report_line
+from fiber_viewer import write_player
 
 __all__ = ["DESCRIPTION", "SUMMARY", "add_arguments", "run"]
 
@@ -23,8 +24,9 @@ SUMMARY = "plan one field and carry it out in simulated time"
 DESCRIPTION = """Take a focal plane through one reconfiguration and print one JSON line of results.
 
 The orders are planned, discretized, loaded as bytes onto simulated buses, verified and carried
-out. --out keeps problem.npz and plan.npz for any other planner or checker, report.json and
-recording.npz; --player writes a page that shows the motion in a browser. --layout, --starts and
+out. --out keeps problem.npz and plan.npz for any other planner or checker, report.json,
+outcomes.ecsv, recording.npz, and player.html, which shows the motion in a browser; --player writes
+that page alone. --layout, --starts and
 --targets take the files of DESI, SDSS-V, PFS, MOONS and JUST, or tables of our own columns; what
 of them is not used is named on stderr.
 
@@ -52,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=int, default=0, help="seed of the random field and of the robots' clocks")
     add("--planner", choices=planners(), default=DEFAULT_PLANNER, help="planner")
     add("--capture", type=Path, help="folder for waveforms (VCD) and packets (pcap) of the buses")
-    add("--out", type=Path, help="folder for problem, plan, report and recording")
+    add("--out", type=Path, help="folder for problem, plan, report, outcomes, recording and player")
     add("--results", type=Path, metavar="TABLE", help="write all robots: .csv, .ecsv or .fits")
     add("--form", choices=sorted(FORMS), help="columns of an instrument in addition, in --results")
     add("--player", type=Path, metavar="PAGE", help="write the player, an HTML page, here")
@@ -62,6 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand; returns the exit code."""
     _refuse_results(args)
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)  # refused before the work, not after it
     found = problem_from(
         args.problem,
         args.layout,
@@ -89,7 +93,9 @@ def run(args: argparse.Namespace) -> int:
         )
         if args.out is not None:
             progress(1.0, f"writing {args.out}")
-            result.save(args.out)
+            folder = result.save(args.out)
+            result.write_results(folder / "outcomes.ecsv")
+            write_player(folder / "player.html", folder / "recording.npz")
         if args.results is not None:
             result.write_results(args.results, args.form)
         if args.player is not None:

@@ -24,21 +24,23 @@ _AXES = {
 
 
 def study_figure(summaries: Sequence[Summary]) -> Figure:
-    """Draw four panels: robots that reached their targets, makespan, segments and bytes.
+    """Draw a panel of each figure: robots that reached their targets, makespan, segments, bytes.
 
     The horizontal axis is the parameter with the most values; cases that differ in others are
-    lines of their own. Bars reach from the least to the greatest draw.
+    lines of their own. Bars reach from the least to the greatest draw, and
+    every draw is a dot.
 
     Args:
         summaries: the summaries of the study.
     """
-    figure = Figure(figsize=(10, 7), layout="constrained")
+    figure = Figure(figsize=(13, 7), layout="constrained")
     columns = [each.case.columns() for each in summaries]
     axis = max(_AXES, key=lambda name: len({column[name] for column in columns}), default="robots")
     lines: dict[str, list[Summary]] = {}
     for each in summaries:
         lines.setdefault(_line_name(each.case, axis, columns), []).append(each)
-    for (name, (heading, _)), axes in zip(FIGURES.items(), figure.subplots(2, 2).flat):
+    panels = figure.subplots(2, (len(FIGURES) + 1) // 2).flat
+    for (name, (heading, _)), axes in zip(FIGURES.items(), panels):
         for label, cases in lines.items():
             drawn = [each for each in cases if name in each.figures]
             x = [_number(each.case.columns()[axis]) for each in drawn]
@@ -46,10 +48,15 @@ def study_figure(summaries: Sequence[Summary]) -> Figure:
             mean = np.array([spread.mean for spread in spreads])
             below = mean - [spread.least for spread in spreads]
             above = np.array([spread.greatest for spread in spreads]) - mean
-            axes.errorbar(x, mean, yerr=[below, above], fmt="o-", capsize=3, label=label)
+            line = axes.errorbar(x, mean, yerr=[below, above], fmt="o-", capsize=3, label=label)
+            draws = [(at, value) for at, each in zip(x, drawn) for value in each.draws[name]]
+            if draws:
+                axes.plot(*zip(*draws), ".", color=line.lines[0].get_color(), ms=4, alpha=0.6)
         axes.set_xlabel(_AXES[axis])
         axes.set_title(heading)
         axes.grid(alpha=0.3)
+    for axes in panels:
+        axes.set_axis_off()
     if len(lines) > 1:
         figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center")
     return figure

@@ -16,6 +16,7 @@ __all__ = ["FIGURES", "RowFile", "Spread", "Summary", "save_study", "study_table
 # name -> (heading, digits): the figures that a study reports
 FIGURES = {
     "reached_percent": ("reached %", 1),
+    "makespan_s": ("makespan s", 2),
     "makespan_ratio": ("makespan / bound", 3),
     "segments_mean": ("segments a motor", 2),
     "bytes_mean": ("bytes a robot", 1),
@@ -24,18 +25,30 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean, least and greatest value of a figure over several draws."""
+    """Mean, least and greatest value of a figure over several draws, and the standard deviation.
+
+    The mean of few draws may be that of one with a robot that stretches the motion of all others:
+    the deviation of the draws tells whether two cases differ.
+    """
 
     mean: float
     least: float
     greatest: float
+    deviation: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> "Spread":
+        """Return the spread of one or more values."""
+        deviation = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+        return cls(float(np.mean(values)), min(values), max(values), deviation)
 
     def text(self, digits: int) -> str:
-        """Return "mean (least..greatest)", the mean alone where all draws are equal."""
-        mean, least, greatest = (
-            f"{value:.{digits}f}" for value in (self.mean, self.least, self.greatest)
+        """Return "mean +- deviation (least..greatest)", the mean alone of equal draws."""
+        mean, least, greatest, deviation = (
+            f"{value:.{digits}f}"
+            for value in (self.mean, self.least, self.greatest, self.deviation)
         )
-        return mean if least == greatest else f"{mean} ({least}..{greatest})"
+        return mean if least == greatest else f"{mean} +- {deviation} ({least}..{greatest})"
 
 
 @dataclass(frozen=True)
@@ -47,6 +60,7 @@ class Summary:
         fields: number of fields that were carried out.
         impossible: number of fields that could not be drawn.
         figures: the spread of each figure in FIGURES; without those that no field has.
+        draws: the value of each figure in every field that was carried out.
         certified: whether every motion was certified.
     """
 
@@ -54,19 +68,20 @@ class Summary:
     fields: int
     impossible: int
     figures: dict[str, Spread]
+    draws: dict[str, list[float]]
     certified: bool
 
     @classmethod
     def of(cls, case: Case, rows: Sequence[Row]) -> "Summary":
         """Sum up the rows of a case."""
         done = [row for row in rows if not row["error"]]
-        figures = {}
+        figures, draws = {}, {}
         for name in FIGURES:
             values = [value for row in done if (value := _figure(row, name)) is not None]
             if values:
-                figures[name] = Spread(float(np.mean(values)), min(values), max(values))
+                figures[name], draws[name] = Spread.of(values), values
         certified = all(row["certified"] for row in done)
-        return cls(case, len(done), len(rows) - len(done), figures, certified)
+        return cls(case, len(done), len(rows) - len(done), figures, draws, certified)
 
 
 def _figure(row: Row, name: str) -> float | None:
