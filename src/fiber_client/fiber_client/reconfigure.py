@@ -105,7 +105,7 @@ def _targets(
         found = read_targets(source, client.plane)
         for line in (found.summary, *found.notices):
             display.say(line)
-        return found.ids, found.xy_mm, None
+        return found.ids, found.xy_mm, found.fibre_numbers(client.plane)
     seed = source.partition(":")[2] or "0"
     if not seed.isdigit():
         raise PlaneError(f"{source}: the seed {seed!r} is not a whole number")

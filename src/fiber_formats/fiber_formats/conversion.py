@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiber_formats.errors import FormatError
+from fiber_formats.fibres import fibre_texts
 from fiber_formats.formats.own import LAYOUT_COLUMNS, OUTLINES
 from fiber_formats.outlines import outline_texts, wall_rows
 from fiber_formats.reading import Paths, find_format, read_layout, read_targets
@@ -66,6 +67,8 @@ def convert(
         columns["id"] = np.append(columns["id"], found.without_target)
         for axis in ("x_mm", "y_mm"):
             columns[axis] = np.append(columns[axis], np.full(idle, np.nan))
+        if (found.fibre != "").any():
+            columns["fibre"] = np.append(found.fibre, np.full(idle, ""))
         write_table(target, columns)
         notices = (found.summary, *notices, *found.notices)
     else:
@@ -94,6 +97,10 @@ def _write_layout(target: str | os.PathLike[str], layout: Layout) -> tuple[str, 
     for name in OUTLINES:
         if name in columns:
             columns[name] = outline_texts(columns[name])
+    if "fibre_places_mm" in columns:
+        columns["fibre_places_mm"] = fibre_texts(
+            columns["fibre_places_mm"], layout.found.fibre_names
+        )
     write_table(target, columns)
     said: tuple[str, ...] = ()
     discs, walls = layout.plane.obstacles, layout.plane.walls

@@ -99,6 +99,8 @@ def plane_of(
         walls=found.walls,
         name=stem,
     )
+    if "fibre_places_mm" in columns:
+        fields["fibres"], fields["fibre_names"] = columns["fibre_places_mm"], found.fibre_names
     if "spacing_mm" in columns:
         fields["spacing_mm"] = _same(name, columns["spacing_mm"], "spacing_mm")
     if "phi_outline_mm" in columns or "theta_outline_mm" in columns:

@@ -82,6 +82,7 @@ def problem_from(
     if targets:
         asked = read_targets(targets, plane)
         xy_mm, lines = asked.of(plane)[0], (*lines, asked.summary, *asked.notices)
+        plane = asked.on(plane)
     else:
         xy_mm = None if base is None else base.targets
         if xy_mm is None and start is not None and not random_targets:

@@ -11,6 +11,7 @@ import numpy as np
 from fiber_core.array_types import Floats, Ids
 from fiber_core.focal_plane import FocalPlane
 from fiber_formats.errors import FormatError
+from fiber_formats.fibres import chosen_fibres
 from fiber_formats.formats import FORMATS, OWN
 from fiber_formats.formats.own import obstacles_of
 from fiber_formats.interface import Format
@@ -154,7 +155,8 @@ def read_targets(
 
     Args:
         path: as for read_layout.
-        plane: the focal plane; with it robots that it does not have are named in a notice.
+        plane: the focal plane; with it robots that it does not have are named in a notice, and
+            targets are those of its fibres where the file names fibres.
         formats: as for read_layout.
 
     Raises:
@@ -163,19 +165,21 @@ def read_targets(
     source = Source(path)
     found_format = find_format(source, formats)
     found = _reader(found_format, found_format.targets, source, "targets")(source)
-    asked = np.asarray(np.isfinite(found.xy_mm).all(axis=1))
-    notices = found.notices
+    xy_mm, fibre, more = chosen_fibres(source.name, found, plane)
+    asked = np.asarray(np.isfinite(xy_mm).all(axis=1))
+    notices = found.notices + more
     if plane is not None:
         notices += _not_in_plane(found.ids[asked & (plane.index_of(found.ids) < 0)])
     count = np.count_nonzero(asked)
     summary = f"{_short(source)}: {count} targets, {len(asked) - count} robots without target"
     return Targets(
         found.ids[asked],
-        found.xy_mm[asked],
+        xy_mm[asked],
         found.ids[~asked],
         found_format.name,
         summary,
         notices,
+        fibre[asked],
     )
 
 

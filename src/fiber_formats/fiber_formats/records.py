@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fiber_core.array_types import Angles, Bools, Floats, Ids, Points
+from fiber_core.array_types import Angles, Bools, Floats, Ids, Ints, Points
+from fiber_core.fibres import ANY_FIBRE
 from fiber_core.focal_plane import FocalPlane
 
 __all__ = ["Layout", "LayoutColumns", "StartColumns", "Starts", "TargetColumns", "Targets"]
@@ -31,6 +32,8 @@ class LayoutColumns:
         obstacles: fixed discs x, y, radius [mm], shape (k, 3).
         preset: instrument that supplies the figures which the file lacks, or None.
         walls: fixed convex polygons [mm], as those of FocalPlane, shape (w, c, 2).
+        fibre_names: names of the fibres whose places are the column `fibre_places_mm`, shape
+            (n, fibres, 2) [mm].
         notices: what was not used, assumed or approximated; one sentence each.
     """
 
@@ -39,6 +42,7 @@ class LayoutColumns:
     preset: str | None = None
     notices: tuple[str, ...] = ()
     walls: Floats = field(default_factory=_no_walls)
+    fibre_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +71,16 @@ class TargetColumns:
         ids: robot ids, shape (k,).
         xy_mm: targets [mm], shape (k, 2); nan for a robot without target.
         notices: as for LayoutColumns.
+        fibre: name of the fibre that each target is for, empty for any, shape (k,); None for any.
+        tip_mm: where the tips of the robots are then [mm], shape (k, 2), for a plane that does not
+            know the fibres; None where the file does not tell.
     """
 
     ids: Ids
     xy_mm: Points
     notices: tuple[str, ...] = ()
+    fibre: NDArray[np.str_] | None = None
+    tip_mm: Points | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +132,7 @@ class Targets:
         format_name: the format that was recognised.
         summary: one line.
         notices: as for Layout.
+        fibre: name of the fibre that each target is for, empty for any, shape (k,).
     """
 
     ids: Ids
@@ -131,6 +141,18 @@ class Targets:
     format_name: str
     summary: str
     notices: tuple[str, ...]
+    fibre: NDArray[np.str_]
+
+    def fibre_numbers(self, plane: FocalPlane) -> Ints:
+        """Return the number of the fibre on a plane for each target, -1 for any, shape (k,)."""
+        numbers = {"": ANY_FIBRE} | {name: k for k, name in enumerate(plane.fibre_names)}
+        return np.array([numbers[name] for name in self.fibre.tolist()], dtype=np.int64)
+
+    def on(self, plane: FocalPlane) -> FocalPlane:
+        """Return a plane with the fibres that these targets are for."""
+        fibre, rows = np.full(plane.n, ANY_FIBRE), plane.index_of(self.ids)
+        fibre[rows[rows >= 0]] = self.fibre_numbers(plane)[rows >= 0]
+        return plane.with_fibre(fibre)
 
     def of(self, plane: FocalPlane) -> tuple[Points, Bools]:
         """Return targets in the order of a plane (nan without one), (n, 2), and which rows fit.

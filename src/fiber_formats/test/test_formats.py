@@ -3,6 +3,7 @@
 
 import gzip
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,15 +143,37 @@ def test_a_hole_without_place_is_refused_by_robot(made_up, tmp_path):
         read_layout(f"{made_up / 'sdss_positionerTable.csv'},{tmp_path / 'wok.csv'}")
 
 
-def test_sdss_v_configuration_gives_starts_and_targets_of_the_metrology_fibre(made_up):
+def test_sdss_v_configuration_gives_starts_and_targets_of_its_fibres(made_up):
     plane = read_layout(sdss(made_up)).plane
+    path = made_up / "sdss_confSummary.par"
+    starts, targets = read_starts(path, plane), read_targets(path, plane)
+    assert targets.ids.tolist() == [16, 3, 252]
+    assert targets.fibre.tolist() == ["BOSS", "APOGEE", "BOSS"]
+    assert targets.notices[0] == "targets: 2 for BOSS, 1 for APOGEE"
+    rows = plane.index_of(targets.ids)
+    fibre = targets.fibre_numbers(plane)
+    assert np.array_equal(targets.on(plane).fibre[rows], fibre)
+    for row, number, xy_mm in zip(rows, fibre, targets.xy_mm):
+        x, y = plane.fibres[row, number]
+        turn = starts.angles[row].sum()
+        elbow = plane.centers[row] + plane.arms[row, 0] * np.array(
+            [np.cos(starts.angles[row, 0]), np.sin(starts.angles[row, 0])]
+        )
+        place = elbow + [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)]
+        assert np.allclose(place, xy_mm, atol=0.02)
+
+
+def test_sdss_v_configuration_gives_places_of_tips_to_a_plane_without_fibres(made_up):
+    plane = replace(read_layout(sdss(made_up)).plane, fibres=None, fibre_names=None, fibre=None)
     path = made_up / "sdss_confSummary.par"
     starts, targets = read_starts(path, plane), read_targets(path, plane)
     assert targets.ids.tolist() == [16, 3, 252]
     assert targets.without_target.tolist() == [40, 97]  # not assigned; assigned but not valid
     tips = forward(plane, starts.angles)[1]
     assert np.allclose(tips[plane.index_of(targets.ids)], targets.xy_mm, atol=1e-6)
-    assert "2 for BOSS, 1 for APOGEE" in targets.notices[0]
+    assert (
+        targets.notices[-1] == "targets are places of the tips: the plane has no fibre APOGEE, BOSS"
+    )
     assert np.all(starts.angles >= plane.limits[:, :, 0])
 
 

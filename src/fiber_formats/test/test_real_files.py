@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The readers on real files of the observatories; skips where their folder is absent."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from astropy.table import Table
 
 from fiber_core.clearance import Safety, gaps, neighbour_pairs
 from fiber_core.fields import random_field
-from fiber_core.kinematics import forward
+from fiber_core.kinematics import forward, inverse
 from fiber_core.presets import preset
 from fiber_formats import FormatError, convert, read_layout, read_starts, read_targets
 
@@ -81,6 +83,12 @@ def test_the_real_sdss_v_configuration(real_files):
     folder = real_files / "sdss_v"
     plane = read_layout([folder / f"apo_{n}.csv" for n in ("positionerTable", "wokCoords")]).plane
     path = folder / "confSummary-test.par"
+    of_fibres = read_targets(path, plane)
+    assert len(of_fibres.ids) == 490 and set(of_fibres.fibre.tolist()) == {"BOSS", "APOGEE"}
+    on = of_fibres.on(plane)
+    xy_mm, known = of_fibres.of(on)
+    assert np.count_nonzero(inverse(on, xy_mm)[1].any(axis=1)) >= known.sum() - 5
+    plane = replace(plane, fibres=None, fibre_names=None, fibre=None)
     targets = read_targets(path, plane)
     assert len(targets.ids) == 490 and len(targets.without_target) == 10
     by_hand = read_targets(real_files / "cases" / "conf_met_ok.csv")

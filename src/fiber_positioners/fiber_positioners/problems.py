@@ -78,6 +78,7 @@ def with_targets(problem: Problem, path: str | Path) -> Problem:
         FormatError: the file is refused.
         TargetsError: a robot is unknown; names it.
     """
-    plane, found = problem.plane, read_targets(path)
+    found = read_targets(path, problem.plane)
+    plane = found.on(problem.plane)
     assigned = assign(plane, problem.start, found.ids, found.xy_mm)
     return Problem(plane, problem.start, assigned.asked_mm)

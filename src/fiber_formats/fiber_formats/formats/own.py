@@ -2,10 +2,10 @@
 """Our own columns, in CSV, ECSV or FITS; units are part of the names.
 
 A layout needs `x_mm` and `y_mm`; `LAYOUT_COLUMNS` lists the others, which are optional. Targets
-need `id`, `x_mm`, `y_mm`; starts need `id`, `theta_deg`, `phi_deg`. A column that differs from a
-known name by a few letters is refused, an unknown one is named in a notice. A second file beside a
-layout holds obstacles: `x_mm`, `y_mm`, `radius_mm`. Another one holds walls, a row for each
-corner: `wall`, `x_mm`, `y_mm`.
+need `id`, `x_mm`, `y_mm`, and may name a `fibre`; starts need `id`, `theta_deg`, `phi_deg`. A
+column that differs from a known name by a few letters is refused, an unknown one is named in a
+notice. A second file beside a layout holds obstacles: `x_mm`, `y_mm`, `radius_mm`. Another one
+holds walls, a row for each corner: `wall`, `x_mm`, `y_mm`.
 """
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from fiber_core.array_types import Bools, Floats
 from fiber_formats.columns import Columns, near
 from fiber_formats.errors import FormatError
+from fiber_formats.fibres import fibres_of
 from fiber_formats.interface import Format
 from fiber_formats.outlines import WALL_COLUMNS, outlines_of, walls_of
 from fiber_formats.records import LayoutColumns, StartColumns, TargetColumns
@@ -41,10 +42,13 @@ _ENABLED, _DISABLED = ("enabled", "functional"), ("nonfunctional", "disabled")
 _IDS = ("id", "location")
 _WIRED = ("petal", "bus", "address")
 OUTLINES = ("theta_outline_mm", "phi_outline_mm")
-LAYOUT_COLUMNS = ("id", "x_mm", "y_mm", *NUMBERS, *OUTLINES, "enabled", *_WIRED, "preset")
+LAYOUT_COLUMNS = (
+    *("id", "x_mm", "y_mm", *NUMBERS, *OUTLINES, "fibre_places_mm"),
+    *("enabled", *_WIRED, "preset"),
+)
 _STARTS = ("theta_deg", "phi_deg")
 _LAYOUT_NAMES = (*LAYOUT_COLUMNS, *_IDS, *_ENABLED, *_DISABLED)
-_ONLY_LAYOUT = (*NUMBERS, *OUTLINES, *_ENABLED, *_DISABLED)
+_ONLY_LAYOUT = (*NUMBERS, *OUTLINES, "fibre_places_mm", *_ENABLED, *_DISABLED)
 _RESULT_NAMES = ("outcome", "reason", "reached_x_mm", "reached_y_mm", "error_um")
 
 
@@ -64,6 +68,9 @@ def layout(source: Source) -> LayoutColumns:
     for name in OUTLINES:
         if name in columns:
             found[name] = outlines_of(columns, name)
+    fibre_names: tuple[str, ...] = ()
+    if "fibre_places_mm" in columns:
+        found["fibre_places_mm"], fibre_names = fibres_of(columns, "fibre_places_mm")
     for joint in ("theta", "phi"):
         ends = [f"{joint}_{end}_deg" for end in ("min", "max")]
         if sum(end in columns for end in ends) == 1:
@@ -82,7 +89,7 @@ def layout(source: Source) -> LayoutColumns:
     columns.check()
     notices += why + columns.unused_notice()
     discs, walls, more = _fixed_bodies(others)
-    return LayoutColumns(found, discs, preset, notices + more, walls)
+    return LayoutColumns(found, discs, preset, notices + more, walls, fibre_names)
 
 
 def starts(source: Source) -> StartColumns:
@@ -108,10 +115,11 @@ def targets(source: Source) -> TargetColumns:
     xy_mm = [columns.numbers(name, "mm", missing=True) for name in ("x_mm", "y_mm")]
     half = np.isnan(xy_mm[0]) != np.isnan(xy_mm[1])
     columns.refuse_rows(half, "x_mm", "and y_mm must both be given or both be missing")
-    _refuse_near_names(columns, (*_IDS, "x_mm", "y_mm"))
+    fibre = columns.words("fibre", missing=True) if "fibre" in columns else None
+    _refuse_near_names(columns, (*_IDS, "x_mm", "y_mm", "fibre"))
     columns.check()
     notices = source.only.other_tables(columns.table) + columns.unused_notice()
-    return TargetColumns(ids, np.stack(xy_mm, axis=1), notices)
+    return TargetColumns(ids, np.stack(xy_mm, axis=1), notices, fibre)
 
 
 def obstacles_of(file: DataFile) -> tuple[Floats, tuple[str, ...]]:

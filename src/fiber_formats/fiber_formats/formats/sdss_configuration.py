@@ -2,13 +2,12 @@
 """SDSS-V: confSummary, a yanny file with three rows a robot, one for each fibre.
 
 The start of a robot are alpha and beta, counted from the lower stops of its joints. A robot has a
-target if one of its fibres is assigned; the target is where the metrology fibre then is, because
-the metrology fibre is the tip of our planes. -999 stands for a value that is missing.
+target if one of its fibres is assigned: the place of that fibre, and on a plane that does not know
+its fibres that of the metrology fibre, which is the tip. -999 stands for a value that is missing.
 """
 
 import numpy as np
 
-from fiber_core.array_types import Bools
 from fiber_formats.columns import Columns
 from fiber_formats.interface import Format
 from fiber_formats.records import StartColumns, TargetColumns
@@ -38,7 +37,7 @@ def starts(source: Source) -> StartColumns:
 
 
 def targets(source: Source) -> TargetColumns:
-    """Read where the metrology fibre of each robot with an assigned fibre is."""
+    """Read where the assigned fibre of each robot is, and its metrology fibre."""
     every, kinds = _fibres(source)
     robots = every.whole("positionerId")
     assigned = every.flags("assigned")
@@ -50,16 +49,30 @@ def targets(source: Source) -> TargetColumns:
     xy_mm[(xy_mm == _MISSING).any(axis=1)] = np.nan
     half = np.isnan(xy_mm[:, 0]) != np.isnan(xy_mm[:, 1])
     columns.refuse_rows(half, "xwok", "and ywok must both be given or both be missing")
-    columns.check()
     xy_mm[~np.isin(ids, robots[assigned])] = np.nan
-    counts = [
-        f"{np.count_nonzero(_served(robots, assigned & (kinds == kind), ids, xy_mm))} for {kind}"
-        for kind in ("BOSS", "APOGEE")
-    ]
-    notices = (f"targets are places of the metrology fibre: {', '.join(counts)}",)
+    served = Columns(every.table, keep=assigned & (kinds != "METROLOGY"))
+    places = np.stack([served.numbers(k, "mm", missing=True) for k in ("xwok", "ywok")], axis=1)
+    places[(places == _MISSING).any(axis=1)] = np.nan
+    rows = {robot: k for k, robot in enumerate(robots[assigned & (kinds != "METROLOGY")].tolist())}
+    if len(rows) < len(served):
+        served.refuse_rows(
+            np.array([rows[r] != k for k, r in enumerate(served.whole("positionerId").tolist())]),
+            "assigned",
+            "holds for two fibres of one robot",
+        )
+    served.check()
+    columns.check()
+    row = np.array([rows.get(robot, -1) for robot in ids.tolist()], dtype=int)
+    own_mm, fibre = np.full(xy_mm.shape, np.nan), np.full(len(ids), "", dtype="U9")
+    own_mm[row >= 0] = places[row[row >= 0]]
+    own_mm[np.isnan(xy_mm).any(axis=1)] = np.nan  # the instrument found no angles for it
+    fibre[row >= 0] = served.words("fiberType")[row[row >= 0]]
+    fibre[np.isnan(own_mm).any(axis=1)] = ""
+    counts = [f"{np.count_nonzero(fibre == kind)} for {kind}" for kind in ("BOSS", "APOGEE")]
+    notices = (f"targets: {', '.join(counts)}",)
     for name in ("fiberType", "assigned", "alpha", "beta"):
         columns.words(name, missing=True)
-    return TargetColumns(ids, xy_mm, notices + columns.unused_notice())
+    return TargetColumns(ids, own_mm, notices + columns.unused_notice(), fibre, xy_mm)
 
 
 def _fibres(source: Source) -> tuple[Columns, np.ndarray]:
@@ -69,10 +82,6 @@ def _fibres(source: Source) -> tuple[Columns, np.ndarray]:
     columns.refuse_rows(bad, "fiberType", "is not a fibre of a robot")
     columns.check()
     return columns, kinds
-
-
-def _served(robots: np.ndarray, fibres: Bools, ids: np.ndarray, xy_mm: np.ndarray) -> Bools:
-    return np.isin(ids, robots[fibres]) & np.isfinite(xy_mm).all(axis=1)
 
 
 FORMAT = Format("SDSS-V confSummary", matches, starts=starts, targets=targets)

@@ -3,7 +3,7 @@
 
 The place of a robot is that of its hole in wokCoords plus dx, dy. Alpha counts from alphaOffset
 - 90 degrees in the wok frame, beta from betaOffset. The tip is the metrology fibre, which is on
-the axis of the beta arm.
+the axis of the beta arm; the BOSS and APOGEE fibres stand beside it.
 """
 
 import numpy as np
@@ -22,6 +22,7 @@ _POSITIONERS = ("positionerID", "holeID", "alphaArmLen", "metX", "alphaOffset", 
 _HOLES = ("holeID", "holeType", "xWok", "yWok")
 _FIDUCIALS = ("holeID", "id", "xWok", "yWok", "xyVar")
 _CAMERAS = ("xWok", "yWok", "ix", "iy", "jx", "jy", "y_0", "y_1")
+FIBRES = {"APOGEE": ("apX", "apY"), "BOSS": ("bossX", "bossY"), "METROLOGY": ("metX", "metY")}
 _FIDUCIAL_RADIUS_MM = 2.5
 _ZERO_DEG = -90.0  # alpha = 0 points to -y of the wok
 
@@ -48,11 +49,13 @@ def layout(source: Source) -> LayoutColumns:
     }
     off_axis = _optional(columns, "metY") != 0
     columns.refuse_rows(off_axis, "metY", "is not 0: the metrology fibre must be on the arm's axis")
+    names: tuple[str, ...] = ()
+    if all(name in columns for places in FIBRES.values() for name in places):
+        names = tuple(FIBRES)
+        places = [[columns.numbers(k, "mm") for k in pair] for pair in FIBRES.values()]
+        found["fibre_places_mm"] = np.moveaxis(np.array(places), -1, 0)
     columns.check()
-    notices = (
-        "the tip is the metrology fibre; the BOSS and APOGEE fibres (bossX, bossY, apX, apY), "
-        "which are off the arm's axis, are not used",
-    )
+    notices: tuple[str, ...] = ("the tip is the metrology fibre",)
     discs, walls = np.zeros((0, 3)), np.zeros((0, 1, 2))
     if "fiducialCoords" in files:
         discs = _fiducials(files["fiducialCoords"])
@@ -60,7 +63,7 @@ def layout(source: Source) -> LayoutColumns:
     if "gfaCoords" in files:
         walls, more = _cameras(files["gfaCoords"])
         notices += more
-    return LayoutColumns(found, discs, "sdss_v", notices + columns.unused_notice(), walls)
+    return LayoutColumns(found, discs, "sdss_v", notices + columns.unused_notice(), walls, names)
 
 
 def _files(source: Source) -> dict[str, DataFile]:
