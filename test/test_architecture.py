@@ -43,7 +43,7 @@ ARROWS = {
     "fiber_core": {"numpy", "numba", "scipy"},
     "fiber_formats": {"fiber_core", "numpy", "astropy"},
     "fiber_msgs_py": {"fiber_core", "rclpy.qos"} | STOCK_MESSAGES,
-    "fiber_node": {"fiber_core", "fiber_msgs_py", "ament_index_python"} | ROS,
+    "fiber_node": {"fiber_core", "fiber_msgs_py", "ament_index_python", "yaml"} | ROS,
     "fiber_planner": {"fiber_core"},
     "fiber_planner.node": {"fiber_planner", "fiber_node"} | ROS,
     "fiber_discretizer": {"fiber_core"},

@@ -16,7 +16,7 @@ setup(
         ("share/fiber_node/config", ["config/fastdds.xml"]),
     ],
     # package.xml names the ROS packages as well
-    install_requires=["fiber_core", "fiber_msgs_py", "numpy"],
+    install_requires=["fiber_core", "fiber_msgs_py", "numpy", "pyyaml"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
     zip_safe=False,  # compiled loops are cached beside the modules
 )

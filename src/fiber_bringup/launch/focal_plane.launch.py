@@ -4,9 +4,10 @@
 ros2 launch fiber_bringup focal_plane.launch.py preset:=desi robots:=500
 """
 
+from collections.abc import Mapping
 from typing import Any
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
@@ -15,6 +16,7 @@ from launch.actions import (
     Shutdown,
 )
 from launch.conditions import IfCondition, UnlessCondition
+from launch.events.process import ProcessExited
 from launch.substitutions import (
     EnvironmentVariable,
     EqualsSubstitution,
@@ -25,113 +27,56 @@ from launch_ros.actions import Node, PushRosNamespace, SetParameter
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackagePrefix, FindPackageShare
 
+# default and meaning of each argument
+_ARGUMENTS = {
+    "preset": ("", "instrument; none: desi, or the name in the layout"),
+    "robots": ("0", "number of robots; 0: all of the instrument"),
+    "seed": ("0", "seed of random starts"),
+    "layout": ("", "files of robots; none: a preset"),
+    "starts": ("", "files of present angles; none: random"),
+    "spacing_mm": ("-1.0", "least distance between two targets; -1: that of the layout"),
+    "problem": ("", "problem.npz with plane and starts; none: random starts"),
+    "disabled_file": ("", "file that keeps the list of disabled robots; none: in memory only"),
+    "planner": ("direct", "name of the planner, such as direct, dnf_priority, dnf"),
+    "time_scale": ("1.0", "simulated seconds per second; 0: as fast as possible"),
+    "plant": (
+        "auto",
+        "socket of the simulated plant; auto: by user and domain; none: no plant, the bridge "
+        "simulates the robots itself",
+    ),
+    "faults": ("", "simulated faults, as stall:2,scl_stuck"),
+    "folder": ("recordings", "folder of the recordings"),
+    "console": ("false", "serve the console for a browser"),
+    "port": ("8137", "port of the console, on loopback"),
+    "namespace": ("", "namespace of all nodes, as north"),
+    "use_sim_time": ("false", "follow the time on /clock"),
+    "log_level": ("info", "level of the log: debug, info, warn"),
+    "use_respawn": ("false", "start nodes again that end; false: such a node ends the launch"),
+}
+
 
 def generate_launch_description() -> LaunchDescription:
     """Return the launch arguments, the environment and the nodes."""
-    parameters = LaunchConfiguration("params_file")
     scope = [
         *_environment(),
         PushRosNamespace(LaunchConfiguration("namespace")),
         SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
-        _plant(parameters),
-        *_control(parameters),
-        *_observers(parameters),
+        _plant(),
+        *_control(),
+        *_observers(),
     ]
-    return LaunchDescription(
-        [
-            *_arguments(),
-            *_arguments_of_all_nodes(),
-            GroupAction(scope),
-        ]
-    )
+    return LaunchDescription([*_arguments(), GroupAction(scope)])
 
 
 def _arguments() -> list[DeclareLaunchArgument]:
+    file = PathJoinSubstitution([FindPackageShare("fiber_bringup"), "config", "focal_plane.yaml"])
     return [
+        DeclareLaunchArgument(name, default_value=default, description=about)
+        for name, (default, about) in _ARGUMENTS.items()
+    ] + [
         DeclareLaunchArgument(
-            "preset",
-            default_value="",
-            description="instrument; none: desi, or the name in the layout",
-        ),
-        DeclareLaunchArgument(
-            "robots", default_value="0", description="number of robots; 0: all of the instrument"
-        ),
-        DeclareLaunchArgument("seed", default_value="0", description="seed of random starts"),
-        DeclareLaunchArgument(
-            "layout", default_value="", description="files of robots; none: a preset"
-        ),
-        DeclareLaunchArgument(
-            "starts", default_value="", description="files of present angles; none: random"
-        ),
-        DeclareLaunchArgument(
-            "spacing_mm",
-            default_value="-1.0",
-            description="least distance between two targets; -1: that of the layout",
-        ),
-        DeclareLaunchArgument(
-            "problem",
-            default_value="",
-            description="problem.npz with plane and starts; none: random starts",
-        ),
-        DeclareLaunchArgument(
-            "disabled_file",
-            default_value="",
-            description="file that keeps the list of disabled robots; none: in memory only",
-        ),
-        DeclareLaunchArgument(
-            "planner",
-            default_value="direct",
-            description="name of the planner, such as direct, dnf_priority, dnf",
-        ),
-        DeclareLaunchArgument(
-            "time_scale",
-            default_value="1.0",
-            description="simulated seconds per second; 0: as fast as possible",
-        ),
-        DeclareLaunchArgument(
-            "plant",
-            default_value="auto",
-            description="socket of the simulated plant; auto: by user and domain; none: no plant, "
-            "the bridge simulates the robots itself",
-        ),
-        DeclareLaunchArgument(
-            "faults", default_value="", description="simulated faults, as stall:2,scl_stuck"
-        ),
-        DeclareLaunchArgument(
-            "folder", default_value="recordings", description="folder of the recordings"
-        ),
-        DeclareLaunchArgument(
-            "console", default_value="false", description="serve the console for a browser"
-        ),
-        DeclareLaunchArgument(
-            "port", default_value="8137", description="port of the console, on loopback"
-        ),
-    ]
-
-
-def _arguments_of_all_nodes() -> list[DeclareLaunchArgument]:
-    return [
-        DeclareLaunchArgument(
-            "namespace", default_value="", description="namespace of all nodes, as north"
-        ),
-        DeclareLaunchArgument(
-            "params_file",
-            default_value=PathJoinSubstitution(
-                [FindPackageShare("fiber_bringup"), "config", "focal_plane.yaml"]
-            ),
-            description="file with the parameters of the nodes",
-        ),
-        DeclareLaunchArgument(
-            "use_sim_time", default_value="false", description="follow the time on /clock"
-        ),
-        DeclareLaunchArgument(
-            "log_level", default_value="info", description="level of the log: debug, info, warn"
-        ),
-        DeclareLaunchArgument(
-            "use_respawn",
-            default_value="false",
-            description="start nodes again that end; false: such a node ends the launch",
-        ),
+            "params_file", default_value=file, description="file with the parameters of the nodes"
+        )
     ]
 
 
@@ -150,24 +95,54 @@ def _environment() -> list[SetEnvironmentVariable]:
     ]
 
 
-def _process() -> dict[str, Any]:
-    """Return what all nodes have in common as processes."""
-    respawn = LaunchConfiguration("use_respawn")
-    return {
-        "ros_arguments": ["--log-level", LaunchConfiguration("log_level")],
-        "respawn": respawn,
-        "respawn_delay": 2.0,
-        "on_exit": [Shutdown(reason="a node has ended", condition=UnlessCondition(respawn))],
+def _node_ended(event: ProcessExited, context: LaunchContext) -> list[Shutdown] | None:
+    """End the launch with a node, unless nodes are started again.
+
+    Raises:
+        RuntimeError: the node has failed; `ros2 launch` shows the text, and ends with code 1.
+    """
+    respawn = LaunchConfiguration("use_respawn").perform(context).lower() in ("true", "1")
+    if respawn or context.is_shutdown:
+        return None
+    text = f"{event.process_name} has ended with code {event.returncode}"
+    if event.returncode:
+        raise RuntimeError(text)
+    return [Shutdown(reason=text)]
+
+
+def _node(
+    package: str, name: str, arguments: Mapping[str, type] | None = None, **options: Any
+) -> Node:
+    """Return a node as a process.
+
+    Args:
+        package: its package.
+        name: its name, and that of its executable.
+        arguments: type of each launch argument that sets the parameter of its name.
+        options: options of Node in place of those that all nodes have.
+    """
+    given = {
+        each: ParameterValue(LaunchConfiguration(each), value_type=kind)
+        for each, kind in (arguments or {}).items()
     }
+    common: dict[str, Any] = {
+        "output": "screen",
+        "ros_arguments": ["--log-level", LaunchConfiguration("log_level")],
+        "respawn": LaunchConfiguration("use_respawn"),
+        "respawn_delay": 2.0,
+        "on_exit": _node_ended,
+        "parameters": [LaunchConfiguration("params_file"), *([given] if given else [])],
+    }
+    return Node(package=package, executable=name, name=name, **common | options)
 
 
-def _plant(parameters: LaunchConfiguration) -> ExecuteProcess:
+def _plant() -> ExecuteProcess:
     """Return the process of the simulated robots, which outlives the bridge."""
     folder = PathJoinSubstitution([FindPackagePrefix("fiber_bus_bridge"), "lib"])
     return ExecuteProcess(
         cmd=[
             PathJoinSubstitution([folder, "fiber_bus_bridge", "plant"]),
-            ["--params-file=", parameters],
+            ["--params-file=", LaunchConfiguration("params_file")],
             ["--preset=", LaunchConfiguration("preset")],
             ["--robots=", LaunchConfiguration("robots")],
             ["--seed=", LaunchConfiguration("seed")],
@@ -185,102 +160,33 @@ def _plant(parameters: LaunchConfiguration) -> ExecuteProcess:
     )
 
 
-def _control(parameters: LaunchConfiguration) -> list[Node]:
+def _control() -> list[Node]:
     """Return the nodes that plan and move."""
+    of_bridge = {
+        "preset": str, "robots": int, "seed": int, "layout": str, "starts": str,
+        "spacing_mm": float, "problem": str, "time_scale": float, "plant": str,
+        "disabled_file": str,
+    }  # fmt: skip
     return [
-        Node(
-            package="fiber_bus_bridge",
-            executable="bridge",
-            name="bridge",
-            output="screen",
-            **_process(),
-            parameters=[
-                parameters,
-                {
-                    "preset": ParameterValue(LaunchConfiguration("preset"), value_type=str),
-                    "robots": ParameterValue(LaunchConfiguration("robots"), value_type=int),
-                    "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
-                    "layout": ParameterValue(LaunchConfiguration("layout"), value_type=str),
-                    "starts": ParameterValue(LaunchConfiguration("starts"), value_type=str),
-                    "spacing_mm": ParameterValue(
-                        LaunchConfiguration("spacing_mm"), value_type=float
-                    ),
-                    "problem": ParameterValue(LaunchConfiguration("problem"), value_type=str),
-                    "time_scale": ParameterValue(
-                        LaunchConfiguration("time_scale"), value_type=float
-                    ),
-                    "plant": ParameterValue(LaunchConfiguration("plant"), value_type=str),
-                    "disabled_file": ParameterValue(
-                        LaunchConfiguration("disabled_file"), value_type=str
-                    ),
-                },
-            ],
-        ),
-        Node(
-            package="fiber_planner",
-            executable="planner",
-            name="planner",
-            output="screen",
-            **_process(),
-            parameters=[
-                parameters,
-                {"planner": ParameterValue(LaunchConfiguration("planner"), value_type=str)},
-            ],
-        ),
-        Node(
-            package="fiber_discretizer",
-            executable="discretizer",
-            name="discretizer",
-            output="screen",
-            **_process(),
-            parameters=[parameters],
-        ),
+        _node("fiber_bus_bridge", "bridge", of_bridge),
+        _node("fiber_planner", "planner", {"planner": str}),
+        _node("fiber_discretizer", "discretizer"),
     ]
 
 
-def _observers(parameters: LaunchConfiguration) -> list[Node]:
-    """Return the nodes that only receive and record or show."""
+def _observers() -> list[Node]:
+    """Return the nodes that only receive, and record or show."""
+    noted = {"folder": str, "seed": int, "planner": str, "preset": str}
     return [
-        Node(
-            package="fiber_recording",
-            executable="recorder",
-            name="recorder",
-            output="screen",
-            **_process(),
-            parameters=[
-                parameters,
-                {
-                    "folder": ParameterValue(LaunchConfiguration("folder"), value_type=str),
-                    "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
-                    "planner": ParameterValue(LaunchConfiguration("planner"), value_type=str),
-                    "preset": ParameterValue(LaunchConfiguration("preset"), value_type=str),
-                },
-            ],
-        ),
-        Node(
-            package="fiber_viewer",
-            executable="viewer",
-            name="viewer",
-            output="screen",
-            **_process(),
-            parameters=[parameters],
-        ),
+        _node("fiber_recording", "recorder", noted),
+        _node("fiber_viewer", "viewer"),
         # no part of the plane: it is started again, and the plane goes on without it
-        Node(
-            package="fiber_console",
-            executable="console",
-            name="console",
-            output="screen",
-            ros_arguments=["--log-level", LaunchConfiguration("log_level")],
+        _node(
+            "fiber_console",
+            "console",
+            {"folder": str, "port": int},
             respawn=True,
-            respawn_delay=2.0,
+            on_exit=None,
             condition=IfCondition(LaunchConfiguration("console")),
-            parameters=[
-                parameters,
-                {
-                    "folder": ParameterValue(LaunchConfiguration("folder"), value_type=str),
-                    "port": ParameterValue(LaunchConfiguration("port"), value_type=int),
-                },
-            ],
         ),
     ]

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.utilities import try_shutdown
 
 from fiber_core.errors import FiberError
+from fiber_node.params_files import section_warnings
 from fiber_node.thread_executor import ThreadExecutor
 
 __all__ = ["run"]
@@ -29,10 +30,14 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         make_node: called once rclpy is initialised.
         args: command line for ROS; by default that of the process.
     """
-    rclpy.init(args=None if args is None else list(args))
+    given = sys.argv if args is None else list(args)
+    rclpy.init(args=given)
     executor, code = ThreadExecutor(3), 0
     try:
-        executor.add_node(make_node())
+        node = make_node()
+        for line in section_warnings(given, node.get_fully_qualified_name()):
+            node.get_logger().warning(line)
+        executor.add_node(node)
         executor.spin()
     except FiberError as error:
         get_logger("fiber").fatal(str(error))
