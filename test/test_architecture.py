@@ -251,7 +251,7 @@ def test_package_xml_names_what_is_imported_and_nothing_else(package):
             used |= outside(imports_of(module), package)
     for path in (SOURCE / package).glob("launch/*.launch.py"):
         used |= outside(imports(path.read_text(), "launch", False, set(MODULES)), package)
-        used |= set(re.findall(r"package=\"(\w+)\"", path.read_text())) - {package}
+        used |= {each for each, _ in launched(path.read_text())} - {package}
     wanted = {key_of(name) for name in used - UNDECLARED - OPTIONAL}
     declared = depends(package, "depend", "exec_depend")
     assert wanted - declared == set(), "imported, not in package.xml"
@@ -334,18 +334,22 @@ def launch_files() -> list[Path]:
 
 
 def launched(source: str) -> list[tuple[str, str]]:
-    """Package and executable of every Node a launch file starts."""
+    """Package and executable of every node that a launch file starts by `Node` or `_node`."""
     found = []
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] == "Node":
-            arguments = {k.arg: k.value for k in node.keywords}
-            found.append(tuple(ast.literal_eval(arguments[k]) for k in ("package", "executable")))
+        if not isinstance(node, ast.Call):
+            continue
+        named = {k.arg: k.value for k in node.keywords}
+        given = {"Node": [named.get("package"), named.get("executable")], "_node": node.args[:2]}
+        pair = given.get(ast.unparse(node.func).split(".")[-1], [])
+        if pair and all(isinstance(each, ast.Constant) for each in pair):
+            found.append(tuple(each.value for each in pair))
     return found
 
 
 def test_launch_files_start_executables_that_exist():
     files = launch_files()
-    assert files
+    assert files and all(launched(path.read_text()) for path in files)
     for path in files:
         source = path.read_text()
         functions = [n.name for n in ast.parse(source).body if isinstance(n, ast.FunctionDef)]
@@ -358,6 +362,7 @@ def test_launch_files_start_executables_that_exist():
 def test_the_launch_check_sees_packages_and_executables():
     source = 'LaunchDescription([Node(package="fiber_planner", executable="plan", name="x")])'
     assert launched(source) == [("fiber_planner", "plan")]
+    assert launched('[_node("fiber_planner", "plan", {"a": str})]') == [("fiber_planner", "plan")]
     assert "plan" not in executables("fiber_planner") and "planner" in executables("fiber_planner")
 
 
