@@ -216,7 +216,7 @@ def test_the_page_reads_all_that_python_wrote(node, recording, recording_file):
     assert answer["kinds"] == ["go", "no_address", "fault"]
     assert answer["texts"] == ["go", "no address", "fault memory"]
     assert answer["alert"] == "alert refused, rebooted"
-    assert answer["reason"] == "failed: not acknowledged"
+    assert answer["reason"] == "failed: stalled"
     assert answer["faults"] == [[11, 0.3], [11, 0.4]]
     assert answer["frames"] == recording.load.frames.ravel().tolist()
     assert answer["verdict"] == (
@@ -379,6 +379,19 @@ def test_a_robot_without_a_target_is_not_held_whatever_its_reason(node, recordin
     )
     assert states == ["no target", "held"]
     assert (figures["asked"], figures["held"], figures["disabled"]) == (36, 1, 1)
+
+
+def test_a_reason_names_the_bus_that_failed(node, recording, tmp_path):
+    reason = recording.reason.copy()
+    reason[11] = Reason.BUS_FAILED
+    plane = recording.problem.plane
+    problem = replace(recording.problem, plane=replace(plane, bus=np.full(plane.n, 4)))
+    save_recording(tmp_path / "other.npz", replace(recording, problem=problem, reason=reason))
+    texts = node(
+        tmp_path / "other.npz",
+        "answer = [opened.reasonOf(recording, 11), opened.reasonOf(recording, 5)];",
+    )
+    assert texts == ["failed: bus 4 failed", "held: unsafe"]
 
 
 def test_the_cause_of_a_stop_is_listed_before_it(node, resumed, tmp_path):

@@ -176,7 +176,8 @@ export function reasonOf(recording, row) {
   const { names } = recording.about;
   const word = (name) => (name ?? "unknown").replaceAll("_", " ");
   const outcome = word(names.outcome[recording.outcome[row]]);
-  const reason = word(names.reason[recording.reason[row]]);
+  const name = names.reason[recording.reason[row]];
+  const reason = name === "bus_failed" ? `bus ${recording.plane.bus[row]} failed` : word(name);
   return reason === "ok" ? outcome : `${outcome}: ${reason}`;
 }
 
