@@ -42,6 +42,7 @@ ROS = {"rclpy", "rcl_interfaces"}
 ARROWS = {
     "fiber_core": {"numpy", "numba", "scipy"},
     "fiber_formats": {"fiber_core", "numpy", "astropy"},
+    "fiber_metrology": {"fiber_core"},
     "fiber_msgs_py": {"fiber_core", "rclpy.qos"} | STOCK_MESSAGES,
     "fiber_node": {"fiber_core", "fiber_msgs_py", "ament_index_python", "yaml"} | ROS,
     "fiber_planner": {"fiber_core"},
@@ -67,6 +68,7 @@ ARROWS = {
         "fiber_planner",
         "fiber_discretizer",
         "fiber_bus_bridge.simulation",
+        "fiber_metrology",
         "fiber_viewer",
         "rich",
     },

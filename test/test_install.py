@@ -23,9 +23,8 @@ ROS = {
     "rclpy", "sensor_msgs", "std_msgs", "std_srvs", "trajectory_msgs", "visualization_msgs",
 }  # fmt: skip
 PURE = {
-    "fiber_bus_bridge", "fiber_core", "fiber_discretizer", "fiber_formats", "fiber_planner",
-    "fiber_positioners",
-    "fiber_recording", "fiber_viewer",
+    "fiber_bus_bridge", "fiber_core", "fiber_discretizer", "fiber_formats", "fiber_metrology",
+    "fiber_planner", "fiber_positioners", "fiber_recording", "fiber_viewer",
 }  # fmt: skip
 SIX_LINES = """
 from fiber_positioners import hexagonal, random_problem, reconfigure

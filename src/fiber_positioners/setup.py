@@ -18,6 +18,7 @@ setup(
         "fiber_bus_bridge",
         "fiber_core",
         "fiber_discretizer",
+        "fiber_metrology",
         "fiber_planner",
         "fiber_recording",
         "fiber_viewer",

@@ -16,6 +16,7 @@ from fiber_core.presets import PRESETS, preset
 from fiber_core.problem import Problem, load_problem, save_problem
 from fiber_formats import read_starts, read_targets, write_results
 from fiber_planner import PlannedMotion, Planner, planners
+from fiber_positioners.closed_loop import ClosedLoop, LoopConfig, closed_loop
 from fiber_positioners.orders import Orders, make_orders
 from fiber_positioners.problems import random_problem, read_layout, with_targets
 from fiber_positioners.reconfiguration import Reconfiguration, reconfigure
@@ -23,6 +24,9 @@ from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
 from fiber_recording import Recording, load_recording
 
 __all__ = [
+    "ClosedLoop",
+    "LoopConfig",
+    "closed_loop",
     "PRESETS",
     "FiberError",
     "FocalPlane",

@@ -11,9 +11,14 @@ import numpy as np
 
 from fiber_bus_bridge import Exchange, LoadedPlan, PlanResult, Session, SessionState
 from fiber_bus_bridge.capture import Tap
-from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses
+from fiber_bus_bridge.simulation import (
+    ObservedBuses,
+    SimulationConfig,
+    TrueMotion,
+    simulated_buses,
+)
 from fiber_bus_bridge.wire import encode_load
-from fiber_core.array_types import Counts
+from fiber_core.array_types import Counts, Ints
 from fiber_core.clearance import Certificate, certify, neighbour_pairs
 from fiber_core.motion import SegmentMotion
 from fiber_positioners.orders import Orders, ProgressCallback
@@ -37,6 +42,8 @@ class SimulatedRun:
         counts: encoder readings after the plan [quanta], shape (n, 2).
         costs: bytes of an order (mean), time on the buses [s], length of the countdown [s],
             wall time of each stage [s].
+        counters: the motion that the counters made, and the movement of each segment, as from
+            Movements.numbered, if it was observed.
     """
 
     motion: SegmentMotion
@@ -45,6 +52,7 @@ class SimulatedRun:
     exchanges: list[Exchange]
     counts: Counts
     costs: dict[str, float]
+    counters: tuple[SegmentMotion, Ints] | None = None
 
 
 def run_on_simulated_buses(
@@ -53,6 +61,7 @@ def run_on_simulated_buses(
     seed: int = 0,
     capture: str | Path | None = None,
     progress: ProgressCallback | None = None,
+    observe: bool = False,
 ) -> SimulatedRun:
     """Load, verify and certify orders, start the robots, and follow them to the end.
 
@@ -61,6 +70,7 @@ def run_on_simulated_buses(
         seed: seed of the errors of the robots' clocks.
         capture: folder for waveforms (VCD) and packets (pcap) of the buses.
         progress: called with the fraction of the motion that is done, 0..1, and a short text.
+        observe: whether to note what the counters do, which no robot reports.
 
     Raises:
         FiberError: the bus addresses of the plane are impossible.
@@ -69,8 +79,10 @@ def run_on_simulated_buses(
     plane, units, seconds = orders.plane, orders.units, {}
     start = units.to_angles(orders.counts)
     buses = simulated_buses(plane, units, start, SimulationConfig(seed=seed))
-    tap = None if capture is None else Tap(buses, buses.timing)
-    session = Session(plane, units, orders.safety, tap or buses, start)
+    true_motion = TrueMotion(buses.positioners, units.quantum_rad) if observe else None
+    backend = buses if true_motion is None else ObservedBuses(buses, true_motion)
+    tap = None if capture is None else Tap(backend, buses.timing)
+    session = Session(plane, units, orders.safety, tap or backend, start)
     ready_s = session.configure(0.0)
     session.transactions.take_traffic()  # the frames of the configuration belong to no plan
     session.submit(orders.wire, orders.targets)
@@ -98,9 +110,14 @@ def run_on_simulated_buses(
         "countdown_s": loaded_plan.start_s - loaded_plan.go_s,
         **seconds,
     }
+    counters = None
+    if true_motion is not None:
+        moves, begin_s = true_motion.movements(now_s), loaded_plan.go_s
+        counters = moves.numbered(orders.counts, units.quantum_rad, now_s, begin_s)
     return SimulatedRun(
-        motion, certificate, result.explained_by(orders.reason), exchanges, session.counts, costs
-    )
+        motion, certificate, result.explained_by(orders.reason), exchanges, session.counts, costs,
+        counters,
+    )  # fmt: skip
 
 
 def _timed(seconds: dict[str, float], name: str, work: Callable[[], T]) -> T:

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camera metrology: which spot is of which robot, and where every robot really is.
+
+`measure` takes the spots of some exposures and returns a measured place, joint angles with their
+intervals and a verdict for every robot. `fiber_metrology.camera` simulates a camera.
+"""
+
+from fiber_metrology.angles import angles_of_places
+from fiber_metrology.correction import arms_within, correction_problem, follows, grown
+from fiber_metrology.errors import ImageError, MetrologyError
+from fiber_metrology.exposures import Lights, combine
+from fiber_metrology.identify import Identified, IdentifyConfig, identify
+from fiber_metrology.measure import Expected, MeasureConfig, Measurement, Verdict, measure
+from fiber_metrology.plate import Plate, PlateConfig, solve_plate
+from fiber_metrology.polynomials import PolynomialMap, fit_map
+from fiber_metrology.spots import Spots, checked_spots
+
+__all__ = [
+    "Expected",
+    "Identified",
+    "IdentifyConfig",
+    "ImageError",
+    "Lights",
+    "MeasureConfig",
+    "Measurement",
+    "MetrologyError",
+    "Plate",
+    "PlateConfig",
+    "PolynomialMap",
+    "Spots",
+    "Verdict",
+    "angles_of_places",
+    "arms_within",
+    "checked_spots",
+    "combine",
+    "correction_problem",
+    "fit_map",
+    "follows",
+    "grown",
+    "identify",
+    "measure",
+    "solve_plate",
+]

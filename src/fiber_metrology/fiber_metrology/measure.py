@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From exposures to measured places, joint angles and a verdict on every robot."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fiber_core import bounds, kinematics
+from fiber_core.array_types import Angles, Codes, Floats, Ints, Mask, Points
+from fiber_core.clearance import levers_of
+from fiber_core.focal_plane import FIXED_JOINT_RAD, FocalPlane
+from fiber_core.validation import frozen_array
+from fiber_metrology.angles import angles_of_places
+from fiber_metrology.errors import MetrologyError
+from fiber_metrology.exposures import Lights, combine
+from fiber_metrology.identify import IdentifyConfig, identify
+from fiber_metrology.plate import PlateConfig
+from fiber_metrology.spots import Spots
+
+__all__ = ["Expected", "MeasureConfig", "Measurement", "Verdict", "measure"]
+
+
+class Verdict(IntEnum):
+    """What the image says about a robot."""
+
+    MEASURED = 0
+    DARK = 1  # no light, and none in an earlier image either
+    MISSING = 2  # no light in this image
+    AMBIGUOUS = 3  # a light that may be of another robot, or a stray one
+    MERGED = 4  # a light that may be two
+    NOT_MOVED = 5  # neither joint turned
+    THETA_NOT_MOVED = 6
+    PHI_NOT_MOVED = 7
+    OFF_MODEL = 8  # further from where it should be than its errors explain
+
+
+_STILL = np.array([Verdict.MEASURED, Verdict.NOT_MOVED, Verdict.THETA_NOT_MOVED,
+                   Verdict.PHI_NOT_MOVED])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MeasureConfig:
+    """Errors of camera and air, and what counts as no motion.
+
+    Args:
+        error_um: rms error of one coordinate of a place in one exposure [um].
+        sigmas: errors at which an interval ends.
+        moved_um: a robot whose joint should have moved its fibre less than this is not judged [um].
+        blame: a joint did not turn if it is less likely than this that both did.
+        off_model: distance from the expected place, in errors of that place, above which a robot is
+            off its model.
+        plate: what an image must have.
+        identify: what is known before an image.
+
+    Raises:
+        MetrologyError: a value is out of range; names it.
+    """
+
+    RANGES: ClassVar = {
+        "error_um": bounds.Range(1e-3, 1e3),
+        "sigmas": bounds.Range(1.0, 10.0),
+        "moved_um": bounds.Range(0.0, 1e5),
+        "blame": bounds.Range(0.0, 0.5),
+        "off_model": bounds.Range(1.0, 100.0),
+    }
+
+    error_um: float = 4.5
+    sigmas: float = 4.0
+    moved_um: float = 300.0
+    blame: float = 0.01
+    off_model: float = 6.0
+    plate: PlateConfig = field(default_factory=PlateConfig)
+    identify: IdentifyConfig = field(default_factory=IdentifyConfig)
+
+    def __post_init__(self) -> None:
+        bounds.check_ranges(self, self.RANGES, MetrologyError)
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What is known of the robots before an image.
+
+    Args:
+        plane: the focal plane.
+        counters: joint angles as the counters read them now [rad], shape (n, 2).
+        before: joint angles before the motion, as they were known then [rad], shape (n, 2).
+        before_rad: half the width of their intervals [rad], shape (n, 2).
+        error_um: error of one coordinate of a place after the motion, 1 sigma [um], one number or
+            shape (n,).
+        dark: fibres without light in earlier images, shape (n,); by default none.
+
+    Raises:
+        MetrologyError: a shape does not fit, or a value is out of range; names it.
+    """
+
+    plane: FocalPlane
+    counters: Angles
+    before: Angles
+    before_rad: Angles
+    error_um: ArrayLike
+    dark: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        n = self.plane.n
+        for name in ("counters", "before", "before_rad"):
+            value = frozen_array(getattr(self, name), np.float64, (n, 2), name, MetrologyError)
+            if not np.isfinite(value).all():
+                row = int(np.argwhere(~np.isfinite(value))[0][0])
+                raise MetrologyError(f"robot {self.plane.ids[row]}: {name} is not finite")
+            object.__setattr__(self, name, value)
+        error = np.broadcast_to(np.asarray(self.error_um, dtype=float), (n,))
+        if not ((error > 0.0) & np.isfinite(error)).all():
+            raise MetrologyError(f"error_um must be positive, got {error.min()}")
+        object.__setattr__(self, "error_um", error)
+        dark = np.zeros(n) if self.dark is None else self.dark
+        object.__setattr__(self, "dark", frozen_array(dark, np.bool_, (n,), "dark", MetrologyError))
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """Where the robots are, by an image.
+
+    Args:
+        plane: the focal plane.
+        verdict: Verdict on each robot, shape (n,).
+        places: measured places [mm], shape (n, 2), nan where no light is told to be of the robot.
+        angles: joint angles [rad], shape (n, 2): measured, or else as expected.
+        interval_rad: half the width of the interval of each joint [rad], shape (n, 2).
+        error_mm: bound of the error of each place [mm], shape (n,), nan without a place.
+        doubt: probability that the light is of another robot or a stray one, shape (n,).
+        group: robots with the same number share lights, -1 for none, shape (n,).
+        light: row of the light of each robot in `lights`, -1 for none, shape (n,).
+        lights: the lights of the exposures.
+    """
+
+    plane: FocalPlane
+    verdict: Codes
+    places: Points
+    angles: Angles
+    interval_rad: Angles
+    error_mm: Floats
+    doubt: Floats
+    group: Ints
+    light: Ints
+    lights: Lights
+
+    @property
+    def certain(self) -> Mask:
+        """Robots whose place is told as a fact, shape (n,)."""
+        return np.all(np.isfinite(self.places), axis=1)
+
+    @property
+    def not_moved(self) -> Mask:
+        """Robots of which a joint did not turn, shape (n,)."""
+        return np.isin(self.verdict, _STILL[1:])
+
+    def reasons(self) -> list[str]:
+        """Return a line for each robot that is not simply measured, with what is known."""
+        lines = []
+        for row in np.flatnonzero(self.verdict != Verdict.MEASURED):
+            text = Verdict(self.verdict[row]).name.lower().replace("_", " ")
+            if self.verdict[row] == Verdict.AMBIGUOUS:
+                others = self.plane.ids[(self.group == self.group[row]) & (self.group >= 0)]
+                others = others[others != self.plane.ids[row]]
+                text += f", doubt {self.doubt[row]:.1e}"
+                if len(others):
+                    text += f", shares lights with {', '.join(map(str, others))}"
+            lines.append(f"robot {self.plane.ids[row]}: {text}")
+        return lines
+
+
+def measure(
+    expected: Expected,
+    exposures: Sequence[Spots],
+    fiducials: ArrayLike,
+    calibrated: Callable[[ArrayLike], Floats],
+    config: MeasureConfig | None = None,
+) -> Measurement:
+    """Find every fibre in some exposures, and the joint angles of its robot.
+
+    Args:
+        expected: what is known of the robots before the image.
+        exposures: spots of one or more exposures between which nothing moved.
+        fiducials: places of the fiducials [mm], shape (k, 2).
+        calibrated: map from pixels to mm, of an earlier image or the laboratory.
+        config: errors of camera and air.
+
+    Raises:
+        ImageError: an exposure cannot be used; nothing is learned from it.
+    """
+    config = config or MeasureConfig()
+    plane = expected.plane
+    lights = combine(exposures, fiducials, calibrated, config.plate)
+    places, sigma, chance = _hypotheses(expected, config)
+    found = identify(places, sigma, chance, lights.places, lights.seen, config.identify)
+    has = found.light >= 0
+    certain = has & (found.doubt <= config.identify.certain)
+    merged = np.zeros(plane.n, dtype=bool)
+    merged[has] = lights.merged[found.light[has]]
+    sure = certain & ~merged
+    measured = np.full((plane.n, 2), np.nan)
+    measured[sure] = lights.places[found.light[sure]]
+    where = np.where(found.first_place <= config.blame, found.where, 0)
+    near = _angles_there(expected, np.maximum(where, 0))
+    seen = np.ones(plane.n)
+    seen[has] = lights.seen[found.light[has]]
+    error_mm = np.where(sure, config.error_um * 1e-3 / np.sqrt(seen), np.nan)
+    bound_mm = config.sigmas * error_mm
+    angles, interval, _ = angles_of_places(plane, measured, near, bound_mm)
+    verdict = np.where(sure, _STILL[np.maximum(where, 0)], Verdict.MISSING)
+    off = np.hypot(*(measured - places[:, 0]).T)
+    far = off > config.off_model * sigma[:, 0]
+    verdict = np.where(sure & far & (where == 0), Verdict.OFF_MODEL, verdict)
+    verdict = np.where(has & ~certain, Verdict.AMBIGUOUS, verdict)
+    verdict = np.where(certain & merged, Verdict.MERGED, verdict)
+    verdict = np.where(~has & (found.doubt > config.identify.certain) & (found.group >= 0),
+                       Verdict.AMBIGUOUS, verdict)  # fmt: skip
+    verdict = np.where((verdict == Verdict.MISSING) & expected.dark, Verdict.DARK, verdict)
+    unknown = ~sure
+    angles[unknown] = expected.counters[unknown]
+    interval[unknown] = _unseen(expected, config)[unknown]
+    return Measurement(
+        plane, verdict, measured, angles, interval, bound_mm,
+        found.doubt, found.group, found.light, lights,
+    )  # fmt: skip
+
+
+def _angles_there(expected: Expected, where: Ints) -> Angles:
+    """The joint angles of the hypothesis of each robot, shape (n, 2)."""
+    theta_still = np.isin(where, (1, 2))
+    phi_still = np.isin(where, (1, 3))
+    return np.where(np.stack([theta_still, phi_still], axis=1), expected.before, expected.counters)
+
+
+def _hypotheses(expected: Expected, config: MeasureConfig) -> tuple[Floats, Floats, Floats]:
+    """Where each fibre may be: as counted, not moved, theta not moved, phi not moved.
+
+    Returns:
+        Places [mm], shape (n, 4, 2), their errors [mm] and chances, shape (n, 4).
+    """
+    plane, n = expected.plane, expected.plane.n
+    error_mm = config.error_um * 1e-3
+    moved_mm = np.broadcast_to(np.asarray(expected.error_um), (n,)) * 1e-3
+    places, sigma = np.full((n, 4, 2), np.nan), np.ones((n, 4))
+    for k in range(4):
+        places[:, k] = kinematics.forward(plane, _angles_there(expected, np.full(n, k)))[1]
+        sigma[:, k] = np.hypot(moved_mm, error_mm)
+    # where it was is known as well as it was measured then
+    known_mm = (expected.before_rad * levers_of(plane)).sum(axis=1) / config.sigmas
+    sigma[:, 1] = np.hypot(np.minimum(known_mm, moved_mm), error_mm)
+    chance = np.empty((n, 4))
+    chance[:, 1:] = config.identify.unmoved * np.array([0.5, 0.25, 0.25])
+    turned = np.abs(expected.counters - expected.before) > FIXED_JOINT_RAD
+    away = np.hypot(*np.moveaxis(places - places[:, :1], -1, 0))
+    asked = away > config.moved_um * 1e-3
+    asked[:, 1] &= turned.all(axis=1)  # one joint alone is one of the other two
+    asked[:, 2] &= turned[:, 0]
+    asked[:, 3] &= turned[:, 1]
+    asked[:, 0] = True
+    places[~asked] = np.nan
+    chance[~asked] = 0.0
+    chance[:, 0] = 1.0 - config.identify.none - chance[:, 1:].sum(axis=1)
+    return places, sigma, chance
+
+
+def _unseen(expected: Expected, config: MeasureConfig) -> Angles:
+    """Intervals of robots that no light shows: the error of the drive at the end of each arm."""
+    error_mm = config.sigmas * np.asarray(expected.error_um) * 1e-3 * math.sqrt(2.0)
+    return error_mm[:, None] / expected.plane.arms

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured angles: elbow and turn are kept, and the interval holds the true angles."""
+
+import numpy as np
+import pytest
+
+from fiber_core import kinematics
+from fiber_core.presets import preset
+from fiber_metrology import angles_of_places
+
+
+@pytest.mark.parametrize("name", ["desi", "sdss_v", "moons", "pfs"])
+def test_a_place_without_error_gives_the_angles_that_made_it(name):
+    plane = preset(name, 200)
+    rng = np.random.default_rng(3)
+    low, high = np.moveaxis(plane.limits, -1, 0)
+    true = rng.uniform(low, high)
+    true[:, 1] = np.where(np.abs(np.sin(true[:, 1])) < 0.1, 1.0, true[:, 1])
+    places = kinematics.forward(plane, true)[1]
+    near = true + rng.uniform(-0.02, 0.02, true.shape)  # a counter that is off, elbow and turn kept
+    found, wide, outside = angles_of_places(plane, places, near, 0.0)
+    np.testing.assert_allclose(found, true, atol=1e-9)
+    assert wide.max() < 1e-9 and outside.max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["desi", "sdss_v", "moons"])
+def test_the_interval_holds_the_true_angles_stretched_and_folded_ones_too(name):
+    plane, error_mm = preset(name, 1000), 0.02
+    rng = np.random.default_rng(4)
+    low, high = np.moveaxis(plane.limits, -1, 0)
+    true = rng.uniform(low, high)
+    true[:300, 1] = rng.choice([0.0, 1e-3, 0.02, 0.1, np.pi - 1e-3, np.pi - 0.05], 300)
+    true[:, 1] = np.clip(true[:, 1], low[:, 1], high[:, 1])
+    turn = rng.uniform(0, 2 * np.pi, plane.n)
+    off = error_mm * rng.random(plane.n) * np.stack([np.cos(turn), np.sin(turn)])
+    places = kinematics.forward(plane, true)[1] + off.T
+    found, wide, _ = angles_of_places(plane, places, true, error_mm)
+    assert (np.abs(found - true) <= wide + 1e-9).all()
+    usual = np.abs(np.sin(true[:, 1])) > 0.5
+    assert np.median(wide[usual]) < 4 * error_mm / plane.arms.min()
+
+
+def test_no_place_gives_no_angles_and_one_outside_goes_to_the_rim():
+    plane = preset("desi", 2)
+    places = np.array([[np.nan, np.nan], plane.centers[1] + [6.3, 0.0]])
+    found, wide, outside = angles_of_places(plane, places, [[0.0, 1.0], [0.1, 0.2]], 0.02)
+    assert np.isnan(found[0]).all() and np.isnan(outside[0])
+    np.testing.assert_allclose(found[1], [0.0, 0.0], atol=1e-6)
+    assert outside[1] == pytest.approx(0.3) and wide[1, 1] > 0.4

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured robots: places, angles, and a verdict with the reason on every other one."""
+
+import numpy as np
+import pytest
+from metrology_scene import N, Scene, owners
+
+from fiber_core import kinematics
+from fiber_metrology import MeasureConfig, MetrologyError, Verdict, follows
+from fiber_metrology.camera import CameraConfig
+
+
+def test_every_fibre_is_found_to_a_few_micrometres_and_every_interval_holds(scene):
+    exposures = scene.expose()
+    image = scene.measure(exposures)
+    assert image.certain.all() and (image.verdict == Verdict.MEASURED).all()
+    np.testing.assert_array_equal(owners(image, exposures), np.arange(N))
+    off = np.hypot(*(image.places - scene.tips).T)
+    assert np.sqrt(np.mean(off**2)) < 6e-3 and (off < image.error_mm).all()
+    assert (np.abs(image.angles - scene.true) <= image.interval_rad).all()
+    assert follows(image).all() and image.reasons() == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_wrong_is_told_as_certain_with_everything_that_goes_wrong(seed):
+    scene = Scene(seed, CameraConfig(missing=0.1, merged=0.05, stray=0.1))
+    lit = scene.rng.random(N) > 0.05
+    exposures = scene.expose(lit)
+    image = scene.measure(exposures)
+    told = owners(image, exposures)
+    certain = image.certain
+    np.testing.assert_array_equal(told[certain], np.flatnonzero(certain))
+    assert certain.sum() > 0.9 * lit.sum() and not certain[~lit].any()
+    off = np.hypot(*(image.places - scene.tips).T)
+    assert np.nanmax(off) < 0.03
+    assert not image.not_moved.any()
+    dark = scene.measure(exposures, dark=~lit).verdict[~lit]
+    assert set(dark) <= {Verdict.DARK, Verdict.AMBIGUOUS} and Verdict.DARK in dark
+
+
+def test_a_joint_that_did_not_turn_is_named_and_no_other(scene):
+    still = np.zeros((N, 2), dtype=bool)
+    still[:9] = [[1, 1]] * 3 + [[1, 0]] * 3 + [[0, 1]] * 3
+    moved = np.where(still, scene.before, scene.counters)
+    ends = [kinematics.forward(scene.plane, a)[1] for a in (moved, scene.counters)]
+    away = np.hypot(*(ends[1] - ends[0]).T)
+    assert (away[:9] > 0.5).all()
+    scene.true = np.where(still, scene.before, scene.true)
+    image = scene.measure(scene.expose())
+    wanted = [Verdict.NOT_MOVED, Verdict.THETA_NOT_MOVED, Verdict.PHI_NOT_MOVED]
+    assert image.verdict[:9].tolist() == np.repeat(wanted, 3).tolist()
+    assert (image.verdict[9:] == Verdict.MEASURED).all()
+    assert (np.abs(image.angles - scene.true) <= image.interval_rad)[:9].all()
+    assert not follows(image)[:9].any()
+    assert image.reasons()[3] == f"robot {scene.plane.ids[3]}: theta not moved"
+
+
+def test_a_robot_off_its_model_is_measured_and_named(scene):
+    scene.true[4, 0] += np.deg2rad(4.0) * np.sign(0.5 - (scene.true[4, 0] > 0))
+    image = scene.measure(scene.expose())
+    assert image.verdict[4] in (Verdict.OFF_MODEL, Verdict.AMBIGUOUS, Verdict.MISSING)
+    assert (np.delete(image.verdict, 4) == Verdict.MEASURED).all()
+
+
+def test_a_merged_spot_in_every_exposure_tells_no_place(scene):
+    image = scene.measure(scene.expose(merged=0.1, exposures=1))
+    merged = image.verdict == Verdict.MERGED
+    assert merged.sum() > 4 and np.isnan(image.places[merged]).all()
+    off = np.hypot(*(image.places - scene.tips).T)
+    assert np.nanmax(off) < 0.08
+
+
+def test_an_unseen_robot_keeps_the_angles_of_its_counters_with_the_errors_of_its_drive(scene):
+    lit = np.arange(N) > 2
+    image = scene.measure(scene.expose(lit))
+    assert (image.verdict[:3] == Verdict.MISSING).all() and not follows(image)[:3].any()
+    np.testing.assert_array_equal(image.angles[:3], scene.counters[:3])
+    # two numbers that are each within 4 sigma of 40 um at the end of an arm of 3 mm
+    assert (image.interval_rad[:3] > 4 * 0.04 / 3.0).all()
+
+
+def test_bad_expectations_are_refused_with_the_robot(scene):
+    counters = scene.counters.copy()
+    counters[5, 0] = np.nan
+    with pytest.raises(MetrologyError, match=f"robot {scene.plane.ids[5]}: counters is not finite"):
+        scene.expected(counters=counters)
+    with pytest.raises(MetrologyError, match="error_um must be positive"):
+        scene.expected(error_um=0.0)
+    with pytest.raises(MetrologyError, match="sigmas"):
+        MeasureConfig(sigmas=0.0)

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A blind move, an image, a correction, and the image that judges it, with simulated arms."""
+
+import time
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fiber_bus_bridge.simulation import Mechanics, arms_at, arms_motion, true_angles
+from fiber_core import bounds, kinematics
+from fiber_core.array_types import Angles, Floats, Mask
+from fiber_core.clearance import Certificate, Safety, certify, neighbour_pairs
+from fiber_core.motion import SegmentMotion
+from fiber_core.problem import Problem
+from fiber_metrology import (
+    Expected,
+    MeasureConfig,
+    Measurement,
+    MetrologyError,
+    correction_problem,
+    follows,
+    grown,
+    measure,
+)
+from fiber_metrology.camera import Exposure, SimulatedCamera
+from fiber_positioners.orders import Orders, make_orders
+from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
+
+__all__ = ["ClosedLoop", "LoopConfig", "Move", "closed_loop"]
+
+_TOUCH = Safety(0.0, 0.0, 0.0, 0.0)  # outlines as they are, clocks as they ran
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """How the loop is closed.
+
+    Args:
+        exposures: exposures of one image.
+        blind_um: error of one coordinate of a fibre after a blind move, 1 sigma [um].
+        corrected_um: the same after a correction of a measured robot [um].
+        sigmas: errors at which the interval of a blind move ends. At 2 the arms of a pair stay
+            apart unless both are off by more, towards each other.
+        tolerance_um: a fibre so close to its target is not corrected [um].
+        measure: errors of camera and air.
+
+    Raises:
+        MetrologyError: a value is out of range; names it.
+    """
+
+    RANGES: ClassVar = {
+        "exposures": bounds.Range(1, 100, whole=True),
+        "blind_um": bounds.Range(1e-3, 1e5),
+        "corrected_um": bounds.Range(1e-3, 1e5),
+        "sigmas": bounds.Range(0.0, 10.0),
+        "tolerance_um": bounds.Range(0.0, 1e5),
+    }
+
+    exposures: int = 2
+    blind_um: float = 40.0
+    corrected_um: float = 10.0
+    sigmas: float = 2.0
+    tolerance_um: float = 0.0
+    measure: MeasureConfig = field(default_factory=MeasureConfig)
+
+    def __post_init__(self) -> None:
+        bounds.check_ranges(self, self.RANGES, MetrologyError)
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """One move of the loop, carried out, and the image after it.
+
+    Args:
+        orders: the orders, certified for outlines that hold the intervals of the arms.
+        run: their course on the simulated buses.
+        arms: the true motion of the arms.
+        angles: joint angles of the true arms after the move [rad], shape (n, 2).
+        touches: certificate of the true arms: its unsafe pairs touched.
+        exposures: the exposures, with what a judge knows about their spots.
+        measurement: what the metrology says about them.
+        plan_s, measure_s: wall time of the orders, and from spots to measured angles [s].
+    """
+
+    orders: Orders
+    run: SimulatedRun
+    arms: SegmentMotion
+    angles: Angles
+    touches: Certificate
+    exposures: list[Exposure]
+    measurement: Measurement
+    plan_s: float
+    measure_s: float
+
+    @property
+    def simulated_s(self) -> float:
+        """Time from the first order on the buses to the end of the motion [s]."""
+        costs = self.run.costs
+        return costs["bus_time_s"] + costs["countdown_s"] + self.run.motion.makespan_s
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """The moves of a closed loop.
+
+    Args:
+        problem: the problem as it was given.
+        moves: the blind move and the corrections, each with its image.
+        lit: fibres that give light, shape (n,).
+    """
+
+    problem: Problem
+    moves: list[Move]
+    lit: Mask
+
+    def errors_mm(self, move: int) -> Floats:
+        """Return the distance of each true fibre from its target after a move [mm], shape (n,)."""
+        tips = kinematics.forward(self.problem.plane, self.moves[move].angles)[1]
+        return np.hypot(*(tips - self.problem.targets).T)
+
+    @property
+    def not_moved(self) -> Mask:
+        """Robots that an image found not to have moved, shape (n,)."""
+        return np.any([move.measurement.not_moved for move in self.moves], axis=0)
+
+
+def closed_loop(
+    problem: Problem,
+    mechanics: Mechanics,
+    camera: SimulatedCamera,
+    fiducials: ArrayLike,
+    lit: ArrayLike,
+    *,
+    corrections: int = 1,
+    seed: int = 0,
+    config: LoopConfig | None = None,
+) -> ClosedLoop:
+    """Move blind, take an image, correct, and take the image that judges the correction.
+
+    Every move goes the same way: planner, discretizer, certificate, bytes on simulated buses. The
+    orders of a correction are relative to the measured angles; between two moves the counters are
+    set to them. A robot that does not follow, or whose light is not found, stays as an
+    obstacle with its interval.
+
+    Args:
+        problem: the plane, the joint angles, at which arms and counters stand, and the targets.
+        mechanics: the errors of the arms, which nothing but the camera sees.
+        camera: the camera.
+        fiducials: places of the fiducials [mm], shape (k, 2).
+        lit: whether light comes out of each fibre, shape (n,).
+        corrections: number of corrections.
+        seed: seed of clocks, air and noise.
+        config: how the loop is closed.
+
+    Raises:
+        FiberError: the problem cannot be planned, or an image cannot be used.
+    """
+    config = config or LoopConfig()
+    plane, n = problem.plane, problem.plane.n
+    rng = np.random.default_rng(seed)
+    lit = np.asarray(lit, dtype=bool)
+    state = arms_at(mechanics, problem.start)
+    before, before_rad = np.asarray(problem.start), np.zeros((n, 2))
+    blind_rad = config.sigmas * config.blind_um * 1e-3 / plane.arms / np.sqrt(2.0)
+    dark, error_um = np.zeros(n, dtype=bool), np.full(n, config.blind_um)
+    moved_plane = grown(plane, np.where(plane.enabled[:, None], blind_rad, 0.0))
+    now = Problem(moved_plane, problem.start, problem.targets)
+    moves: list[Move] = []
+    for number in range(corrections + 1):
+        begin = time.perf_counter()
+        orders = make_orders(now)
+        plan_s = time.perf_counter() - begin
+        run = run_on_simulated_buses(orders, seed=seed + number, observe=True)
+        assert run.counters is not None  # it was observed
+        arms, state = arms_motion(mechanics, state, *run.counters)
+        angles = true_angles(mechanics, state)
+        counters = orders.units.to_angles(run.counts)
+        tips = kinematics.forward(plane, angles)[1]
+        exposures = [camera.expose(tips, fiducials, lit, rng) for _ in range(config.exposures)]
+        expected = Expected(plane, counters, before, before_rad, error_um, dark)
+        spots = [exposure.spots for exposure in exposures]
+        begin = time.perf_counter()
+        image = measure(expected, spots, fiducials, camera.calibrated, config.measure)
+        measure_s = time.perf_counter() - begin
+        touches = certify(plane, arms, _TOUCH, neighbour_pairs(plane))
+        moves.append(Move(orders, run, arms, angles, touches, exposures, image, plan_s, measure_s))
+        seen = image.certain
+        dark = dark | ~seen
+        known = follows(image)
+        before = np.where(seen[:, None], image.angles, before)
+        before_rad = np.where(seen[:, None], image.interval_rad, before_rad)
+        error_um = np.where(known, config.corrected_um, np.where(seen, config.blind_um, error_um))
+        now = correction_problem(image, problem.targets, config.tolerance_um)
+    return ClosedLoop(problem, moves, lit)
