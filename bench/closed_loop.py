@@ -30,10 +30,10 @@ from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_metrology import MeasureConfig, Verdict
 from fiber_metrology.camera import CameraConfig, SimulatedCamera, fiducial_places
-from fiber_positioners import ClosedLoop, closed_loop, read_layout
+from fiber_positioners import ClosedLoop, LoopConfig, closed_loop, read_layout
 
 # 54 um rms after a blind move of robots with arms of 3 mm
-DRIVE = {"scale": 0.0050, "backlash_deg": 0.15, "wave_deg": 0.12, "speed_noise": 0.002}
+DRIVE = {"scale": 0.0041, "backlash_deg": 0.08, "wave_deg": 0.12, "speed_noise": 0.002}
 
 
 def main() -> int:
@@ -56,6 +56,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--robots", type=int, help="robots of the preset, all by default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--corrections", type=int, default=1)
+    parser.add_argument(
+        "--exposures", type=int, default=LoopConfig().exposures, help="of an image (%(default)s)"
+    )
     parser.add_argument("--gap", type=float, default=0.5, help="gap of random targets [mm]")
     parser.add_argument("--non-movers", type=float, default=0.01, help="share of silent non-movers")
     parser.add_argument("--dark", type=float, default=0.02, help="share of fibres without light")
@@ -83,6 +86,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     loop = closed_loop(
         problem, mechanics, camera, fiducials, lit,
         corrections=options.corrections, seed=options.seed,
+        config=LoopConfig(exposures=options.exposures),
     )  # fmt: skip
     wall_s = time.perf_counter() - begin
     sticks = np.any(mechanics.still_in < NEVER, axis=1)
@@ -145,7 +149,7 @@ def _identified(move) -> tuple[int, int, int]:
     seen = np.zeros(image.plane.n, dtype=bool)
     for exposure in move.exposures:
         seen[exposure.owner[exposure.owner >= 0]] = True
-    told = image.certain | (image.verdict == Verdict.MERGED)
+    told = image.certain
     rows = np.flatnonzero(told)
     first = image.lights.first[image.light[rows]]
     owner = np.array([move.exposures[k].owner[spot] for spot, k in first], dtype=np.int64)

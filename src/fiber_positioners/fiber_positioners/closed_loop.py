@@ -27,6 +27,7 @@ from fiber_metrology import (
 from fiber_metrology.camera import Exposure, SimulatedCamera
 from fiber_positioners.orders import Orders, make_orders
 from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
+from fiber_positioners.straight_planner import StraightPlanner
 
 __all__ = ["ClosedLoop", "LoopConfig", "Move", "closed_loop"]
 
@@ -58,7 +59,7 @@ class LoopConfig:
         "tolerance_um": bounds.Range(0.0, 1e5),
     }
 
-    exposures: int = 2
+    exposures: int = 3
     blind_um: float = 40.0
     corrected_um: float = 10.0
     sigmas: float = 2.0
@@ -139,10 +140,10 @@ def closed_loop(
 ) -> ClosedLoop:
     """Move blind, take an image, correct, and take the image that judges the correction.
 
-    Every move goes the same way: planner, discretizer, certificate, bytes on simulated buses. The
-    orders of a correction are relative to the measured angles; between two moves the counters are
-    set to them. A robot that does not follow, or whose light is not found, stays as an
-    obstacle with its interval.
+    Every move goes the same way: planner, discretizer, certificate, bytes on simulated buses; the
+    planner of a correction is `StraightPlanner`. The orders of a correction are relative to the
+    measured angles; between two moves the counters are set to them. A robot that does not follow,
+    or whose light is not found, stays as an obstacle with its interval.
 
     Args:
         problem: the plane, the joint angles, at which arms and counters stand, and the targets.
@@ -170,7 +171,7 @@ def closed_loop(
     moves: list[Move] = []
     for number in range(corrections + 1):
         begin = time.perf_counter()
-        orders = make_orders(now)
+        orders = make_orders(now, planner=StraightPlanner() if number else None)
         plan_s = time.perf_counter() - begin
         run = run_on_simulated_buses(orders, seed=seed + number, observe=True)
         assert run.counters is not None  # it was observed

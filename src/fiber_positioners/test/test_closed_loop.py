@@ -5,11 +5,15 @@ import numpy as np
 import pytest
 
 from fiber_bus_bridge.simulation import NEVER, MechanicalErrors, Mechanics, draw_mechanics
+from fiber_core import kinematics
 from fiber_core.fields import random_field
+from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
+from fiber_core.problem import Problem
 from fiber_metrology import ImageError, MetrologyError, Verdict
 from fiber_metrology.camera import CameraConfig, SimulatedCamera, fiducial_places
 from fiber_positioners import LoopConfig, closed_loop
+from fiber_positioners.straight_planner import StraightPlanner
 
 N = 61
 DRIVE = MechanicalErrors(scale=0.005, backlash_deg=0.1, wave_deg=0.1)
@@ -81,3 +85,17 @@ def test_an_image_that_cannot_be_used_ends_the_loop_and_bad_settings_are_refused
         rig.loop()
     with pytest.raises(MetrologyError, match="exposures"):
         LoopConfig(exposures=0)
+
+
+def test_a_correction_goes_straight_and_flips_no_elbow_however_near_the_other_one_is():
+    plane = preset("moons", 3)  # phi turns both ways
+    start = np.array([[0.3, 0.02], [0.3, 1.0], [0.3, -1.0]])
+    targets = kinematics.forward(plane, start + [0.01, 0.05])[1]
+    planned = StraightPlanner().plan(Problem(plane, start, targets))
+    np.testing.assert_allclose(planned.goal, start + [0.01, 0.05], atol=1e-6)
+    assert set(planned.reason) == {Reason.OK} and planned.motion.angles.shape == (3, 2, 2)
+    short = StraightPlanner(most_rad=0.04).plan(Problem(plane, start, targets))
+    assert set(short.reason) == {Reason.GOAL_BLOCKED}
+    np.testing.assert_array_equal(short.motion.end, start)
+    none = np.full((3, 2), np.nan)
+    assert set(StraightPlanner().plan(Problem(plane, start, none)).reason) == {Reason.NO_TARGET}
