@@ -17,6 +17,7 @@ from fiber_core.clearance import Safety, certify
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome
 from fiber_core.problem import load_plan, load_problem
+from fiber_formats import read_results
 
 pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
 
@@ -147,7 +148,12 @@ def test_the_demo_writes_files_that_agree(demo):
     assert off[reached].max() < 0.1 < off[~reached].min(initial=np.inf)
     assert report["bytes_mean"] >= report["bytes_bound"] > 4 and report["bus_time_s"] > 0
     assert (demo.folder / "plane.png").read_bytes().startswith(b"\x89PNG")
-    for name in ("makespan", "report.json", "plan.npz", "plane.png"):
+    table = read_results(demo.folder / "results.ecsv")
+    assert np.array_equal(table.ids, problem.plane.ids)
+    assert np.array_equal(table.outcome, outcome) and np.allclose(
+        np.deg2rad(table.angles_deg), motion.end, atol=1e-12
+    )
+    for name in ("makespan", "report.json", "plan.npz", "plane.png", "results.ecsv"):
         assert name in demo.said
 
 

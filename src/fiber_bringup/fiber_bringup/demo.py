@@ -4,7 +4,8 @@
 Makes a problem, starts plant, bridge, planner, discretizer and recorder as processes on this
 machine, moves the robots, and writes into the output folder: problem.npz, plan.npz (the motion
 decoded from the bytes that went over the buses), report.json, recording.npz (all of the plan in one
-file), player.html (open it in a browser), plane.png, and the logs of the nodes.
+file), player.html (open it in a browser), plane.png, results.ecsv (a row for each robot), and
+the logs of the nodes.
 
 With --faults robots and buses fail during the motion, e.g. `--faults stall:2,reset`: robots stop
 by themselves, all others are stopped with them, and the robots that can go on are started again.
@@ -36,7 +37,7 @@ from fiber_core.metrics import ORDER_BYTES_BOUND
 from fiber_core.outcomes import PlanOutcome
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem, save_plan, save_problem
-from fiber_formats import FoundProblem, problem_from
+from fiber_formats import FORMS, FoundProblem, problem_from, write_results
 from fiber_node.ros_environment import own_domain, use_loopback
 from fiber_planner import DEFAULT_PLANNER, planners
 from fiber_positioners.report import save_report
@@ -46,7 +47,10 @@ from fiber_viewer import before_and_after, write_player
 
 __all__ = ["main"]
 
-_FILES = ("report.json", "problem.npz", "plan.npz", "plane.png", "recording.npz", "player.html")
+_FILES = (
+    *("report.json", "problem.npz", "plan.npz", "plane.png"),
+    *("recording.npz", "player.html", "results.ecsv"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 1
     report = _report(run)
     report["wall_s"]["all"] = time.monotonic() - begin
-    _write(options.out, run, report)
+    _write(options.out, run, report, options.form)
     outcome = run.outcome.of(problem.plane.ids[problem.asked])
     print(_figures(report), summary(outcome), sep="\n\n")
     print("\nin", options.out)
@@ -122,6 +126,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--starts", help="files with the present angles; by default random")
     parser.add_argument("--targets", help="files with targets; by default random targets")
     parser.add_argument("--spacing", type=float, metavar="MM", help="least distance of two targets")
+    parser.add_argument(
+        "--form", choices=sorted(FORMS), help="columns of an instrument in results.ecsv"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of random starts and targets")
     parser.add_argument("--planner", choices=planners(), default=DEFAULT_PLANNER)
     parser.add_argument(
@@ -217,13 +224,15 @@ def _report(run: _Run) -> dict[str, Any]:
     }
 
 
-def _write(out: Path, run: _Run, report: dict[str, Any]) -> None:
+def _write(out: Path, run: _Run, report: dict[str, Any], form: str | None) -> None:
     recording, outcome = run.recording, run.outcome
     motion = recording.executed
     save_plan(out / "plan.npz", motion, outcome.outcome, outcome.reason)
     before_and_after(recording.problem, motion, outcome.outcome).savefig(out / "plane.png", dpi=110)
     write_player(out / "player.html", out / "recording.npz")
     save_report(out / "report.json", report)
+    problem = recording.problem
+    write_results(out / "results.ecsv", problem.plane, outcome, motion.end, form, problem.targets)
 
 
 def _figures(report: dict[str, Any]) -> str:

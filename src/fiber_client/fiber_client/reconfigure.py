@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Take a running focal plane to new targets: plan, start, wait for the outcome, print it.
 
-TARGETS is a table (.csv, .ecsv, .fits) with columns id, x_mm, y_mm, a problem.npz, or
-random[:SEED] for targets that all enabled robots can take at once, drawn for the plane
-that is running. Progress, rates and alerts go to stderr, the result to stdout: a table, or
-with --json one line with the outcomes, the time at which each stage was done, the traffic on
-the buses, and all alerts. Exit code 0: the motion ran, and each robot with a target reached
-it or is held with a reason; anything else is 1.
+TARGETS are files of any format that fiber_formats reads, as a table with columns
+id, x_mm, y_mm, a problem.npz, or random[:SEED] for targets that all enabled robots can take at
+once, drawn for the plane that is running. Progress, rates and alerts go to stderr, the result to
+stdout: a table, or with --json one line with the outcomes, the time at which each stage was done,
+the traffic on the buses, and all alerts. --results writes all robots of the plane to a table. Exit
+code 0: the motion ran, and each robot with a target reached it or is held with a reason; anything
+else is 1.
 """
 
 import argparse
@@ -23,9 +24,10 @@ from fiber_client.errors import PlaneError
 from fiber_client.terminal import ProgressDisplay, table
 from fiber_core.array_types import Ids, Ints, Points
 from fiber_core.errors import FiberError
+from fiber_core.fibres import ANY_FIBRE
 from fiber_core.fields import random_field
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
-from fiber_formats import read_targets
+from fiber_formats import FORMS, kind_of, read_targets, write_results
 from fiber_msgs_py import PlanStamp
 from fiber_node.ros_environment import use_loopback
 
@@ -66,11 +68,21 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--timeout", type=float, default=120.0, metavar="S", help="time-out of each wait [s], 120"
     )
+    parser.add_argument(
+        "--results", metavar="TABLE", help="write all robots: .csv, .ecsv or .fits, also with .gz"
+    )
+    parser.add_argument(
+        "--form", choices=sorted(FORMS), help="columns of an instrument in addition, in --results"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as one line of JSON")
     return parser
 
 
 def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisplay) -> int:
+    if options.results is not None:
+        kind_of(options.results)  # refused before the motion, not after it
+    elif options.form is not None:
+        raise PlaneError("--form tells columns of --results, which is not given")
     client.wait_for_graph(options.timeout)
     if options.home_first:
         with client.stops_on_error(options.timeout):
@@ -88,6 +100,8 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
         client.start(options.timeout)
         ended = client.wait_for_outcome(stamp, options.timeout)
     outcome = ended.of(ids)
+    if options.results is not None:
+        _write_results(client, options, ended, (ids, xy_mm, fibre))
     if options.json:
         made = client.attempts(stamp).index(client.last_attempt(stamp)) + 1
         statistics = _statistics(client.times[stamp], display)
@@ -97,9 +111,25 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
     return 0 if went_well(outcome) else 1
 
 
+def _write_results(
+    client: PlaneClient,
+    options: argparse.Namespace,
+    ended: PlanOutcome,
+    asked: tuple[Ids, Points, Ints],
+) -> None:
+    # a row for each robot, its angles as the encoders read them after the motion
+    ids, xy_mm, fibre = asked
+    plane = client.plane
+    rows = plane.index_of(ids)
+    targets, chosen = np.full((plane.n, 2), np.nan), np.full(plane.n, ANY_FIBRE)
+    targets[rows[rows >= 0]], chosen[rows[rows >= 0]] = xy_mm[rows >= 0], fibre[rows >= 0]
+    plane = plane.with_fibre(chosen)
+    write_results(options.results, plane, ended, client.angles, options.form, targets)
+
+
 def _targets(
     client: PlaneClient, source: str, display: ProgressDisplay
-) -> tuple[Ids, Points, Ints | None]:
+) -> tuple[Ids, Points, Ints]:
     # ids, targets and the fibres that they are for
     if source != "random" and not source.startswith("random:"):
         found = read_targets(source, client.plane)

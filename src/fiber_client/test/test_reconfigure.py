@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The output and the exit code of the command reconfigure, given the outcome of the robots."""
 
+import argparse
 import io
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fiber_client.bus_counters import BusCounterTotals
-from fiber_client.reconfigure import main, summary, went_well
+from fiber_client.errors import PlaneError
+from fiber_client.reconfigure import _parser, _run, _write_results, main, summary, went_well
 from fiber_client.terminal import ProgressDisplay, table
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
+from fiber_core.presets import preset
+from fiber_formats import FormatError, read_results, read_starts
 from fiber_msgs_py import Attempt, Level, PlanStamp, Progress, Status
 
 STAMP = PlanStamp(7)
@@ -132,3 +138,31 @@ def test_help_describes_the_kinds_of_targets(capsys):
     text = capsys.readouterr().out
     for word in ("random[:SEED]", "problem.npz", "id, x_mm, y_mm", "--home-first", "Exit code"):
         assert word in text
+
+
+def test_results_have_a_row_for_each_robot_with_its_angles(tmp_path):
+    plane = preset("desi", 4)
+    plane = replace(
+        plane, fibres=np.tile([[3.0, 0.0], [3.0, 0.5]], (4, 1, 1)), fibre_names=("A", "B")
+    )
+    angles = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6], [0.7, 0.8]])
+    ended = PlanOutcome(
+        STAMP.ns, np.arange(4), np.full(4, Outcome.HELD), np.full(4, Reason.NO_TARGET), np.zeros(4)
+    )
+    path = tmp_path / "results.fits"
+    client = SimpleNamespace(plane=plane, angles=angles)
+    asked = np.array([2, 9]), np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([1, -1])
+    _write_results(client, argparse.Namespace(results=path, form="desi"), ended, asked)
+    table = read_results(path)
+    assert table.ids.tolist() == [0, 1, 2, 3] and table.fibre[2] == "B"
+    assert np.array_equal(table.angles_deg, np.rad2deg(angles))
+    assert np.allclose(read_starts(path, plane).angles, angles, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [(["--results", "all.xlsx"], FormatError), (["--form", "desi"], PlaneError)],
+)
+def test_results_that_cannot_be_written_are_refused_before_the_motion(options, error):
+    with pytest.raises(error, match=r"a table is written as|--form tells"):
+        _run(None, _parser().parse_args(["random", *options]), None)
