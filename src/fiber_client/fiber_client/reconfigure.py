@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Take a running focal plane to new targets: plan, start, wait for the outcome, print it.
 
-TARGETS are files of any format that fiber_formats reads, as a table with columns
-id, x_mm, y_mm, a problem.npz, or random[:SEED] for targets that all enabled robots can take at
-once, drawn for the plane that is running. Progress, rates and alerts go to stderr, the result to
-stdout: a table, or with --json one line with the outcomes, the time at which each stage was done,
-the traffic on the buses, and all alerts. --results writes all robots of the plane to a table. Exit
-code 0: the motion ran, and each robot with a target reached it or is held with a reason; anything
-else is 1.
+TARGETS are files of any format that fiber_formats reads, as a table with columns id, x_mm, y_mm, a
+problem.npz, or random[:SEED] for targets that all enabled robots can take at once, drawn for the
+plane that is running. Progress, rates and alerts go to stderr, the result to stdout: a table, or
+with --json one line with the outcomes, the time at which each stage was done, the traffic on the
+buses, and all alerts. --results writes all robots of the plane to a table.
+Exit code 0: the motion ran, and each robot with a target reached it or is held with a reason;
+anything else is 1.
 """
 
 import argparse
