@@ -74,6 +74,8 @@ class DiscretizerNode(ManagedNode):
     def activate(self) -> None:
         """Claim the role of the discretizer."""
         self._claim = Claim(self, DISCRETIZER)  # last: the node is complete
+        margin = f"a margin of {self._safety.value.margin_mm:g} mm"
+        self.get_logger().info(f"waits for a bridge and for trajectories, to certify with {margin}")
 
     def deactivate(self) -> None:
         """End the work under way, and give up the role."""
@@ -110,6 +112,7 @@ class DiscretizerNode(ManagedNode):
                 )
 
         if self._accepted.has_ended(stamp):
+            self.reporter.debug(f"trajectory {stamp} was heard before, or its plan was refused")
             return  # heard before, by the other subscription perhaps
         if not self._accepted.when_accepted(stamp, discretize_when_current):
             self.reporter.waiting(f"trajectory {stamp} waits until the bridge accepts its plan")
@@ -123,6 +126,8 @@ class DiscretizerNode(ManagedNode):
         try:
             ids, motion, velocities = trajectory.decode(message)
             safety, state = self._safety.value, self._plane_cache.state
+            text = f"plan {attempt}: profiles of {len(ids)} robots, {self._options.value.sharing}"
+            self.reporter.debug(text)
             result = discretize_trajectory(
                 state.plane,
                 state.angles,

@@ -30,7 +30,7 @@ class AcceptedAttempts:
     """
 
     def __init__(self, node: Node, gate: SessionGate):
-        self._gate = gate
+        self._gate, self._logger = gate, node.get_logger()
         self._accepted: dict[PlanStamp, tuple[Attempt, str]] = {}
         self._waiting: dict[PlanStamp, Callable[[Attempt, str], None]] = {}
         self._ended: dict[PlanStamp, None] = {}  # refused, or worked on already
@@ -77,10 +77,12 @@ class AcceptedAttempts:
         if not self._gate.is_open(session):
             return  # of a bag, say; an acceptance is repeated as long as its plan waits
         if received.refused:
+            self._logger.debug(f"plan {attempt}: refused by the bridge")
             self._accepted.pop(attempt.stamp, None)
             self._waiting.pop(attempt.stamp, None)
             _keep(self._ended, attempt.stamp, None)
         elif attempt.since_ns is not None:
+            self._logger.debug(f"plan {attempt}: accepted by the bridge")
             _keep(self._accepted, attempt.stamp, (attempt, session))
             self._start_if_accepted(attempt.stamp)
 

@@ -68,8 +68,12 @@ class PlaneCache:
             session: the session whose layout and joint states it needs.
             work: called once.
         """
+        if self._waiting is not None:
+            self._report.debug(f"plan {self._waiting[0]} gives way to plan {attempt}")
         self._waiting = attempt, session, work
         self._start_if_current()
+        if self._waiting is not None:
+            self._report.debug(f"plan {attempt} waits for a newer layout or newer joint states")
 
     @property
     def complete(self) -> bool:
@@ -133,5 +137,7 @@ class PlaneCache:
         pair = self._pair()
         counters = {"robots": 0 if pair is None else pair[0][0].n, "session": self.session or ""}
         if counters.items() - self._report.counters.items():
+            if pair is not None:
+                self._report.info(f"the plane has come: {pair[0][0].n} robots, of {self.session}")
             self._report.counters |= counters
             self._report.publish()

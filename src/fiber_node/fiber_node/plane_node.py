@@ -30,6 +30,7 @@ class PlaneNode(Node):
 
     def __init__(self, name: str, **options: Any):
         options.setdefault("namespace", os.environ.get("ROS_NAMESPACE", ""))
+        options.setdefault("enable_logger_service", True)  # the level can change while it runs
         # declared as they were given, so that `parameters` can name the unknown ones
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
         self.parameters = NodeParameters(self)

@@ -102,6 +102,15 @@ class Reporter:
     def waiting(self, text: str) -> None:
         """Show in the next diagnostics what the node waits for."""
         self._level, self._text = Level.OK, text
+        self.debug(text)
+
+    def info(self, text: str) -> None:
+        """Log what has happened."""
+        self._node.get_logger().info(text)
+
+    def debug(self, text: str) -> None:
+        """Log a decision, for people who look for a fault."""
+        self._node.get_logger().debug(text)
 
     def refuse(self, text: str, source: str | None = None, attempt: Attempt | None = None) -> None:
         """Log, count and publish that something was refused, and why.

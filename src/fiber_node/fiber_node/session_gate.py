@@ -62,6 +62,7 @@ class SessionGate:
             if topic != topics.LAYOUT.name or self._is_new(message):
                 callback(message)
         else:
+            self._node.get_logger().debug(f"{name} waits until its bridge, of {session}, is seen")
             self._kept[topic] = time.monotonic() + _UNKNOWN_S, session, message, callback
             self._timer.reset()
 

@@ -123,10 +123,13 @@ class Worker:
                 if self._closing:
                     return
                 job = self._current = self._waiting.popleft()
+            logger = self._node.get_logger()
             try:
                 if not job.cancelled:
+                    logger.debug(f"plan {job.attempt}: {self._name} begins")
                     guarded(self._node, self._name, job.work)()
+                    logger.debug(f"plan {job.attempt}: {self._name} has ended")
             except WorkCancelled:
-                pass
+                logger.debug(f"plan {job.attempt}: {self._name} was cancelled")
             finally:
                 self._current = None

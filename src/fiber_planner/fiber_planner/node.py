@@ -96,6 +96,9 @@ class PlannerNode(ManagedNode):
     def activate(self) -> None:
         """Claim the role of the planner."""
         self._claim = Claim(self, PLANNER)  # last: the node is complete
+        self.get_logger().info(
+            f"waits for a bridge and for targets, to plan with {self._choice.value.planner}"
+        )
 
     def deactivate(self) -> None:
         """End the planning under way, and give up the role."""
@@ -145,6 +148,7 @@ class PlannerNode(ManagedNode):
                 return
             plane = targets.plane_for(plane, message)
             planner = self.planner()
+            self.reporter.debug(f"plan {attempt}: {len(ids)} targets, planner {planner.name}")
             spacing_mm = spacing_of(planner, plane)
             assignment = assign(plane, start, ids, xy_mm, spacing_mm=spacing_mm)
             self._warn_of_refused(assignment, attempt)

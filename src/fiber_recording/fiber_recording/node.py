@@ -135,6 +135,8 @@ class RecorderNode(PlaneNode):
             guarded(self, "recordings", self._write_ended_plans),
             clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
+        folder = self._config.value.folder
+        self.get_logger().info(f"waits for a bridge and for plans that end, to record in {folder}")
 
     def _refusing(self, topic: str, observe: Callable[[Any], None]) -> Callable[[Any], None]:
         """Return a callback that reports why a message was refused."""
@@ -149,6 +151,8 @@ class RecorderNode(PlaneNode):
         return receive
 
     def _on_layout(self, message: PointCloud2) -> None:
+        if self._plane is None:
+            self._report.info("the plane has come")
         plane, self._units = layout.decode(message)
         self._plane = replace(plane, name=self._config.value.preset)
 
@@ -189,6 +193,7 @@ class RecorderNode(PlaneNode):
         ended = PlanOutcome(stamp.ns, *outcome.decode(message))
         plan = self._received.plan(stamp)
         plan.outcome, plan.outcome_s = ended, time.monotonic()
+        self._report.debug(f"plan {stamp} has ended: waits for the last frames")
 
     def _plane_with(self, states: JointState | None) -> _PlaneWithStates | None:
         if self._plane is None or self._units is None or states is None:

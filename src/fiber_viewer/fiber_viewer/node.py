@@ -124,6 +124,9 @@ class ViewerNode(PlaneNode):
             guarded(self, "view", self._on_timer),
             clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
+        self.get_logger().info(
+            f"waits for a bridge and for subscribers, to show {rate.rate_hz:g} pictures a second"
+        )
 
     def _on_layout(self, message: PointCloud2) -> None:
         try:
@@ -132,6 +135,7 @@ class ViewerNode(PlaneNode):
             self._report.refuse(f"layout refused: {error}", "layout")
             return
         self._outcome = self._states = None
+        self._report.info(f"the plane has come: {self._plane.n} robots")
         self._publish(self._plane_points, plane_cloud(self._plane))
 
     def _on_targets(self, message: PointCloud2) -> None:
@@ -181,10 +185,12 @@ class ViewerNode(PlaneNode):
     def _listen_to_joint_states(self, wanted: bool) -> None:
         subscription = self._joint_states_subscription
         if wanted and subscription is None:
+            self._report.debug("there are subscribers: joint states are followed")
             self._joint_states_subscription = self._gate.subscription(
                 topics.JOINT_STATES, self._on_joint_states
             )
         elif not wanted and subscription is not None:
+            self._report.debug("no subscriber is left: joint states are left alone")
             self.destroy_subscription(subscription)
             self._joint_states_subscription = self._states = None
 

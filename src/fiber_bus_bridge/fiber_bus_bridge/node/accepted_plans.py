@@ -114,6 +114,7 @@ class AcceptedPlans:
         self._open[stamp] = attempt
         self._watch.begin(stamp)
         self._outgoing.publish_encoders(now_ns)
+        self._reporter.debug(f"plan {attempt}: targets accepted")
         self._announce(attempt)
         return True
 

@@ -220,6 +220,9 @@ class Attempts:
         combined = self._replanning.add_attempt(self._availability.explain(result), asked)
         robots = self._replanning.next_robots(self._ordered, self._availability.commandable(known))
         stamp = self._inputs.free_stamp_after(attempt.stamp)
+        self._reporter.debug(
+            f"plan {attempt}: ended; {int(robots.sum())} robots could be tried again"
+        )
         if last or self._stopping.is_set() or not robots.any() or stamp is None:
             self._outgoing.publish_layout()
             self._publish_outcome(attempt.plan, combined)

@@ -86,8 +86,12 @@ class BridgeNode(ManagedNode):
             raise
         for line in hardware.lines:
             self.get_logger().info(line)
-        buses = len(self._session.transactions.buses)
-        self.get_logger().info(f"{hardware.plane.n} robots on {buses} buses")
+        buses, found = len(self._session.transactions.buses), int(self._session.known.sum())
+        self.get_logger().info(f"{found} of {hardware.plane.n} robots found on {buses} buses")
+
+    def activate(self) -> None:
+        """Accept targets."""
+        self.get_logger().info(f"waits for targets, {self._session.state.name}, {self._claim.id}")
 
     def _build(self, hardware: Hardware) -> None:
         given, plane = self._parameters_given, hardware.plane
