@@ -109,7 +109,7 @@ class Reporter:
         self._node.get_logger().info(text)
 
     def debug(self, text: str) -> None:
-        """Log a decision, for people who look for a fault."""
+        """Log a decision, on the level debug."""
         self._node.get_logger().debug(text)
 
     def refuse(self, text: str, source: str | None = None, attempt: Attempt | None = None) -> None:
