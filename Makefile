@@ -134,6 +134,7 @@ bag: build ## write a RECORDING= as a rosbag2 into out/bag, or OUT=
 screenshots: build ## take the pictures of docs/images from the last demo, and out/faults (needs chromium)
 	@$(INSTALLED) && $(PYTHON) tools/screenshots.py $(OUT)/recording.npz \
 		$(addprefix --faults ,$(wildcard out/faults/recording.npz))
+	@$(INSTALLED) && $(PYTHON) tools/console_picture.py
 
 .PHONY: bench
 bench: inputs build ## plan one field with no ROS and print one JSON line, into OUT

@@ -123,8 +123,10 @@ class Console {
     element("orders").querySelector("[data-order=start]").disabled = !ready;
     const moving = this.recording?.states.some((state) => STATE_NAMES[state] === "moving");
     const result = ended ? `Plan ${ended.plan}: ${ended.reached} reached, ${ended.held} held, ${ended.failed} failed` : null;
-    element("title").textContent = ready && !moving ? `Plan ${ready} can be started` : result ?? (this.recording ? "No plan has ended yet" : "Waiting for the plane");
-    element("subtitle").textContent = [this.recording && `${this.recording.plane.n} robots`, nodes.map(({ name }) => name).join(", ")].filter(Boolean).join("  ·  ");
+    const waiting = this.recording ? "No plan has ended yet" : "Waiting for the plane";
+    element("title").textContent = ready && !moving ? `Plan ${ready} can be started` : result ?? waiting;
+    const size = this.recording && `${this.recording.plane.n} robots`, names = nodes.map(({ name }) => name).join(", ");
+    element("subtitle").textContent = [size, names].filter(Boolean).join("  ·  ");
     fill("stages", stages.map(({ stage, fraction, text, plan, refused }) => row(
       refused ? "error" : "", `${stage} ${Math.round(100 * fraction)} %`, `${text} (plan ${plan})`)), "no stage has worked yet");
     fill("alerts", alerts.slice(-ALERTS_SHOWN).reverse().map(({ text, level }) => row(level, text)), "none");
@@ -190,7 +192,9 @@ function row(level, name, text = "") {
 // Fills a list, if it changed: a list that is filled anew loses its place and its focus.
 function fill(id, rows, none) {
   const list = element(id), content = rows.length ? rows : [row("none", none)];
-  if (list.innerText === content.map((item) => item.textContent).join("\n") && list.childElementCount === content.length) return;
+  const text = content.map((item) => `${item.className} ${item.textContent}`).join("\n");
+  if (list.shown === text) return;
+  list.shown = text;
   list.replaceChildren(...content);
 }
 
