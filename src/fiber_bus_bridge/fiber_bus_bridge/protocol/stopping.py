@@ -90,7 +90,7 @@ def resume(c: Context, phase: Phase) -> Event:
     resuming = moved & robots["able"]
     elapsed_s = phase.stopped_at_s - before.start_s
     left = remaining_motion(before.motion, robots["counts"], elapsed_s, c.speed, resuming)
-    c.plan = Plan(left, plan.goals)
+    c.plan = Plan(left, plan.goals, plan.fibre)
     wanted = resuming & c.plan.moves & ~c.plan.oversized
     phase = prepare(c, left, wanted, c.transactions.now_s)
     phase.before, phase.resumed, phase.oversized = before, moved, plan.oversized
