@@ -202,6 +202,7 @@ pictures: $(ENV_STAMP) ## make the parts of docs that come from the code: archit
 	@$(PYTHON) tools/import_graph.py
 	@$(PYTHON) tools/state_diagram.py
 	@$(PYTHON) tools/interfaces.py
+	@$(PYTHON) tools/security.py
 
 .PHONY: lock
 lock: ## resolve requirements.in into requirements.lock

@@ -12,6 +12,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from fiber_planner.node import PlannerNode  # noqa: E402
 from fiber_recording.node import RecorderNode  # noqa: E402
 from fiber_viewer.node import WATCHED, ViewerNode  # noqa: E402
 
-__all__ = ["actions_and_services", "fresh", "main"]
+__all__ = ["actions_and_services", "all_nodes", "fresh", "main"]
 
 PAGE = ROOT / "docs" / "interfaces.md"
 BEGIN, END = "<!-- begin: tools/interfaces.py -->", "<!-- end: tools/interfaces.py -->"
@@ -55,6 +56,15 @@ def fresh(text: str, domain: int) -> str:
         text: the page as it is.
         domain: ROS domain without other nodes.
     """
+    with all_nodes(domain) as nodes:
+        body = "\n".join(_page(nodes))
+    head, rest = text.split(BEGIN)
+    return f"{head}{BEGIN}\n{body}\n{END}{rest.split(END)[1]}"
+
+
+@contextmanager
+def all_nodes(domain: int) -> Iterator[list[PlaneNode]]:
+    """Start all nodes but the gateway in a domain; they end with the context."""
     context, nodes = Context(), []
     rclpy.init(args=[], context=context, domain_id=domain)
     try:
@@ -62,13 +72,11 @@ def fresh(text: str, domain: int) -> str:
             name = make.__name__.removesuffix("Node").lower()
             given = [Parameter(n, value=value) for n, value in _GIVEN.get(name, {}).items()]
             nodes.append(make(context=context, parameter_overrides=given))
-        body = "\n".join(_page(nodes))
+        yield nodes
     finally:
         for node in nodes:
             node.destroy_node()
         context.try_shutdown()
-    head, rest = text.split(BEGIN)
-    return f"{head}{BEGIN}\n{body}\n{END}{rest.split(END)[1]}"
 
 
 def _page(nodes: Sequence[PlaneNode]) -> Iterator[str]:

@@ -28,7 +28,7 @@ from fiber_interfaces.srv import Start  # pyright: ignore[reportMissingModuleSou
 from fiber_msgs_py import PlanStamp, Progress, topics
 from fiber_msgs_py.stamps import ns_from_time
 from fiber_node import PlaneNode, ThreadExecutor
-from fiber_node.ros_environment import use_loopback
+from fiber_node.ros_environment import keep_memory_private, keep_private, use_loopback
 
 __all__ = ["RECONFIGURE", "START_PLAN", "GatewayNode", "main"]
 
@@ -197,11 +197,13 @@ def main(args: Sequence[str] | None = None) -> int:
     for each in (signal.SIGINT, signal.SIGTERM):  # a second signal does not end the stop
         signal.signal(each, lambda *_: ended.set())
     use_loopback()
+    keep_private()
     # a context of its own: rclpy's handlers of signals would cut the client off before it can stop
     context = Context()
     rclpy.init(args=list(sys.argv if args is None else args), context=context)
     executor = ThreadExecutor(_THREADS, context)
     node = GatewayNode(context=context)
+    keep_memory_private()
     executor.add_node(node)
     loop = threading.Thread(target=executor.spin, name="gateway", daemon=True)
     loop.start()

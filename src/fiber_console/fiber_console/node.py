@@ -39,6 +39,7 @@ from fiber_msgs_py import (
     topics,
 )
 from fiber_node import PlaneNode, Reporter, SessionGate, ThreadExecutor
+from fiber_node.ros_environment import keep_memory_private, keep_private, use_loopback
 
 __all__ = ["ConsoleConfig", "ConsoleNode", "main", "serve"]
 
@@ -184,6 +185,8 @@ def main(args: Sequence[str] | None = None) -> int:
     Args:
         args: arguments for ROS; by default those of the process.
     """
+    use_loopback()
+    keep_private()
     # signals end the loop of asyncio, which ends the rest
     given = None if args is None else list(args)
     rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
@@ -191,6 +194,7 @@ def main(args: Sequence[str] | None = None) -> int:
     thread = threading.Thread(target=executor.spin, name="console", daemon=True)
     try:
         node = ConsoleNode()
+        keep_memory_private()
         executor.add_node(node)
         thread.start()
         asyncio.run(_run(node))

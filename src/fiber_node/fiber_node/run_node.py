@@ -13,6 +13,7 @@ from rclpy.utilities import try_shutdown
 
 from fiber_core.errors import FiberError
 from fiber_node.params_files import section_warnings
+from fiber_node.ros_environment import keep_memory_private, keep_private, use_loopback
 from fiber_node.thread_executor import ThreadExecutor
 
 __all__ = ["run"]
@@ -26,15 +27,21 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
     are served while another is at work. Work
     of a Worker is cancelled, and the process ends within a second.
 
+    The node is on loopback if the environment does not say otherwise, and what it writes can be
+    read by its owner only.
+
     Args:
         make_node: called once rclpy is initialised.
         args: command line for ROS; by default that of the process.
     """
+    use_loopback()
+    keep_private()
     given = sys.argv if args is None else list(args)
     rclpy.init(args=given)
     executor, code = ThreadExecutor(3), 0
     try:
         node = make_node()
+        keep_memory_private()
         for line in section_warnings(given, node.get_fully_qualified_name()):
             node.get_logger().warning(line)
         executor.add_node(node)

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node as a process: its sockets are on loopback, and what it writes is its owner's."""
+
+import os
+import re
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fiber_node import RosClient
+
+pytestmark = [
+    pytest.mark.timeout(120),
+    pytest.mark.skipif(not Path("/proc/net/udp").exists(), reason="NOT TESTED, no /proc/net"),
+]
+
+SCRIPT = """
+import sys
+from pathlib import Path
+from rclpy.node import Node
+from fiber_node import run
+
+def make():
+    Path(sys.argv[1], "written").write_text("by a node")
+    return Node("lonely")
+
+run(make, [])
+"""
+OURS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+LOOPBACK = "0100007F"
+
+
+def sockets(pid):
+    """Return the local address, in hexadecimal, of each internet socket of a process."""
+    links = [os.readlink(each) for each in Path(f"/proc/{pid}/fd").iterdir() if each.is_symlink()]
+    inodes = {match[1] for link in links if (match := re.match(r"socket:\[(\d+)\]", link))}
+    found = []
+    for table in ("udp", "udp6", "tcp", "tcp6"):
+        lines = Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]
+        found += [line.split()[1].split(":")[0] for line in lines if line.split()[9] in inodes]
+    return found
+
+
+@pytest.fixture
+def lonely(tmp_path, new_domain):
+    """Function that starts a node as a process, and returns its process id when it is in the graph.
+
+    Its environment has no settings of the network but those that are given.
+    """
+    started, domain = [], new_domain()
+
+    def start(**environment):
+        rest = {name: value for name, value in os.environ.items() if name not in OURS}
+        rest |= {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(tmp_path / "log"), **environment}
+        command = [sys.executable, "-c", SCRIPT, str(tmp_path)]
+        started.append(subprocess.Popen(command, env=rest, stdin=subprocess.DEVNULL))
+        with RosClient("observer", domain) as observer:
+            observer.wait_for(lambda: "lonely" in observer.node.get_node_names(), 60.0)
+        return started[-1].pid
+
+    yield start
+    for process in started:
+        process.terminate()
+        process.wait(20)
+
+
+def test_all_sockets_of_a_node_are_on_loopback(lonely):
+    found = sockets(lonely())
+    assert len(found) >= 3 and set(found) == {LOOPBACK}
+
+
+def test_the_settings_of_the_environment_win(lonely):
+    # as before there was a profile: sockets on all interfaces, which this test can see
+    assert set(sockets(lonely(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET"))) != {LOOPBACK}
+
+
+def test_what_a_node_writes_is_readable_by_its_owner_only(lonely, tmp_path):
+    pid = lonely()
+
+    def modes():
+        maps = Path(f"/proc/{pid}/maps").read_text()
+        found = map(Path, set(re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps)))
+        shared = [path for path in found if path.exists()]  # not that of the observer, which left
+        assert shared, "no shared memory is in use, so this test shows nothing"
+        written = [tmp_path / "written", *(tmp_path / "log").glob("*.log"), *shared]
+        return {path.name: stat.S_IMODE(path.stat().st_mode) & 0o077 for path in written}
+
+    with RosClient("waits") as waits:  # the node may still be at it
+        waits.wait_for(lambda: not any(modes().values()), 20.0, lambda: str(modes()))
