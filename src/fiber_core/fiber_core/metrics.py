@@ -9,7 +9,7 @@ import numpy as np
 from fiber_core import kinematics
 from fiber_core.array_types import Codes, Floats
 from fiber_core.clearance import Certificate
-from fiber_core.drive import carried_out
+from fiber_core.drive import carried_out, most_motors_on
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Outcome, Reason
@@ -64,7 +64,8 @@ def plan_metrics(
         reason: Reason of each robot, shape (n,).
 
     Returns:
-        Plain numbers and strings, ready for JSON. Segments are counted per motor that
+        Plain numbers and strings, ready for JSON. The peak of motors is the largest share of
+        the motors of a bus that turn at once. Segments are counted per motor that
         moves. The end error is the distance from the fibre at the end of the motion to
         the target, over the robots that reached their target.
     """
@@ -75,7 +76,8 @@ def plan_metrics(
     error_um: Floats = 1e3 * error_mm[reached]
     segments = motion.counts[motion.counts > 0]
     bound = lower_bound_s(problem)
-    makespan_s = carried_out(plane.drive, motion).makespan_s
+    true_motion = carried_out(plane.drive, motion)
+    makespan_s = true_motion.makespan_s
     codes, counts = np.unique(reason[asked], return_counts=True)
     return {
         "plane": plane.name,
@@ -92,6 +94,7 @@ def plan_metrics(
         "makespan_s": makespan_s,
         "lower_bound_s": bound,
         "makespan_ratio": makespan_s / bound if bound else None,
+        "motors_on_peak": float(most_motors_on(true_motion, plane.bus).max(initial=0.0)),
         "drive_violations": int(certificate.limits_broken.sum()),
         "certified": certificate.ok,
         "min_clearance_mm": certificate.min_gap_mm if certificate.min_pair else None,

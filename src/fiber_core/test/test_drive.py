@@ -9,7 +9,7 @@ from random_motions import RESOLVE_ALL, Fixed, all_at, random_motion
 
 from fiber_core import kinematics
 from fiber_core.clearance import Safety, certify, hold_until_safe, neighbour_pairs, sampled_gaps
-from fiber_core.drive import CurveMotion, Drive, carried_out
+from fiber_core.drive import CurveMotion, Drive, carried_out, most_motors_on
 from fiber_core.drive.named import DRIVES, with_drive
 from fiber_core.errors import LayoutError
 from fiber_core.fields import random_problem
@@ -199,3 +199,28 @@ def test_a_drive_of_another_number_of_robots_is_refused():
         replace(preset("desi", 3), drive=Drive(2))
     with pytest.raises(LayoutError, match="no drive is named 'fast'; there are ideal"):
         with_drive(preset("desi", 3), "fast")
+
+
+def test_the_most_motors_on_at_once_is_that_of_dense_sampling(moving, rng):
+    motion, curve, _ = moving
+    groups = rng.integers(3, 6, _N)
+    for profile in (motion, curve):
+        times = np.linspace(0.0, profile.makespan_s, 4001) + 1e-4
+        on = np.stack([profile.velocity(t) != 0.0 for t in times])
+        most = most_motors_on(profile, groups)
+        for share, g in zip(most, (3, 4, 5)):
+            sampled = on[:, groups == g].mean(axis=(1, 2)).max()
+            # an instant between two samples may have one motor more
+            one = 1.0 / on[0, groups == g].size
+            assert sampled - 1e-12 <= share <= sampled + one + 1e-12
+
+
+def test_motors_that_take_turns_are_never_on_together():
+    # theta of robot 0 from 0 to 1 s, phi from 1 s on; robot 1 rests first, then turns theta
+    offsets, duration = np.array([0, 1, 3, 5, 5]), [1.0, 1.0, 1.0, 0.5, 0.7]
+    velocity = [0.3, 0.0, -0.2, 0.0, 0.1]
+    motion = SegmentMotion(np.zeros((2, 2)), offsets, duration, velocity)
+    assert most_motors_on(motion, [0, 1]).tolist() == [0.5, 0.5]
+    assert most_motors_on(motion, [0, 0]).tolist() == [0.5]
+    assert most_motors_on(carried_out(Drive(2, ramp_s=0.2), motion), [0, 1]).tolist() == [1.0, 0.5]
+    assert most_motors_on(SegmentMotion.at_rest(np.zeros((2, 2))), [7, 7]).tolist() == [0.0]

@@ -3,5 +3,6 @@
 
 from fiber_core.drive.curves import CurveMotion, carried_out
 from fiber_core.drive.drive import Drive
+from fiber_core.drive.power import most_motors_on
 
-__all__ = ["CurveMotion", "Drive", "carried_out"]
+__all__ = ["CurveMotion", "Drive", "carried_out", "most_motors_on"]
