@@ -163,6 +163,8 @@ def test_a_plan_is_started_seen_and_stopped(opened, plane):
     stamp = send_random_targets(plane, 1)
     until(opened, f"return player.ready === '{stamp}'")
     assert opened.find_element(By.ID, "title").text == f"Plan {stamp} can be started"
+    waiting = "player.recording.states.filter((state) => state === 7).length"
+    assert opened.execute_script(f"return {waiting}") == 58  # all that are enabled
     opened.find_element(By.CSS_SELECTOR, "[data-order=start]").click()
     assert str(stamp) in opened.find_element(By.ID, "confirm-text").text
     opened.find_element(By.CSS_SELECTOR, "#confirm [value=cancel]").click()

@@ -72,13 +72,13 @@ def _take(browser: webdriver.Chrome, client: PlaneClient, out: Path) -> None:
     browser.execute_script("player.watch(arguments[0])", client.plane.n // 3)
     browser.find_element(By.CSS_SELECTOR, "[data-order=start]").click()
     browser.find_element(By.ID, "confirm-yes").click()
-    moving = "return player.recording.states.some((state) => state === 0)"
-    _until(browser, moving)
+    moving = "player.recording.states.filter((state) => state === 0).length"
+    _until(browser, f"return {moving} > 0.8 * player.recording.plane.n")
     begin, before = time.monotonic(), browser.execute_script("return player.frames")
-    time.sleep(0.7)  # into the motion
+    time.sleep(0.5)  # into the motion
+    browser.save_screenshot(str(out))
     drawn = browser.execute_script("return player.frames") - before
     print(f"{drawn / (time.monotonic() - begin):.0f} pictures a second while robots move")
-    browser.save_screenshot(str(out))
     picture = Image.open(out).convert("RGB")
     picture.quantize(256, Image.Quantize.MAXCOVERAGE).save(out)
     print(out)

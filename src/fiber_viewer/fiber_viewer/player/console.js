@@ -78,7 +78,7 @@ class Console {
   }
 
   refreshStates() {
-    setStates(this.recording);
+    setStates(this.recording, placesOfAll(this.recording.plane, this.after ?? this.angles, this.places));
     this.marked = Array.from(this.recording.plane.ids.keys());
   }
 

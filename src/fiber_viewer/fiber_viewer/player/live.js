@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // The connection to the console: what a running plane sends, as a recording that goes on.
 import { readNpz } from "./npz.js";
-import { DISABLED, FAILED, HELD, IDLE, MOVING, REACHED, isAsked, planeOf } from "./recording.js";
+import { DISABLED, FAILED, HELD, IDLE, MOVING, REACHED, WAITING, isAsked, planeOf } from "./recording.js";
 
 const RETRY_MS = 500; // time between two attempts to reach the console
 const NO_OUTCOME = 255;
+const ARRIVED_MM = 0.1; // distance from its target within which a robot is shown as there
 
 /** Returns a plane, its targets and outcomes from the bytes of plane.npz, in the form of a recording. */
 export async function openPlane(bytes) {
@@ -21,13 +22,16 @@ export async function openPlane(bytes) {
   };
 }
 
-/** Sets the state of every robot from its speeds and its outcome. */
-export function setStates(recording) {
-  const { plane, outcome, speeds, states } = recording;
+/** Sets the state of every robot from its speeds, its outcome, and before there is one its place. */
+export function setStates(recording, places) {
+  const { plane, outcome, speeds, states } = recording, { target } = plane;
   for (let row = 0; row < plane.n; row++) {
     if (!plane.enabled[row]) states[row] = DISABLED;
     else if (speeds[2 * row] !== 0 || speeds[2 * row + 1] !== 0) states[row] = MOVING;
-    else if (outcome[row] === NO_OUTCOME) states[row] = IDLE;
+    else if (outcome[row] === NO_OUTCOME) {
+      const away = Math.hypot(places[4 * row + 2] - target[2 * row], places[4 * row + 3] - target[2 * row + 1]);
+      states[row] = !isAsked(plane, row) ? IDLE : away < ARRIVED_MM ? REACHED : WAITING;
+    }
     else if (outcome[row] === 0) states[row] = REACHED;
     else if (outcome[row] === 2) states[row] = FAILED;
     else states[row] = isAsked(plane, row) ? HELD : IDLE;

@@ -9,7 +9,8 @@ const MOST_NAMED = 3; // of robots that fail together on a bus: more are one ent
 
 // The state of a robot at a time.
 export const MOVING = 0, REACHED = 1, HELD = 2, FAILED = 3, IDLE = 4, DISABLED = 5, STOPPED = 6;
-export const STATE_NAMES = ["moving", "reached", "held", "failed", "no target", "disabled", "stopped"];
+export const WAITING = 7; // of a running plane: a robot with a target that is not there yet and does not move
+export const STATE_NAMES = ["moving", "reached", "held", "failed", "no target", "disabled", "stopped", "waiting"];
 
 /** Returns a recording from the bytes of its file. Throws an Error if they are not a recording. */
 export async function openRecording(bytes) {

@@ -3,7 +3,7 @@
 
 const NAMES = [
   "ground", "card", "ink", "soft", "line", "faint", "accent", "watch", "moving", "reached",
-  "held", "failed", "target", "idle", "disabled", "stopped", "theta", "phi", "plan", "gap",
+  "held", "failed", "target", "idle", "disabled", "stopped", "waiting", "theta", "phi", "plan", "gap",
 ];
 
 /** Colours by name, `states` in the order of STATE_NAMES, `series` of groups, `ramp` of a scale; set by readColors. */
@@ -13,7 +13,7 @@ export const colors = {};
 export function readColors() {
   const style = getComputedStyle(document.documentElement);
   for (const name of NAMES) colors[name] = style.getPropertyValue(`--${name}`).trim();
-  colors.states = ["moving", "reached", "held", "failed", "idle", "disabled", "stopped"].map((n) => colors[n]);
+  colors.states = ["moving", "reached", "held", "failed", "idle", "disabled", "stopped", "waiting"].map((n) => colors[n]);
   for (const name of ["series", "ramp"]) colors[name] = style.getPropertyValue(`--${name}`).trim().split(/\s+/);
 }
 
