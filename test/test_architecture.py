@@ -89,6 +89,8 @@ ARROWS = {
         "fiber_positioners",
     },
     "bench.kill": {"fiber_bringup", "kill_others"},
+    "bench.drive": {"bench", "drive_checker"},
+    "bench.drive_checker": {"numpy", "scipy"},  # shares no code with what it judges
     "bench.kill_others": {"fiber_client"},
 }
 # Compartments that may import the simulated plant directly. Run-time code for real buses may not;
