@@ -10,8 +10,9 @@ from fiber_core.presets.desi import DESI, DESI_OUTLINES
 from fiber_core.presets.desi_petals import DESI_PETALS
 from fiber_core.presets.figures import PlaneColumns, Polygon, Preset, on_a_grid, plane_from
 from fiber_core.presets.others import LAMOST, MOONS, PAPER
-from fiber_core.presets.pfs import PFS
+from fiber_core.presets.pfs import PFS, PFS_WINDOWS
 from fiber_core.presets.sdss_v import SDSS_V
+from fiber_core.presets.sdss_v_apo import SDSS_V_APO
 
 __all__ = ["PRESETS", "PlaneColumns", "Polygon", "Preset", "figures_of", "plane_from", "preset"]
 
@@ -22,7 +23,9 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         "desi_outlines": DESI_OUTLINES,
         "desi_petals": DESI_PETALS,
         "pfs": PFS,
+        "pfs_windows": PFS_WINDOWS,
         "sdss_v": SDSS_V,
+        "sdss_v_apo": SDSS_V_APO,
         "moons": MOONS,
         "lamost": LAMOST,
     }

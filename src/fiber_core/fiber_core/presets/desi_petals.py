@@ -11,10 +11,9 @@ import numpy as np
 
 from fiber_core.array_types import Floats, Points
 from fiber_core.convex_parts import convex_parts
-from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets.desi import DESI_OUTLINES, keepouts
-from fiber_core.presets.figures import Polygon, Preset, plane_from
+from fiber_core.presets.figures import Polygon, Preset, checked_number, plane_from
 from fiber_core.walls import distances_to_walls, padded_walls
 
 __all__ = ["DESI_PETALS", "petal_angle", "petal_walls"]
@@ -83,11 +82,7 @@ def _petal_sites() -> Points:
 
 def _plane(figures: Preset, robots: int | None, name: str) -> FocalPlane:
     n = figures.robots
-    robots = n if robots is None else robots
-    if not (robots >= 1 and robots % 1 == 0):
-        raise LayoutError(f"robots must be a positive integer, got {robots}")
-    if robots > n:
-        raise LayoutError(f"preset {name} has {n} sites, {robots} robots are asked for")
+    rows = slice(0, checked_number(figures, robots, name))
     rng = np.random.default_rng(_SEED)
     petal = np.repeat(np.arange(_PETALS), _IN_PETAL)
     centers = _centers(rng, petal)
@@ -113,7 +108,6 @@ def _plane(figures: Preset, robots: int | None, name: str) -> FocalPlane:
         phi_deg=np.where(linear_phi, _EXPANSION_DEG, 0.0),
     )
     limits = np.deg2rad(np.stack([theta, phi], axis=1))
-    rows = slice(0, int(robots))
     return plane_from(
         figures,
         np.arange(n)[rows],

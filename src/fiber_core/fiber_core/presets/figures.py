@@ -10,10 +10,19 @@ from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Floats
 from fiber_core.convex_parts import convex_hull
+from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.hexagonal_grid import hexagonal_centers
 
-__all__ = ["PlaneColumns", "Polygon", "Preset", "on_a_grid", "plane_from", "repeated"]
+__all__ = [
+    "PlaneColumns",
+    "Polygon",
+    "Preset",
+    "checked_number",
+    "on_a_grid",
+    "plane_from",
+    "repeated",
+]
 
 Polygon: TypeAlias = tuple[tuple[float, float], ...]  # corners x, y in the frame of a link [mm]
 
@@ -97,6 +106,22 @@ def on_a_grid(figures: Preset, robots: int | None, name: str) -> FocalPlane:
     robots = figures.robots if robots is None else robots
     centers = hexagonal_centers(robots, figures.pitch_mm, figures.hexagon)
     return plane_from(figures, np.arange(len(centers)), centers, name=name)
+
+
+def checked_number(figures: Preset, robots: int | None, name: str) -> int:
+    """Return the number of robots of a plane that has no more sites than its instrument.
+
+    Raises:
+        LayoutError: the number is not a positive integer, or is more than there are sites.
+    """
+    robots = figures.robots if robots is None else robots
+    if not (robots >= 1 and robots % 1 == 0):
+        raise LayoutError(f"robots must be a positive integer, got {robots}")
+    if robots > figures.robots:
+        raise LayoutError(
+            f"preset {name} has {figures.robots} sites, {robots} robots are asked for"
+        )
+    return int(robots)
 
 
 def plane_from(
