@@ -49,8 +49,8 @@ def test_the_corridors_belong_to_the_orders(run):
     recording = run.done
     exact = joint_corridors(recording.problem.plane, recording.executed, Safety())
     for name in ("low", "high"):
-        recorded, wall = getattr(recording.corridors, name), getattr(exact, name)
-        np.testing.assert_allclose(recorded, wall, atol=1.1e-3)  # rounded inwards
+        recorded, bound = getattr(recording.corridors, name), getattr(exact, name)
+        np.testing.assert_allclose(recorded, bound, atol=1.1e-3)  # rounded inwards
     assert (exact.high - exact.low).max() > 1.0
     assert run.home.corridors is None  # home does not pass the discretizer
     assert run.replaced.corridors is not None

@@ -14,7 +14,7 @@ __all__ = ["JointCorridors"]
 
 @dataclass(frozen=True, eq=False)
 class JointCorridors:
-    """Walls of the corridor of each joint, at equally spaced instants of a motion.
+    """Bounds of the corridor of each joint, at equally spaced instants of a motion.
 
     The instants of a robot go from 0 to the end of its motion. Nothing is known between them.
 
@@ -25,7 +25,7 @@ class JointCorridors:
 
     Raises:
         MotionError: shapes do not fit, a value is not finite, a time is negative, or a low
-            wall is above the high wall.
+            bound is above the high bound.
     """
 
     lasts_s: Times
@@ -42,14 +42,14 @@ class JointCorridors:
             object.__setattr__(self, name, value)
         if self.low.shape != self.high.shape or self.low.shape[2] < 2:
             raise MotionError(
-                f"walls must have the same shape with 2 or more instants, "
+                f"bounds must have the same shape with 2 or more instants, "
                 f"got {self.low.shape} and {self.high.shape}"
             )
         if (self.lasts_s < 0).any():
             raise MotionError(f"lasts_s must be 0 or more, got {self.lasts_s.min()}")
         if (self.low > self.high).any():
             row = int(np.argwhere(self.low > self.high)[0][0])
-            raise MotionError(f"row {row}: the low wall is above the high wall")
+            raise MotionError(f"row {row}: the low bound is above the high bound")
 
     def __len__(self) -> int:
         return len(self.lasts_s)

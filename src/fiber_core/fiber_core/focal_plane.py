@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiber_core import bounds
 from fiber_core.array_types import Angles, Floats, Ids, Ints, Mask, Points, Rows, Velocities
+from fiber_core.coupling import checked_coupling, checked_motor_limits, checked_motor_speeds
 from fiber_core.drive.drive import Drive
 from fiber_core.errors import LayoutError
 from fiber_core.fibres import checked_choice, checked_fibres, checked_names
@@ -68,6 +69,12 @@ class FocalPlane:
         fibre: number of the fibre that the target of each robot is for, -1 where any of them may
             be on the target, shape (n,); by default -1.
         drive: how the motors carry out orders, of n robots; by default ideally.
+        coupling: angles of the two motors by angles of the two joints, as gears couple them,
+            shape (n, k, 2); by default k = 0: each joint has a motor of its own.
+        motor_speeds: highest speeds of coupled motors [rad/s], shape (n, k); by default what the
+            joint speeds allow. The joint speeds hold as well.
+        motor_limits: ranges of coupled motors [rad], shape (n, k, 2); by default what the joint
+            ranges allow. The joint ranges hold as well.
 
     Raises:
         LayoutError: a shape does not fit or a value is out of range; names the robot.
@@ -94,6 +101,9 @@ class FocalPlane:
     fibre_names: tuple[str, ...]
     fibre: Ints
     drive: Drive
+    coupling: Floats
+    motor_speeds: Floats
+    motor_limits: Floats
 
     def __init__(
         self,
@@ -118,6 +128,9 @@ class FocalPlane:
         fibre_names: tuple[str, ...] | None = None,
         fibre: ArrayLike | None = None,
         drive: Drive | None = None,
+        coupling: ArrayLike | None = None,
+        motor_speeds: ArrayLike | None = None,
+        motor_limits: ArrayLike | None = None,
     ):
         n = np.size(ids)
         bounds.check_number(n, "number of robots", 0, bounds.MAX_ROBOTS, LayoutError)
@@ -154,6 +167,11 @@ class FocalPlane:
         self._check_ids()
         self._check_values()
         self._check_addresses()
+        gears = checked_coupling(coupling, self.ids)
+        turns = checked_motor_limits(motor_limits, gears, self.limits, self.ids)
+        self._set("coupling", gears)
+        self._set("motor_speeds", checked_motor_speeds(motor_speeds, gears, self.speeds, self.ids))
+        self._set("motor_limits", turns)
 
     def _set(self, field: str, value: NDArray[Any] | float | str | tuple[str, ...] | Drive) -> None:
         object.__setattr__(self, field, value)  # the class is frozen

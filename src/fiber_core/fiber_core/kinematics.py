@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Bools, Floats, Ints, Points
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.motors import in_motor_range
 
 __all__ = [
     "RIM_MM",
@@ -139,7 +140,7 @@ class Solutions(NamedTuple):
 
     Args:
         angles: joint angles [rad], shape (n, s, 2); nan where there is no solution.
-        valid: which of them are solutions inside the joint limits, shape (n, s).
+        valid: which of them are solutions inside the limits of joints and motors, shape (n, s).
         fibre: number of the fibre that is on the point, shape (n, s).
         is_left: whether the elbow is the left one of that fibre, shape (n, s).
     """
@@ -167,8 +168,9 @@ def inverse(plane: FocalPlane, points: ArrayLike) -> tuple[Floats, Bools]:
 def solutions(plane: FocalPlane, points: ArrayLike) -> Solutions:
     """Return every configuration that puts a fibre on a point: both elbows, all turns in range.
 
-    The solutions come first in the row of a robot, by fibre, phi
-    turned counter-clockwise before clockwise; the other entries are nan. A point up to 1e-9 mm
+    Solutions inside the joint ranges come first in the row of a robot, by fibre, phi
+    turned counter-clockwise before clockwise; the other entries are nan. Those with a coupled
+    motor outside its range are not valid. A point up to 1e-9 mm
     outside the annulus counts as on its rim, an angle up to 1e-6 rad beyond a stop
     counts as on the stop. At the centre of a robot with equal arms every theta is a
     solution; the middle of the range of theta represents them.
@@ -190,7 +192,10 @@ def solutions(plane: FocalPlane, points: ArrayLike) -> Solutions:
     angles, fibre = angles[:, :used].copy(), fibre[:, :used].copy()
     aside = np.arctan2(fibres[..., 1], fibres[..., 0])
     bend = angles[..., 1] + np.take_along_axis(aside, fibre, axis=1)
-    return Solutions(angles, np.arange(used) < count[:, None], fibre, np.sin(bend) >= 0)
+    valid = np.arange(used) < count[:, None]
+    if plane.coupling.shape[1]:
+        valid &= in_motor_range(plane, angles)
+    return Solutions(angles, valid, fibre, np.sin(bend) >= 0)
 
 
 def most_configurations(plane: FocalPlane) -> int:

@@ -12,6 +12,7 @@ from fiber_core.clearance import Certificate
 from fiber_core.drive import carried_out, most_motors_on
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
+from fiber_core.motors import alone_s
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.problem import Problem
 
@@ -24,7 +25,7 @@ ORDER_BYTES_BOUND = 35 / 8
 def lower_bound_s(problem: Problem) -> float:
     """Return the time that the slowest robot would need if it were alone [s].
 
-    Each robot takes the elbow and turn that is fastest for it, with both joints at full
+    Each robot takes the elbow and turn that is fastest for it, its slowest joint or motor at full
     speed and acceleration; collisions are ignored. Disabled robots and robots without a
     reachable target do not count.
 
@@ -34,7 +35,8 @@ def lower_bound_s(problem: Problem) -> float:
     movable = np.where(problem.plane.enabled[:, None], problem.targets, np.nan)
     angles, valid = kinematics.inverse(problem.plane, movable)
     travel_s = _travel_s(problem.plane, np.abs(angles - problem.start[:, None]))
-    alone = np.where(valid, travel_s.max(axis=2), np.inf).min(axis=1, initial=np.inf)
+    travel_s = np.maximum(travel_s.max(axis=2), alone_s(problem.plane, problem.start, angles))
+    alone = np.where(valid, travel_s, np.inf).min(axis=1, initial=np.inf)
     return float(alone[np.isfinite(alone)].max(initial=0.0))
 
 

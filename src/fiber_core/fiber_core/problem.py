@@ -120,6 +120,12 @@ def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
             "fibre_names": np.array(plane.fibre_names),
             "fibre": plane.fibre,
         }
+    if plane.coupling.shape[1]:
+        columns |= {
+            "coupling": plane.coupling,
+            "motor_speed_rad_s": plane.motor_speeds,
+            "motor_limits_rad": plane.motor_limits,
+        }
     return columns
 
 
@@ -176,8 +182,8 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
     """Return the problem in named arrays.
 
     Args:
-        data: named arrays, as from problem_columns; outlines, discs, walls, fibres, buses,
-            spacing, envelope, name and the drive may be missing.
+        data: named arrays, as from problem_columns; outlines, discs, walls, fibres, coupling,
+            buses, spacing, envelope, name and the drive may be missing.
         name: name of the plane if the arrays hold none.
 
     Raises:
@@ -216,6 +222,9 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
         fibre_names=tuple(data["fibre_names"].tolist()) if "fibre_names" in data else None,
         fibre=data.get("fibre"),
         drive=_drive_of(data, n),
+        coupling=data.get("coupling"),
+        motor_speeds=data.get("motor_speed_rad_s"),
+        motor_limits=data.get("motor_limits_rad"),
     )
     return Problem(plane, data["start_rad"], data["target_mm"])
 

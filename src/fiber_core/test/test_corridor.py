@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Corridors have walls of one shape, the low wall below the high wall; others are refused."""
+"""Corridors have bounds of one shape, the low bound below the high bound; others are refused."""
 
 import numpy as np
 import pytest
@@ -22,10 +22,10 @@ def test_instants_are_equally_spaced_over_each_motion():
     [
         ([1.0], LOW, LOW, "low has shape"),
         ([1.0, -1.0], LOW, LOW, "lasts_s must be 0 or more, got -1.0"),
-        ([1.0, 1.0], LOW + [[[0.0]], [[2.0]]], LOW + 1, "row 1: the low wall is above"),
+        ([1.0, 1.0], LOW + [[[0.0]], [[2.0]]], LOW + 1, "row 1: the low bound is above"),
         ([1.0, 1.0], LOW, LOW + np.nan, "high must be finite, but holds nan"),
-        ([1.0, 1.0], LOW, LOW[:, :, 1:], "walls must have the same shape"),
-        ([1.0, 1.0], LOW[:, :, :1], LOW[:, :, :1], "walls must have the same shape"),
+        ([1.0, 1.0], LOW, LOW[:, :, 1:], "bounds must have the same shape"),
+        ([1.0, 1.0], LOW[:, :, :1], LOW[:, :, :1], "bounds must have the same shape"),
     ],
 )
 def test_walls_that_are_no_corridor_are_refused(lasts, low, high, words):

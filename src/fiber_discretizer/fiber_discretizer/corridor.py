@@ -2,7 +2,7 @@
 """The corridor of a joint: how far it can turn at each sample without touching a neighbour.
 
 A turn by x changes the gap by lever * x at most, so a step of gap / lever touches no neighbour:
-the walls are approached in such steps (sphere tracing, Hart 1996) and never crossed.
+the bounds are approached in such steps (sphere tracing, Hart 1996) and never crossed.
 """
 
 import math
@@ -14,16 +14,16 @@ from fiber_core.array_types import Bools, Floats, Rows
 from fiber_core.clearance import Neighbours, most_neighbours, posed_gap
 from fiber_core.motion import MotionArrays
 
-__all__ = ["FINEST_RAD", "corridor_walls", "free_intervals"]
+__all__ = ["FINEST_RAD", "corridor_bounds", "free_intervals"]
 
 FINEST_RAD = 2e-3  # a smaller step ends the approach
-_SEARCH_STEPS = 24  # largest number of steps to a wall in a search, which looks for any path
+_SEARCH_STEPS = 24  # largest number of steps to a bound in a search, which looks for any path
 _ALL_STEPS = 1 << 30  # each step is FINEST_RAD or more, so the approach ends by itself
 _OUT_RAD = 0.02  # least step out of a neighbour
 
 
 @njit(cache=True)
-def corridor_walls(
+def corridor_bounds(
     table: Floats,
     levers: Floats,
     limits: Floats,
@@ -37,11 +37,11 @@ def corridor_walls(
     side: int,
     reach: float,
 ) -> tuple[Floats, Floats, Bools]:
-    """Return the walls of a corridor that one joint can pass, all other joints as they are.
+    """Return the bounds of a corridor that one joint can pass, all other joints as they are.
 
     Where the desired angle is not free, the corridor passes on one side of the neighbour that is
     in the way, and intervals before it are traced again on that side if they do not connect. The
-    corridor holds at the samples only. Along a neighbour a wall can be too close: it is where 24
+    corridor holds at the samples only. Along a neighbour a bound can be too close: it is where 24
     steps end.
 
     Args:
@@ -56,11 +56,11 @@ def corridor_walls(
         times: sample times of each robot [s], shape (m, t).
         desired: desired angles of both joints at these times [rad], shape (m, 2, t).
         side: where to pass a neighbour: +1 at higher angles, -1 at lower ones, 0 not at all.
-        reach: largest distance of a wall from the desired angle, or from the nearest free
+        reach: largest distance of a bound from the desired angle, or from the nearest free
             angle [rad].
 
     Returns:
-        Low and high walls [rad], shape (m, t), and whether each corridor is open, shape (m,).
+        Low and high bounds [rad], shape (m, t), and whether each corridor is open, shape (m,).
     """
     m, t = times.shape
     low, high = desired[:, joint].copy(), desired[:, joint].copy()
@@ -161,7 +161,7 @@ def free_intervals(
 
 @njit(cache=True)
 def _free_interval(scene, axis, other_angle, begin, side):
-    # The first free angle from `begin` on, in the direction `side`, and the walls around it at
+    # The first free angle from `begin` on, in the direction `side`, and the bounds around it at
     # one instant; infinity where no angle is free.
     joint, _, bottom, top, _, _ = axis
     angles = np.empty(2)

@@ -19,7 +19,7 @@ from fiber_discretizer.corridor import free_intervals
 __all__ = ["joint_corridors"]
 
 _INSTANTS = 25
-_REACH_RAD = 1.6  # a wall farther away than this is put here
+_REACH_RAD = 1.6  # a bound farther away than this is put here
 _TOLERANCE_MM = 2e-6  # tolerance of the certificate: orders that touch their margin are inside
 
 
@@ -36,7 +36,7 @@ def joint_corridors(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
         safety: gap asked for and timing errors to survive.
 
     Returns:
-        Corridors of all robots, 25 instants each; walls are at most 1.6 rad away.
+        Corridors of all robots, 25 instants each; bounds are at most 1.6 rad away.
     """
     lasts_s = motion.durations.max(axis=1, initial=0.0)
     times = lasts_s[:, None] * np.linspace(0.0, 1.0, _INSTANTS)
@@ -45,14 +45,14 @@ def joint_corridors(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
     required = safety.required_mm(plane, motion, pairs) - _TOLERANCE_MM
     table, levers = bodies_of(plane).table, levers_of(plane)
     neighbours = neighbours_of(plane.n, pairs)
-    walls = np.empty((2, plane.n, 2, _INSTANTS))
+    bounds = np.empty((2, plane.n, 2, _INSTANTS))
     for joint in (0, 1):
-        walls[:, :, joint] = free_intervals(
+        bounds[:, :, joint] = free_intervals(
             table, levers, plane.limits, motion.arrays, neighbours, required,
             joint, times, sent, _REACH_RAD,
         )  # fmt: skip
     # a robot that stands beyond its limits is inside its own corridor
-    return JointCorridors(lasts_s, np.minimum(walls[0], sent), np.maximum(walls[1], sent))
+    return JointCorridors(lasts_s, np.minimum(bounds[0], sent), np.maximum(bounds[1], sent))
 
 
 def _angles_at(motion: SegmentMotion, times: Floats) -> Floats:

@@ -15,7 +15,7 @@ from fiber_core.clearance import (
 )
 from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
-from fiber_discretizer.corridor import FINEST_RAD, corridor_walls, free_intervals
+from fiber_discretizer.corridor import FINEST_RAD, corridor_bounds, free_intervals
 
 REQUIRED_MM = 0.1
 TRIANGLE = [[0.0, 0.0], [10.4, 0.0], [5.2, 9.0]]
@@ -47,10 +47,10 @@ def scene_of(plane, motion):
     return scene, times, angles
 
 
-def walls(plane, motion, joint, side):
-    """Walls of a joint of robot 0 among the others, around its own motion."""
+def bounds(plane, motion, joint, side):
+    """Bounds of a joint of robot 0 among the others, around its own motion."""
     scene, times, angles = scene_of(plane, motion)
-    low, high, is_open = corridor_walls(
+    low, high, is_open = corridor_bounds(
         *scene, np.array([0]), joint, times[None], angles[:1], side, REACH_RAD
     )
     return angles, low[0], high[0], bool(is_open[0])
@@ -78,10 +78,10 @@ def least_spare_gap(plane, angles, joint, turned):
     joint=st.sampled_from([0, 1]),
     side=st.sampled_from([-1, 0, 1]),
 )
-def test_a_joint_between_the_walls_touches_no_neighbour(plane_at, seed, joint, side):
+def test_a_joint_between_the_bounds_touches_no_neighbour(plane_at, seed, joint, side):
     rng = np.random.default_rng(seed)
     plane = plane_at(TRIANGLE, obstacles=[[-4.0, 5.0, 1.5]])
-    angles, low, high, is_open = walls(plane, random_motion(rng, 3), joint, side)
+    angles, low, high, is_open = bounds(plane, random_motion(rng, 3), joint, side)
     if not is_open:  # the intervals of a joint at rest overlap in its angle
         unsafe = least_spare_gap(plane, angles, joint, angles[0, joint]).min() < 1e-9
         assert side != 0 or np.ptp(angles[0, joint]) > 0.0 or unsafe
@@ -131,19 +131,19 @@ def test_a_corridor_goes_around_an_obstacle(plane_at, side):
     plane = plane_at([[0.0, 0.0]], obstacles=[[6.0, 0.0, 0.8]], limits=limits)
     start = np.array([[-1.5, 0.0]])
     motion = SegmentMotion(start, [0, 1, 1], [1.5], [2.0])
-    angles, low, high, is_open = walls(plane, motion, 1, side)
+    angles, low, high, is_open = bounds(plane, motion, 1, side)
     assert is_open
     middle = slice(SAMPLES // 2 - 1, SAMPLES // 2 + 2)
     assert np.all(side * (low + high)[middle] > 0.0)  # folded to that side at the disc
     assert low[0] <= 0.0 <= high[0] and low[-1] <= 0.0 <= high[-1]
     assert np.all(low[1:] <= high[:-1]) and np.all(high[1:] >= low[:-1])  # it can be passed
-    assert not walls(plane, motion, 1, 0)[3]
+    assert not bounds(plane, motion, 1, 0)[3]
 
 
 def test_a_robot_without_neighbours_has_the_full_reach(plane_at):
     plane = plane_at([[0.0, 0.0], [100.0, 0.0]])
     motion = SegmentMotion.at_rest([[0.0, 1.5], [0.0, 1.5]])
-    _, low, high, is_open = walls(plane, motion, 0, 0)
+    _, low, high, is_open = bounds(plane, motion, 0, 0)
     assert is_open
     np.testing.assert_allclose(high, REACH_RAD)
     np.testing.assert_allclose(low, -REACH_RAD)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Corridors of sent orders: no robots meet inside, and neighbours are at their walls."""
+"""Corridors of sent orders: no robots meet inside, and neighbours are at their bounds."""
 
 import itertools
 
@@ -57,23 +57,23 @@ def test_inside_a_corridor_every_gap_is_at_least_the_required_gap(case):
             assert (gaps(plane, pairs[own], angles) >= required[own] - 1e-4).all(), row
 
 
-def test_every_wall_is_at_a_neighbour_at_a_limit_or_far_away(case):
+def test_every_bound_is_at_a_neighbour_at_a_limit_or_far_away(case):
     # so a joint that passes close to a neighbour at one instant has a corridor at all others
     plane, motion, corridors = case
     pairs = certified_pairs(plane, motion, SAFETY)
     required, levers = SAFETY.required_mm(plane, motion, pairs), levers_of(plane)
-    walls_met = 0
+    bounds_met = 0
     for row, k in itertools.product(range(motion.n), (0, 6, 12, 18, 24)):
         own = (pairs == row).any(axis=1)
         angles = motion(corridors.times_s(row)[k])
         for joint, side in itertools.product((0, 1), (0, 1)):
-            wall = (corridors.low, corridors.high)[side][row, joint, k]
+            bound = (corridors.low, corridors.high)[side][row, joint, k]
             limit = plane.limits[row, joint, side]
-            if abs(wall - angles[row, joint]) > 1.59 or abs(wall - limit) < 1e-9:
+            if abs(bound - angles[row, joint]) > 1.59 or abs(bound - limit) < 1e-9:
                 continue
             turned = angles.copy()
-            turned[row, joint] = wall
+            turned[row, joint] = bound
             spare = gaps(plane, pairs[own], turned) - required[own]
             assert spare.min() < FINEST_RAD * levers[row, joint] + 1e-5, (row, joint, k)
-            walls_met += 1
-    assert walls_met > 20
+            bounds_met += 1
+    assert bounds_met > 20

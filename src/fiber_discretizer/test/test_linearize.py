@@ -25,13 +25,13 @@ def corridor(seed, samples, kind):
         "pinched": np.where(rng.random(samples) < 0.1, 0.0, 0.3),
         "random": rng.uniform(0.0, 0.2, samples),
     }.get(kind)
-    if kind == "noise at the wall":
+    if kind == "noise at the bound":
         profile = 0.3 * np.sin(4 * time_s) + 0.01 * rng.choice([-1.0, 1.0], samples)
         width = np.full(samples, 0.02)
     return time_s, profile, width
 
 
-KINDS = ("wide", "unbounded", "zero", "opens late", "pinched", "random", "noise at the wall")
+KINDS = ("wide", "unbounded", "zero", "opens late", "pinched", "random", "noise at the bound")
 corridors = st.builds(
     corridor, st.integers(0, 2**32 - 1), st.integers(1, 80), st.sampled_from(KINDS)
 )
@@ -63,7 +63,7 @@ def test_path_is_inside_its_corridor_everywhere_and_meets_both_ends(method, one)
 def test_path_is_never_faster_than_its_limit_or_its_profile(method, one):
     time_s, profile, width = one
     fastest = np.abs(np.diff(profile) / np.diff(time_s)).max(initial=0.0)
-    limit = fastest * (1 + 1e-6) + 1e-6  # walls are met within 1e-9 rad
+    limit = fastest * (1 + 1e-6) + 1e-6  # bounds are met within 1e-9 rad
     path = path_of(one, method, limit)
     assert len(path.time_s) >= 1
     speeds = np.abs(np.diff(path.angles) / np.diff(path.time_s))

@@ -14,7 +14,7 @@ STEP, PARTS, ROWS = 1.0, 4, 17
 
 
 def coarse_corridor(seed):
-    """A random corridor on whole numbers: times, profile, walls."""
+    """A random corridor on whole numbers: times, profile, bounds."""
     rng = np.random.default_rng(seed)
     samples = int(rng.integers(3, 9))
     low = rng.integers(0, ROWS - 2, samples)
@@ -72,7 +72,7 @@ def links_by_windows(low, high):
 
     From a point or a window, the lines through any two corners of the corridor, window ends
     included, are followed as far as they stay inside; the one that gets farthest carries
-    the next window, from where it touches the other wall last to where it leaves.
+    the next window, from where it touches the other bound last to where it leaves.
     """
     gates = len(low)
     x, y = np.empty(2 * gates + 2), np.empty(2 * gates + 2)
@@ -108,9 +108,9 @@ def links_by_windows(low, high):
                             on_high = stop
                         k += 1
                         continue
-                    wall = low if angle < low[k] else high
-                    before = y[p] + slope * (k - 1 - x[p]) - wall[k - 1]
-                    after = angle - wall[k]
+                    bound = low if angle < low[k] else high
+                    before = y[p] + slope * (k - 1 - x[p]) - bound[k - 1]
+                    after = angle - bound[k]
                     leaves = k - 1 + before / (before - after)
                     stop = max(stop, leaves)
                     touch = on_high if angle < low[k] else on_low

@@ -19,11 +19,11 @@ from fiber_msgs_py.table import column_names, decode_table, encode_table
 __all__ = ["decode", "encode"]
 
 _COLUMNS = {"id": "<u4", "lasts": "<f4"}
-_WALLS = ("theta_low", "theta_high", "phi_low", "phi_high")
+_BOUNDS = ("theta_low", "theta_high", "phi_low", "phi_high")
 
 
 def encode(ids: ArrayLike, corridors: JointCorridors, stamp: PlanStamp) -> PointCloud2:
-    """Return corridors as a message: a row for each robot, walls at equally spaced instants.
+    """Return corridors as a message: a row for each robot, bounds at equally spaced instants.
 
     Args:
         ids: robot ids, shape (k,).
@@ -37,9 +37,11 @@ def encode(ids: ArrayLike, corridors: JointCorridors, stamp: PlanStamp) -> Point
     if len(corridors) != len(ids):
         raise MessageError("corridors", f"robots, but {len(ids)} ids", value=len(corridors))
     instants = corridors.low.shape[2]
-    rows = np.empty(len(ids), [*_COLUMNS.items(), *((name, "<f4", (instants,)) for name in _WALLS)])
+    rows = np.empty(
+        len(ids), [*_COLUMNS.items(), *((name, "<f4", (instants,)) for name in _BOUNDS)]
+    )
     rows["id"], rows["lasts"] = ids, corridors.lasts_s
-    for k, name in enumerate(_WALLS):
+    for k, name in enumerate(_BOUNDS):
         rows[name] = (corridors.low, corridors.high)[k % 2][:, k // 2]
     return encode_table(rows, stamp)
 
@@ -48,18 +50,18 @@ def decode(message: PointCloud2) -> tuple[Ids, JointCorridors]:
     """Return robot ids, shape (k,), and their corridors.
 
     Raises:
-        MessageError: malformed table, a robot twice, walls of different lengths, or values that
+        MessageError: malformed table, a robot twice, bounds of different lengths, or values that
             are not corridors.
     """
-    rows = decode_table(message, "corridors", _COLUMNS, dict.fromkeys(_WALLS, "<f4"))
+    rows = decode_table(message, "corridors", _COLUMNS, dict.fromkeys(_BOUNDS, "<f4"))
     ids = checked_ids(rows["id"].astype(np.int64), "corridors")
-    missing = [name for name in _WALLS if name not in column_names(rows)]
+    missing = [name for name in _BOUNDS if name not in column_names(rows)]
     if missing:
         raise MessageError("corridors", "is missing", field="field", value=missing[0])
-    lengths = {rows[name].shape[1] for name in _WALLS}
+    lengths = {rows[name].shape[1] for name in _BOUNDS}
     if len(lengths) > 1:
-        raise MessageError("corridors", "instants differ", field="walls of", value=sorted(lengths))
-    low, high = (np.stack([rows[_WALLS[w]], rows[_WALLS[w + 2]]], axis=1) for w in (0, 1))
+        raise MessageError("corridors", "instants differ", field="bounds of", value=sorted(lengths))
+    low, high = (np.stack([rows[_BOUNDS[w]], rows[_BOUNDS[w + 2]]], axis=1) for w in (0, 1))
     try:
         with np.errstate(invalid="ignore"):  # a signalling nan; it is refused
             return ids, JointCorridors(rows["lasts"], low, high)

@@ -36,6 +36,8 @@ _OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8", "wall": "<f8", "fibre
 # uncertainties [rad]; a plane with an ideal drive has no such column
 _DRIVE = {"drive": "<f8"}
 _DRIVE_NUMBERS = 5
+# of robots with coupled joints: the rows of the matrix, the speeds [rad/s], and low, high [rad]
+_MOTORS = {"coupling": "<f8", "motor_speed": "<f8", "motor_range": "<f8"}
 
 
 def encode(
@@ -65,7 +67,13 @@ def encode(
     outlines = [(name, "<f8", (2 * v.shape[1],)) for name, v in vertices.items() if v.shape[1]]
     corners = [("wall", "<f8", (2 * plane.walls.shape[1],))] if len(plane.walls) else []
     drives = [] if plane.drive.is_ideal else [("drive", "<f8", (_DRIVE_NUMBERS,))]
-    dtype = [*_COLUMNS.items(), *outlines, *corners, *drives]
+    motors = {
+        "coupling": plane.coupling,
+        "motor_speed": plane.motor_speeds,
+        "motor_range": plane.motor_limits,
+    }
+    gears = [(name, "<f8", (v[0].size,)) for name, v in motors.items() if v.shape[1]]
+    dtype = [*_COLUMNS.items(), *outlines, *corners, *drives, *gears]
     rows = np.zeros(n + plane.fixtures, dtype=dtype)
     robots, fixed, walls = np.split(rows, [n, n + len(discs)])
     robots["kind"], robots["enabled"] = _ROBOT, plane.enabled
@@ -83,6 +91,8 @@ def encode(
         robots[name] = values / 1e3
     for name, _, (width,) in outlines:
         robots[name] = vertices[name].reshape(n, width) / 1e3
+    for name, _, (width,) in gears:
+        robots[name] = motors[name].reshape(n, width)
     robots["theta_min"], robots["theta_max"] = plane.limits[:, 0].T
     robots["phi_min"], robots["phi_max"] = plane.limits[:, 1].T
     robots["theta_speed"], robots["phi_speed"] = plane.speeds.T
@@ -110,7 +120,7 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
             a value that differs between rows and must not, or a value that is not possible for a
             robot; names robot and value.
     """
-    rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES | _DRIVE)
+    rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES | _DRIVE | _MOTORS)
     kind, ids = rows["kind"], rows["id"]
     why = "is neither 0 (robot), 1 (disc) nor 2 (wall)"
     refuse(kind > _WALL, "layout", "kind", ids, kind, why)
@@ -161,6 +171,9 @@ def _plane(robots: np.ndarray, fixed: np.ndarray, walls: np.ndarray) -> FocalPla
         envelope_mm=float(robots["envelope"][0]) * 1e3,
         fibres=_vertices(robots, "fibres"),
         drive=_drive(robots),
+        coupling=_of_motors(robots, "coupling", 2),
+        motor_speeds=_of_motors(robots, "motor_speed", 1),
+        motor_limits=_of_motors(robots, "motor_range", 2),
     )
 
 
@@ -198,6 +211,18 @@ def _vertices(rows: np.ndarray, name: str) -> Floats:
             "layout", "numbers, expected pairs", field=f"{name} has", value=values.shape[1]
         )
     return values.reshape(len(rows), -1, 2) * 1e3
+
+
+def _of_motors(rows: np.ndarray, name: str, each: int) -> Floats | None:
+    # numbers of both coupled motors, `each` of either; None without the column
+    if name not in column_names(rows):
+        return None
+    values = rows[name]
+    if values.shape[1] != 2 * each:
+        raise MessageError(
+            "layout", f"numbers, expected {2 * each}", field=f"{name} has", value=values.shape[1]
+        )
+    return values.reshape(len(rows), 2, 2) if each == 2 else values
 
 
 def _units(row: np.void) -> WireUnits:

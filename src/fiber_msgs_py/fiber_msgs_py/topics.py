@@ -195,7 +195,12 @@ LAYOUT = _topic(
     "One row a robot: place, arms, outlines, limits, speeds, bus, address, wire units, whether it "
     "can be commanded; fixed discs and walls. Once a second at rest.",
 )  # fmt: skip
-TARGETS = _topic("targets", PointCloud2, qos.EVENTS, "Id, x, y [m] of the robots with a target.")
+TARGETS = _topic(
+    "targets",
+    PointCloud2,
+    qos.EVENTS,
+    "Id, x, y [m] of the robots with a target; the number of its fibre where targets name them.",
+)
 TRAJECTORY = _topic(
     "trajectory", JointTrajectory, qos.LATEST,
     "Joints `p0042/theta` and `p0042/phi` of all robots [rad]. The discretizer hears publishers "

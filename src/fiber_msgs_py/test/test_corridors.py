@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Corridors: walls come back in single precision, and impossible corridors are refused."""
+"""Corridors: bounds come back in single precision, and impossible corridors are refused."""
 
 import numpy as np
 import pytest
@@ -56,8 +56,8 @@ def table(stamp, **changed):
     ("changed", "words"),
     [
         ({"phi_low": None}, "phi_low is missing"),
-        ({"phi_low": np.zeros((2, 4), "<f4")}, r"walls of \[3, 4\]"),
-        ({"theta_low": np.full((2, 3), 99, "<f4")}, "row 0: the low wall is above"),
+        ({"phi_low": np.zeros((2, 4), "<f4")}, r"bounds of \[3, 4\]"),
+        ({"theta_low": np.full((2, 3), 99, "<f4")}, "row 0: the low bound is above"),
         ({"lasts": np.array([-1, 2], "<f4")}, "lasts_s must be 0 or more, got -1.0"),
         ({"phi_high": np.full((2, 3), np.nan, "<f4")}, "nan"),
         ({"id": np.array([4, 4], "<u4")}, "robot 4: id 4 appears twice"),

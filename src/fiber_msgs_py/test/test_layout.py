@@ -10,8 +10,12 @@ from fiber_core.drive import Drive
 from fiber_core.errors import FiberError
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import MessageError, layout
+from fiber_msgs_py.table import encode_table
 
-LISTS = ("phi_outline", "theta_outline", "wall", "fibres", "drive")
+LISTS = (
+    *("phi_outline", "theta_outline", "wall", "fibres", "drive"),
+    *("coupling", "motor_speed", "motor_range"),
+)
 UNITS = WireUnits(tick_us=60_000, quantum_prad=4_000_000_000, velocity_bits=16, duration_bits=12)
 
 
@@ -178,3 +182,38 @@ def test_a_drive_that_no_robot_can_have_is_refused(plane, stamp):
         raw_rows(message)["drive"][1 if value > 0 else slice(None), 0] = value
         with pytest.raises(MessageError, match=words):
             layout.decode(message)
+
+
+def test_gears_are_numbers_of_columns_that_plain_planes_lack(plane, stamp):
+    gears = np.array([[1.0, 0.0], [-1.5, 1.5]]) + 0.1 * np.arange(3)[:, None, None]
+    coupled = replace(
+        plane, coupling=gears, motor_speeds=[[3.0, 2.0]] * 3, motor_limits=[[[-4, 4], [0, 9]]] * 3
+    )
+    message = layout.encode(coupled, UNITS, stamp)
+    found, _ = layout.decode(message)
+    for name in ("coupling", "motor_speeds", "motor_limits"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(coupled, name))
+    names = raw_rows(layout.encode(plane, UNITS, stamp)).dtype.names
+    assert not {"coupling", "motor_speed", "motor_range"} & set(names)
+    rows = np.array(raw_rows(message))
+    rows["motor_speed"][1] = np.nan
+    message.data = rows.tobytes()
+    with pytest.raises(MessageError, match="robot 42: motor_speeds must be"):
+        layout.decode(message)
+    rows = raw_rows(layout.encode(coupled, UNITS, stamp))
+    short = encode_table(without_last_number(rows, "coupling"), stamp)
+    with pytest.raises(MessageError, match="coupling has .*3 numbers, expected 4"):
+        layout.decode(short)
+
+
+def without_last_number(rows, name):
+    types = [
+        (n, rows.dtype[n].base, (rows.dtype[n].shape[0] - (n == name),))
+        if rows.dtype[n].shape
+        else (n, rows.dtype[n])
+        for n in rows.dtype.names
+    ]
+    changed = np.zeros(len(rows), dtype=types)
+    for n in rows.dtype.names:
+        changed[n] = rows[n][:, :-1] if n == name else rows[n]
+    return changed

@@ -16,6 +16,7 @@ from fiber_core.clearance import (
     pair_gap_below,
 )
 from fiber_core.metrics import lower_bound_s
+from fiber_core.motors import alone_s
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 
@@ -33,11 +34,9 @@ def travel_s(problem: Problem, goal: ArrayLike) -> Floats:
         goal: configurations [rad], shape (n, ..., 2), one or several for each robot.
 
     Returns:
-        The time of the slower joint, shape (n, ...).
+        The time of the slowest joint or coupled motor, shape (n, ...).
     """
-    several = (slice(None),) + (None,) * (np.ndim(goal) - 2)
-    change = np.abs(np.asarray(goal, dtype=np.float64) - problem.start[several])
-    return np.asarray((change / problem.plane.speeds[several]).max(axis=-1))
+    return alone_s(problem.plane, problem.start, goal)
 
 
 def choose_goals(problem: Problem, margin_mm: float = 0.1) -> tuple[Angles, Codes]:

@@ -14,6 +14,7 @@ from fiber_core import kinematics
 from fiber_core.array_types import Codes, Mask
 from fiber_core.assignment import Assignment, assign
 from fiber_core.focal_plane import FIXED_JOINT_RAD, FocalPlane
+from fiber_core.motors import alone_s, longest_move_s
 from fiber_core.outcomes import Reason, first_reason, holds
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
@@ -133,10 +134,9 @@ def _too_slow(problem: Problem) -> Mask:
     fixed = np.diff(plane.limits, axis=2)[:, :, 0] <= FIXED_JOINT_RAD
     slow = np.any((plane.speeds < units.velocity_rad_s) & ~fixed, axis=1)
     longest_s = 0.5 * units.longest_order_s
-    whole_range_s = (np.ptp(plane.limits, axis=2) / plane.speeds).max(axis=1)
-    for row in np.flatnonzero(~slow & problem.asked & (whole_range_s > longest_s)):
+    for row in np.flatnonzero(~slow & problem.asked & (longest_move_s(plane) > longest_s)):
         alone = plane.permuted([row])
         angles, valid = kinematics.inverse(alone, problem.targets[[row]])
-        turn = np.abs(angles[0][valid[0]] - problem.start[row])
-        slow[row] = (turn / plane.speeds[row]).max(axis=1).min(initial=np.inf) > longest_s
+        time_s = alone_s(alone, problem.start[[row]], angles)[0][valid[0]]
+        slow[row] = time_s.min(initial=np.inf) > longest_s
     return slow & plane.enabled

@@ -28,6 +28,7 @@ from fiber_planner.direct.shortcut import shortcut_profiles
 from fiber_planner.direct.splitmix64 import next_uniform, place_keys, seeded_rng
 from fiber_planner.direct.time_grid import TimeGrid, time_grid
 
+_STEP_S = 0.1  # joints that are not coupled have no use for it
 _STEPS = 24
 
 
@@ -216,7 +217,7 @@ def test_an_unneeded_detour_becomes_a_line_and_a_needed_one_stays():
     q[1, 0] = np.interp(time, [0, 4, 16], [0.0, 0.3, -1.0])  # it looks the other way
     plan = _plan(scene, q.copy(), 0.1)
     assert measure_all(scene, plan) == 0
-    assert shortcut_profiles(scene, plan) == 2
+    assert shortcut_profiles(scene, plan, _STEP_S) == 2
     assert measure_all(scene, plan) == 0
     assert np.allclose(plan.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
     assert np.allclose(plan.q[1, 0], np.linspace(0.0, -1.0, _STEPS + 1))
@@ -225,7 +226,7 @@ def test_an_unneeded_detour_becomes_a_line_and_a_needed_one_stays():
     q[1, 0] = np.interp(time, [0, 8, 16], [np.pi, np.pi, np.pi + 1.5])  # it leaves first
     plan = _plan(scene, q.copy(), 0.1)
     assert measure_all(scene, plan) == 0
-    shortcut_profiles(scene, plan)
+    shortcut_profiles(scene, plan, _STEP_S)
     assert measure_all(scene, plan) == 0
     assert np.array_equal(plan.q[0], q[0])  # and is waited for
     assert np.array_equal(plan.q[:, :, [0, -1]], q[:, :, [0, -1]])
@@ -257,12 +258,12 @@ def test_a_robot_that_had_to_wait_is_tried_again_once_its_neighbour_has_changed(
     plan = _plan(scene, q, 0.1)
     scene.movable[1] = False  # not for shortcut_profiles to change
     assert measure_all(scene, plan) == 0
-    assert shortcut_profiles(scene, plan) == 0
+    assert shortcut_profiles(scene, plan, _STEP_S) == 0
     plan.q[1, 0] = np.linspace(0.0, -1.0, _STEPS + 1)  # now it looks the other way
     assert measure_all(scene, plan) == 0
-    assert shortcut_profiles(scene, plan) == 0  # no robot is marked as changed
+    assert shortcut_profiles(scene, plan, _STEP_S) == 0  # no robot is marked as changed
     mark_changed(scene, plan, 1)
-    assert shortcut_profiles(scene, plan) == 1
+    assert shortcut_profiles(scene, plan, _STEP_S) == 1
     assert np.allclose(plan.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
 
 

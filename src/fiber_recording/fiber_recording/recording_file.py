@@ -112,12 +112,12 @@ def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
         )
     if recording.corridors is not None:
         corridors = recording.corridors
-        walls = [
+        bounds = [
             np.ceil(corridors.low / _CORRIDOR_STEP_RAD),
             np.floor(corridors.high / _CORRIDOR_STEP_RAD),
         ]
         columns["margin_lasts_s"] = corridors.lasts_s.astype("<f4")
-        columns["margin_step_mrad"] = _differences(np.stack(walls, axis=2), "<i2")
+        columns["margin_step_mrad"] = _differences(np.stack(bounds, axis=2), "<i2")
     return columns
 
 
@@ -239,7 +239,7 @@ def _phases(data: _Columns, units: WireUnits) -> tuple[Phase, ...]:
 def _corridors(data: _Columns) -> JointCorridors | None:
     if "margin_lasts_s" not in data:
         return None
-    walls = _CORRIDOR_STEP_RAD * np.cumsum(data["margin_step_mrad"], axis=-1, dtype=np.int64)
-    low, high = walls[:, :, 0], walls[:, :, 1]
-    # rounding inwards can put the low wall above the high one: then the corridor is one angle
+    bounds = _CORRIDOR_STEP_RAD * np.cumsum(data["margin_step_mrad"], axis=-1, dtype=np.int64)
+    low, high = bounds[:, :, 0], bounds[:, :, 1]
+    # rounding inwards can put the low bound above the high one: then the corridor is one angle
     return JointCorridors(data["margin_lasts_s"], np.minimum(low, high), high)

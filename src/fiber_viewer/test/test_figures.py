@@ -166,12 +166,12 @@ def test_positions_show_trajectory_corridor_segments_and_readings(request, name)
         edges = [band.get_paths()[0].vertices for band in forbidden]
         ends = 1e-6 * phase.stop_us[row] if phase.stopped[row] else corridors.lasts_s[row]
         bottom, top = axes.get_ylim()
-        for edge, from_deg, wall in zip(edges, (bottom, top), (corridors.low, corridors.high)):
+        for edge, from_deg, bound in zip(edges, (bottom, top), (corridors.low, corridors.high)):
             assert edge[:, 0].max() == pytest.approx(ends)
             for k, t in enumerate(corridors.times_s(row)):
                 if t < ends:
                     drawn = edge[np.isclose(edge[:, 0], t), 1]
-                    both = sorted([from_deg, np.rad2deg(wall[row, joint, k])])
+                    both = sorted([from_deg, np.rad2deg(bound[row, joint, k])])
                     np.testing.assert_allclose([drawn.min(), drawn.max()], both)
 
 

@@ -271,8 +271,8 @@ def test_the_corridor_is_that_of_the_recording_and_ends_at_a_stop(node, request,
             until = 1e-6 * first.stop_us[row] if first.stopped[row] else np.inf
             ends = min(until, corridors.lasts_s[row])
             assert time_s[-1] == pytest.approx(ends) and (np.diff(time_s) > 0).all()
-            for drawn, wall in ((low, corridors.low), (high, corridors.high)):
-                exact = np.interp(time_s, corridors.times_s(row), wall[row, joint])
+            for drawn, bound in ((low, corridors.low), (high, corridors.high)):
+                exact = np.interp(time_s, corridors.times_s(row), bound[row, joint])
                 np.testing.assert_allclose(np.deg2rad(drawn), exact, atol=1.1e-3)
 
 

@@ -14,6 +14,7 @@ from fiber_core.clearance.safety import Safety
 from fiber_core.drive.curves import CurveMotion, carried_out
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
+from fiber_core.motors import motors_broken
 
 __all__ = ["Certificate", "certified_pairs", "certify", "smallest_gaps", "unproven"]
 
@@ -31,8 +32,8 @@ class Certificate:
             tolerance of that gap where it is below the required gap or the smallest of all.
         time_s: instant of the smallest gap found of each pair [s], shape (p,).
         unsafe: pairs not proven to keep their required gap, shape (p,).
-        limits_broken: robots that move a joint outside its limits, or faster or harder than it
-            can, shape (n,).
+        limits_broken: robots that move a joint or a coupled motor outside its limits, or faster or
+            harder than it can, shape (n,).
         moved_disabled: disabled robots that move, shape (n,).
     """
 
@@ -210,12 +211,13 @@ def certificate_of(
 
 
 def limits_broken(plane: FocalPlane, motion: SegmentMotion | CurveMotion) -> Mask:
-    """Return the robots that move a joint outside its limits, or faster or harder than it can."""
+    """Return the robots that move a joint or motor outside its limits, too fast or too hard."""
     low, high = np.moveaxis(plane.limits, -1, 0)
     outside = (motion.lowest < low - 1e-9) | (motion.highest > high + 1e-9)
     too_fast = motion.fastest > plane.speeds * (1 + 1e-9)
     too_hard = motion.hardest > plane.drive.acceleration_rad_s2 * (1 + 1e-9)
-    return np.any((motion.fastest > 0.0) & outside | too_fast | too_hard, axis=1)
+    of_joints: Mask = np.any((motion.fastest > 0.0) & outside | too_fast | too_hard, axis=1)
+    return of_joints | motors_broken(plane, motion)
 
 
 def moved_disabled(plane: FocalPlane, motion: SegmentMotion | CurveMotion) -> Mask:

@@ -13,6 +13,7 @@ from fiber_core.presets.others import LAMOST, MOONS, PAPER
 from fiber_core.presets.pfs import PFS, PFS_WINDOWS
 from fiber_core.presets.sdss_v import SDSS_V
 from fiber_core.presets.sdss_v_apo import SDSS_V_APO
+from fiber_core.presets.spec_s5 import SPEC_S5
 
 __all__ = ["PRESETS", "PlaneColumns", "Polygon", "Preset", "figures_of", "plane_from", "preset"]
 
@@ -28,6 +29,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         "sdss_v_apo": SDSS_V_APO,
         "moons": MOONS,
         "lamost": LAMOST,
+        "spec_s5": SPEC_S5,
     }
 )
 

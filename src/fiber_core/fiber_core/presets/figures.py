@@ -84,6 +84,9 @@ class PlaneColumns(TypedDict, total=False):
     walls: ArrayLike | None
     fibres: ArrayLike | None
     fibre_names: tuple[str, ...] | None
+    coupling: ArrayLike | None
+    motor_speeds: ArrayLike | None
+    motor_limits: ArrayLike | None
     bus: ArrayLike | None
     address: ArrayLike | None
     spacing_mm: float

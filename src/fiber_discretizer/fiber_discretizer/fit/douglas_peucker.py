@@ -25,7 +25,7 @@ def bisection_knots(
     Args:
         time_s: sample times [s], shape (t,).
         profiles: joint angles [rad], shape (p, t).
-        low, high: walls of the corridors [rad], shape (p, t).
+        low, high: bounds of the corridors [rad], shape (p, t).
         last: sample at which each profile ends, shape (p,).
 
     Returns:

@@ -16,13 +16,13 @@ def greedy_knots(
     """Return the samples at which the lines along each profile meet, ends included.
 
     From a knot on the profile the next is the farthest sample that a straight line inside the
-    corridor reaches. The slopes that pass all walls up to there are an interval that only
+    corridor reaches. The slopes that pass all bounds up to there are an interval that only
     shrinks.
 
     Args:
         time_s: sample times [s], shape (t,).
         profiles: joint angles [rad], shape (p, t).
-        low, high: walls of the corridors [rad], shape (p, t).
+        low, high: bounds of the corridors [rad], shape (p, t).
         last: sample at which each profile ends, shape (p,).
 
     Returns:

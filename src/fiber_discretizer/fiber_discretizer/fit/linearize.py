@@ -18,7 +18,7 @@ from fiber_discretizer.fit.min_link import min_link_paths, relaxed_paths
 
 __all__ = ["LINEARIZERS", "Polylines", "linearize", "polylines_of"]
 
-_NOISE_RAD = 1e-9  # a point this close to a wall is inside: 1/1000 of a typical wire quantum
+_NOISE_RAD = 1e-9  # a point this close to a bound is inside: 1/1000 of a typical wire quantum
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,16 +117,16 @@ def linearize(
     """Return a piecewise-linear path inside a corridor for each profile, ends fixed.
 
     A profile that rests at last is followed to where its rest begins. Between samples
-    the profile and the walls of its corridor are straight; at its two ends the corridor is
+    the profile and the bounds of its corridor are straight; at its two ends the corridor is
     the profile.
 
     Args:
         time_s: strictly increasing sample times [s], shape (t,), t >= 1.
         profiles: joint angles [rad], shape (p, t).
-        low, high: walls of the corridors [rad], shape (p, t), may be infinite. "greedy" and
+        low, high: bounds of the corridors [rad], shape (p, t), may be infinite. "greedy" and
             "douglas_peucker" need a profile between them.
         method: a name in LINEARIZERS. "minimal" has the fewest lines of any path; "relaxed"
-            has as few and keeps away from the walls; "greedy" takes each line as far as it
+            has as few and keeps away from the bounds; "greedy" takes each line as far as it
             goes; "douglas_peucker" is the bisection of Makarem et al. 2014 (SPIE, arXiv
             1410.1181). The knots of the last two are samples of the profile.
         speed_rad_s: no line of "minimal" and "relaxed" is faster [rad/s], scalar or shape

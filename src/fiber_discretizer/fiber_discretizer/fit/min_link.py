@@ -4,11 +4,11 @@
 A minimum-link path in a corridor that only goes forward in time (Suri, Computer Vision,
 Graphics and Image Processing 35, 1986; Imai and Iri, Journal of Information Processing 9,
 1986). The part of the corridor that one line from the start can reach ends at a *window*: the
-extreme line touches one wall at b and, later, hits the other wall at c. Every path has to cross
+extreme line touches one bound at b and, later, hits the other bound at c. Every path has to cross
 the window between b and c, and the extreme line reaches every point of the window. So the next
 line is any line that crosses the window, and the first path to reach the end has the fewest
 lines. To find the lines that cross a window and the gates after it, only points have to be
-stabbed: of lower wall and upper wall, in the order of time, as in O'Rourke (Communications of
+stabbed: of lower bound and upper bound, in the order of time, as in O'Rourke (Communications of
 the ACM 24, 1981), with the steepest and the flattest line and the two hulls that they lean on.
 No sample is evaluated more than twice.
 
@@ -26,7 +26,7 @@ from fiber_core.array_types import Floats, Ints, Offsets
 __all__ = ["min_link_paths", "relaxed_paths"]
 
 _STEEPEST = 1e6  # steepest slope of a line [rad/s]; a steeper one would lose digits
-_TINY_RAD = 1e-12  # a wall is hit when a line is this far beyond it
+_TINY_RAD = 1e-12  # a bound is hit when a line is this far beyond it
 _NARROWINGS = 5  # halvings of the share of the corridor that a path may use
 
 
@@ -39,7 +39,7 @@ def min_link_paths(
     Args:
         time_s: sample times [s], shape (t,).
         profiles: joint angles [rad], shape (p, t).
-        low, high: walls of the corridors [rad], shape (p, t).
+        low, high: bounds of the corridors [rad], shape (p, t).
         last: sample at which each path ends, shape (p,).
         fastest: highest speed of each path [rad/s], shape (p,).
 
@@ -57,7 +57,7 @@ def relaxed_paths(
     """Return minimum-link paths that use a small share of their corridors, as min_link_paths.
 
     The share is the smallest, within 1/32, that needs no more lines, of the way from the
-    profile, or from the point of the corridor nearest to it, to the walls.
+    profile, or from the point of the corridor nearest to it, to the bounds.
     """
     return _paths(time_s, profiles, low, high, last, fastest, _NARROWINGS)
 
@@ -108,21 +108,21 @@ def _paths(time_s, profiles, low, high, last, fastest, narrowings):
 
 @njit(cache=True, error_model="numpy")
 def _narrow(low, high, center, share, end, lower, upper):
-    # put the walls at a share of the way from the center to the corridor's own
+    # put the bounds at a share of the way from the center to the corridor's own
     for k in range(1, end):
         lower[k] = center[k] + share * (low[k] - center[k])
         upper[k] = center[k] + share * (high[k] - center[k])
 
 
 class _Extremes(NamedTuple):
-    # The extreme lines of both sides. The upper wall is treated upside down, so that both
-    # walls are below: side 0 is the lower, side 1 the upper wall. The extreme line of a side
-    # leans on that wall at its right and on the other one at its left.
-    x: Floats  # where each line leans on its wall: time,
+    # The extreme lines of both sides. The upper bound is treated upside down, so that both
+    # bounds are below: side 0 is the lower, side 1 the upper bound. The extreme line of a side
+    # leans on that bound at its right and on the other one at its left.
+    x: Floats  # where each line leans on its bound: time,
     y: Floats  # and angle
     slope: Floats
     after: Ints  # the first sample after that point
-    hull_x: Floats  # convex hull of each wall so far
+    hull_x: Floats  # convex hull of each bound so far
     hull_y: Floats
     head: Ints  # first point of each hull that still counts
     size: Ints  # points of each hull
@@ -132,7 +132,7 @@ class _Extremes(NamedTuple):
 def _path(time_s, lower, upper, end, fastest, most, work, knots):
     # Fills in the knots of a path of at most `most` lines; returns the number of knots, 0 if
     # there is no such path.
-    walls = (lower, upper)
+    bounds = (lower, upper)
     steepest = min(fastest, _STEEPEST)
     windows = work[4:9]  # of each stage: a point of the line (time, angle), slope, b, c
     lines = _Extremes(
@@ -141,11 +141,11 @@ def _path(time_s, lower, upper, end, fastest, most, work, knots):
     )  # fmt: skip
     for side in range(2):
         lines.x[side] = lines.hull_x[side, 0] = time_s[0]
-        lines.y[side] = lines.hull_y[side, 0] = (1 - 2 * side) * walls[side][0]
+        lines.y[side] = lines.hull_y[side, 0] = (1 - 2 * side) * bounds[side][0]
         lines.slope[side] = -steepest
     knots[0, 0], knots[1, 0] = time_s[0], lower[0]
     links, k = 1, 1
-    beyond, leaning = 1, 0  # first sample beyond the window; the wall that counts before it
+    beyond, leaning = 1, 0  # first sample beyond the window; the bound that counts before it
     while k <= end:
         x = time_s[k]
         blocked = -1
@@ -157,16 +157,16 @@ def _path(time_s, lower, upper, end, fastest, most, work, knots):
         if blocked >= 0:
             if links >= min(most, end) or lines.slope[blocked] <= -steepest:
                 return 0
-            other_wall = walls[1 - blocked]
-            _open_window(lines, time_s, other_wall, k, blocked, steepest, windows[:, links - 1])
+            other_bound = bounds[1 - blocked]
+            _open_window(lines, time_s, other_bound, k, blocked, steepest, windows[:, links - 1])
             links += 1
-            # The next line is above b and its wall up to c, below c, and then between both.
+            # The next line is above b and its bound up to c, below c, and then between both.
             beyond, leaning, k = k, blocked, lines.after[blocked]
             lines.after[1 - blocked] = beyond
             continue
         for side in range(2):
             if k >= beyond or side == leaning:
-                _lean(lines, side, k, x, (1 - 2 * side) * walls[side][k], steepest)
+                _lean(lines, side, k, x, (1 - 2 * side) * bounds[side][k], steepest)
         k += 1
     if end == 0:
         return 1
@@ -175,14 +175,14 @@ def _path(time_s, lower, upper, end, fastest, most, work, knots):
 
 
 @njit(cache=True, error_model="numpy")
-def _open_window(lines, time_s, other_wall, k, side, steepest, window):
-    # The extreme line of a side hits the other wall before sample k: record its window, and
+def _open_window(lines, time_s, other_bound, k, side, steepest, window):
+    # The extreme line of a side hits the other bound before sample k: record its window, and
     # begin both extreme lines anew at b and c.
     other, sign = 1 - side, 1 - 2 * side
     b, b_y, slope = lines.x[side], lines.y[side], lines.slope[side]
     before, x = time_s[k - 1], time_s[k]
-    inside = max(sign * other_wall[k - 1] - (b_y + slope * (before - b)), 0.0)
-    outside = b_y + slope * (x - b) - sign * other_wall[k]
+    inside = max(sign * other_bound[k - 1] - (b_y + slope * (before - b)), 0.0)
+    outside = b_y + slope * (x - b) - sign * other_bound[k]
     c = max(before + inside / (inside + outside) * (x - before), b)
     c_y = b_y + slope * (c - b)
     window[0], window[1] = b, sign * b_y
@@ -198,8 +198,8 @@ def _open_window(lines, time_s, other_wall, k, side, steepest, window):
 
 @njit(cache=True, error_model="numpy")
 def _lean(lines, side, k, x, y, steepest):
-    # Let the extreme line of a side pass above the point (x, y) of its wall, sample k, and add
-    # the point to the hull of the wall.
+    # Let the extreme line of a side pass above the point (x, y) of its bound, sample k, and add
+    # the point to the hull of the bound.
     other = 1 - side
     hull_x, hull_y = lines.hull_x, lines.hull_y
     if lines.y[side] + lines.slope[side] * (x - lines.x[side]) < y:
@@ -229,7 +229,7 @@ def _lean(lines, side, k, x, y, steepest):
 def _knots_of(windows, links, x, y, slope, knots):
     # Where the last line, through (x, y), meets the window before it, and so back to the
     # start. Returns the number of knots. Rounding can make two knots of a point that both
-    # walls touch; the second is left out.
+    # bounds touch; the second is left out.
     knots[0, links], knots[1, links] = x, y
     for i in range(links - 2, -1, -1):
         at, value, other_slope = windows[0, i], windows[1, i], windows[2, i]

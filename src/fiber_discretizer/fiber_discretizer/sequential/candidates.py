@@ -11,7 +11,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer.corridor import corridor_walls
+from fiber_discretizer.corridor import corridor_bounds
 from fiber_discretizer.fit.linearize import Polylines, linearize
 from fiber_discretizer.options import DiscretizeOptions
 from fiber_discretizer.quantize import Rounding, quantize
@@ -23,7 +23,7 @@ __all__ = ["Candidates"]
 _INTERVALS = 48  # of the time grid of a corridor
 _SHARES = np.linspace(0.0, 1.0, _INTERVALS + 1)
 _FINEST_MM = 0.001  # smallest width within which a trajectory is traced
-_PAD_RAD = 0.01  # kept from the walls of a corridor, which hold at its samples only
+_PAD_RAD = 0.01  # kept from the bounds of a corridor, which hold at its samples only
 _FREE_SLACK_RAD = 0.25  # how far rounding may shift a straight line
 _FIBRE_MM = 0.4e-3  # end error of a joint where a plane says where its fibres are
 _SPEED = 0.998  # part of the speed limit that paths may use; rounding takes from the rest
@@ -112,8 +112,8 @@ class Candidates:
         lines = [self._line(rows, j, windows[:, j]) for j in (0, 1)]
         times = windows[:, :, 1].max(axis=1)[:, None] * _SHARES
         desired = np.stack([line.at(times) for line in lines], axis=1)
-        walls = self._walls(rows, motion, required_mm, joint, times, desired, side)
-        lines[joint], found = self._path(rows, joint, times, desired, walls)
+        bounds = self._bounds(rows, motion, required_mm, joint, times, desired, side)
+        lines[joint], found = self._path(rows, joint, times, desired, bounds)
         return self._rounded(rows, lines), found
 
     def along_trajectory(
@@ -136,8 +136,8 @@ class Candidates:
         lines: dict[int, Polylines] = {}
         found = np.ones(len(rows), dtype=bool)
         for joint in (first_joint, 1 - first_joint):
-            walls = self._walls(rows, motion, required_mm, joint, times, desired, 0)
-            lines[joint], possible = self._path(rows, joint, times, desired, walls)
+            bounds = self._bounds(rows, motion, required_mm, joint, times, desired, 0)
+            lines[joint], possible = self._path(rows, joint, times, desired, bounds)
             found &= possible
             desired[:, joint] = lines[joint].at(times)
         return self._rounded(rows, [lines[0], lines[1]]), found
@@ -201,7 +201,7 @@ class Candidates:
         after = np.take_along_axis(planned, k[:, None] + 1, axis=2)
         return before + np.clip(part, 0.0, 1.0)[:, None] * (after - before)
 
-    def _walls(
+    def _bounds(
         self,
         rows: Rows,
         motion: SegmentMotion,
@@ -212,7 +212,7 @@ class Candidates:
         side: int,
     ) -> tuple[Floats, Floats, Bools]:
         plan = self._plan
-        return corridor_walls(
+        return corridor_bounds(
             plan.bodies.table, plan.levers_mm, plan.plane.limits, motion.arrays, plan.neighbours,
             required_mm, rows, joint, times, desired, side, self._options.reach_rad,
         )  # fmt: skip
@@ -223,10 +223,10 @@ class Candidates:
         joint: int,
         times: Floats,
         desired: Floats,
-        walls: tuple[Floats, Floats, Bools],
+        bounds: tuple[Floats, Floats, Bools],
     ) -> tuple[Polylines, Mask]:
         # lines through the corridor of one joint, and which of the robots have such lines
-        low, high, found = walls
+        low, high, found = bounds
         duration = times[:, -1]
         speed = self._speeds[rows, joint] * duration
         pad = np.minimum(_PAD_RAD, 0.25 * (high - low))

@@ -17,6 +17,7 @@ from fiber_core.array_types import Codes, Counts, Mask, Rows
 from fiber_core.clearance import Safety, hold_until_safe
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
+from fiber_core.motors import motors_broken
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer.options import DiscretizeOptions, ProgressCallback
@@ -148,11 +149,12 @@ class _Search:
         self._progress(self._done, text)
 
     def begin_straight(self) -> None:
-        # straight lines, and the trajectory for each robot that they bring into conflict
+        # straight lines, and the trajectory for each robot that they bring into conflict, or whose
+        # coupled motors cannot follow them
         plan, moves = self.plan, self.candidates.moves
         rows = np.flatnonzero(moves)
         plan.assign(rows, self.candidates.straight(rows))
-        conflicting = plan.in_conflict & moves
+        conflicting = (plan.in_conflict | motors_broken(plan.plane, plan.motion)) & moves
         while conflicting.any():
             rows = np.flatnonzero(conflicting)
             plan.assign(rows, self.candidates.traced(rows, _WAITING_MM), is_rounded=False)
@@ -191,6 +193,7 @@ class _Search:
                 plan.assign(conflicting, traces)
                 conflicting = np.flatnonzero(plan.in_conflict & candidates.moves & ~following)
             too_many = plan.motion.counts[following].max() > self.options.max_segments
+            too_many |= motors_broken(plan.plane, plan.motion).any()
             if too_many or (plan.unsafe & ~before.unsafe).any():
                 plan.restore(before)
             else:
@@ -203,7 +206,7 @@ class _Search:
         plan, candidates = self.plan, self.candidates
         for row in np.flatnonzero(plan.motion.counts.max(axis=1) > _MANY):
             trace = candidates.traced_rounded(np.array([row]), _TRACES_MM[0])
-            if trace.counts.max() > _MANY:
+            if trace.counts.max() > _MANY or motors_broken(plan.plane, trace, [row]).any():
                 continue
             before = plan.snapshot()
             plan.assign(np.array([row]), trace)

@@ -6,6 +6,7 @@ from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Floats, Ints, Mask, Rows
 from fiber_core.motion import SegmentMotion
+from fiber_core.motors import motors_broken
 from fiber_discretizer.sequential.segment_plan import SegmentPlan
 
 __all__ = ["Selection"]
@@ -16,8 +17,9 @@ _UNCONSTRAINED_MM = -1e6  # required gap to a robot that will get another motion
 class Selection:
     """The best motion found so far for some robots, no two of them neighbours.
 
-    A motion is safe when its pairs are proven to keep their gaps. Pairs with a robot that is
-    in conflict and not rounded yet do not count: that robot gets another motion, or rests.
+    A motion is safe when its pairs are proven to keep their gaps, and coupled motors keep their
+    limits. Pairs with a robot that is in conflict and not rounded yet do not count: that robot
+    gets another motion, or rests.
 
     Args:
         plan: segments of all robots.
@@ -73,6 +75,7 @@ class Selection:
         """
         cost = self._cost(motion.counts)
         shorter: Mask = cost < self._best_cost[which]
+        shorter &= ~motors_broken(self.plan.plane, motion, self.rows[which])
         promising = np.flatnonzero(shorter if possible is None else possible & shorter)
         if len(promising) == 0:
             return

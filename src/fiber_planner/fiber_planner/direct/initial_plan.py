@@ -9,6 +9,7 @@ import numpy as np
 from fiber_core.array_types import Angles, Bools, Codes, Floats, Gaps, Ints, Mask
 from fiber_core.clearance import gaps, levers_of, point_speeds
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.motors import motors_of
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner.direct.parameters import DirectParameters
@@ -61,7 +62,7 @@ def choose_ends(problem: Problem, scene: Scene, parameters: DirectParameters) ->
     rows = np.arange(problem.plane.n)
     reason = _reasons(problem, scene, parameters.margin_mm)
     seeking = reason == Reason.OK
-    time = (np.abs(scene.options - problem.start[:, None]) / scene.speed[:, None]).max(axis=2)
+    time = _times_s(problem, scene)
     alone_s = _alone_s(scene, time[seeking, 0])
     margins_mm = _end_margins_mm(problem, scene, parameters, alone_s)
     choice, some_blocked = _clear_options(problem, scene, margins_mm)
@@ -87,6 +88,16 @@ def _soonest_ends(problem: Problem, seeking: Mask, margins_mm: list[float]) -> t
     program = programs[widest]
     least_s = least_time_s(program, robots[widest])
     return most_goals(program, least_s, soonest=True)[0], program.angles
+
+
+def _times_s(problem: Problem, scene: Scene) -> Floats:
+    # the time that each robot needs alone to each of its options, (n, s)
+    change = scene.options - problem.start[:, None]
+    time = (np.abs(change) / scene.speed[:, None]).max(axis=2)
+    if not scene.coupling.shape[1]:
+        return time
+    of_motors = np.abs(motors_of(problem.plane, change)) / scene.motor_speed[:, None]
+    return np.maximum(time, of_motors.max(axis=2))
 
 
 def _alone_s(scene: Scene, time_s: Floats) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from fiber_core.array_types import Bools, Floats, Ints
 from fiber_core.clearance import most_neighbours
+from fiber_planner.direct.coupled import motors_follow, sample_by_motors, sample_legs
 from fiber_planner.direct.moves import (
     INFEASIBLE,
     nearer_fold,
@@ -38,6 +39,8 @@ _KEEP_HALF = 0.3  # share of the moves with odd numbers that change half of a pr
 # pair may resolve, and takes the best move for all its other pairs: two robots that pass
 # through each other are not always freed by moves of one robot at a time.
 _KICK = 0.1
+_BY_MOTORS = 0.7  # share of the moves of coupled joints that are made for them
+_FOLDING_OF_COUPLED = 0.3  # least share of their moves that fold the arm: time is short
 _IGNORED = 1e-9  # weight of the conflict that is ignored
 
 
@@ -161,9 +164,19 @@ def _best_move(scene, plan, i, step_s, folding, draws, best, rng, buffers):
     # INFEASIBLE if none costs less than `best`.
     evaluated, best_choice = 0, INFEASIBLE
     profile, folded = buffers.profile, buffers.folded
+    coupled = scene.coupling.shape[1] > 0
+    if coupled:
+        folding = max(folding, _FOLDING_OF_COUPLED)
     for draw in range(draws):
         folded[0] = folded[1] = 0
-        if next_uniform(rng) < folding:
+        if coupled and next_uniform(rng) < _BY_MOTORS:
+            if next_uniform(rng) < 0.5:
+                choice = sample_legs(scene, plan, i, draw, draws, step_s, rng, profile)
+            else:
+                choice = sample_by_motors(scene, plan, i, draw, draws, step_s, rng, profile)
+            if choice == INFEASIBLE:
+                continue
+        elif next_uniform(rng) < folding:
             choice = sample_folded(scene, plan, i, step_s, rng, profile, folded)
             if choice == INFEASIBLE:
                 continue
@@ -172,6 +185,8 @@ def _best_move(scene, plan, i, step_s, folding, draws, best, rng, buffers):
             resample_half(scene, plan, i, step_s, rng, profile)
         else:
             choice = sample_profile(scene, plan, i, draw, draws, step_s, folding, rng, profile)
+        if not motors_follow(scene, i, profile, step_s):
+            continue
         evaluated += 1
         total = weighted_cost(scene, plan, i, profile, best, buffers.order, buffers.costs)
         if total < best:
@@ -197,7 +212,8 @@ def raise_weights(plan: PlanState) -> None:
 def fold_arms(scene: Scene, plan: PlanState, which: Bools, step_s: float) -> None:
     """Give robots profiles that fold the arm at full speed first and unfold it at the end.
 
-    Robots that do not move, may end anywhere, or have no time to fold keep their profiles.
+    Robots that do not move, may end anywhere, or have no time to fold keep their profiles. Robots
+    whose coupled motors cannot follow go straight.
 
     Args:
         scene: the robots and their surroundings.
@@ -229,6 +245,8 @@ def fold_arms(scene: Scene, plan: PlanState, which: Bools, step_s: float) -> Non
         begin = min(t1, max(0, (last - turn) // 2))
         end = max(begin + max(1, turn), t2)
         fill_two_ramps(plan.q[i, 0], s, g, g, begin, end, last, last)
+        if not motors_follow(scene, i, plan.q[i], step_s):
+            _straighten_one(plan, i)
 
 
 @nb.njit(cache=True, nogil=True)
@@ -240,14 +258,19 @@ def straighten(scene: Scene, plan: PlanState, which: Bools) -> None:
         plan: the plan; its collision costs have to be computed again.
         which: robots to change, shape (b,); those that may end anywhere stay as they are.
     """
-    last = plan.q.shape[2] - 1
     for i in range(len(scene.start)):
         if which[i] and plan.choice[i] >= 0:
             mark_changed(scene, plan, i)
-            plan.folded[i, 0] = plan.folded[i, 1] = 0
-            for joint in range(2):
-                s, g = plan.q[i, joint, 0], plan.q[i, joint, last]
-                fill_two_ramps(plan.q[i, joint], s, g, g, 0, last, last, last)
+            _straighten_one(plan, i)
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _straighten_one(plan, i):
+    last = plan.q.shape[2] - 1
+    plan.folded[i, 0] = plan.folded[i, 1] = 0
+    for joint in range(2):
+        s, g = plan.q[i, joint, 0], plan.q[i, joint, last]
+        fill_two_ramps(plan.q[i, joint], s, g, g, 0, last, last, last)
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
@@ -288,6 +311,8 @@ def restore(
         rng = seeded_rng(scene.key[i], 2 * number + 1)
         for draw in range(draws):
             ends_at = sample_profile(scene, plan, i, draw, draws, step_s, folding, rng, profile)
+            if not motors_follow(scene, i, profile, step_s):
+                continue
             if weighted_cost(scene, plan, i, profile, 0.0, order, costs) == 0.0:
                 commit(scene, plan, i, profile, costs)
                 plan.folded[i, 0] = plan.folded[i, 1] = 0

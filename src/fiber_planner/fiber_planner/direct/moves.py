@@ -111,7 +111,9 @@ def sample_profile(
     for joint in range(2):
         s = scene.start[i, joint]
         g = theta if joint == 0 else phi
-        per_interval = scene.speed[i, joint] * step_s
+        per_interval = scene.speed_alone[i, joint] * step_s
+        if abs(g - s) > per_interval * last:
+            per_interval = scene.speed[i, joint] * step_s
         spread = math.pi * (0.15 + progress) * (0.2 + 0.8 * next_uniform(rng))
         straight = (
             progress < 0.3 or (kind < 0.3 and joint == 0) or (0.3 < kind < 0.5 and joint == 1)
@@ -212,7 +214,7 @@ def sample_folded(
     if second and choice >= 0:
         choice = _sample_option(scene, plan, i, step_s, rng)
         theta, phi = scene.options[i, choice]
-    theta_step, phi_step = scene.speed[i, 0] * step_s, scene.speed[i, 1] * step_s
+    theta_step, phi_step = scene.speed_alone[i, 0] * step_s, scene.speed_alone[i, 1] * step_s
     theta1, theta2 = profile[0, t1], profile[0, t2]
 
     # the arm is folded from t1, at (theta1, phi1), to t2, at (theta2, phi2)

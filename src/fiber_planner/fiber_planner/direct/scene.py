@@ -10,6 +10,7 @@ from fiber_core import kinematics
 from fiber_core.array_types import Angles, Bools, Floats, Ints, Pairs
 from fiber_core.clearance import Bodies, Neighbours, bodies_of, neighbour_pairs, neighbours_of
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.motors import alone_s, speeds_alone
 from fiber_core.problem import Problem
 from fiber_planner.direct.splitmix64 import place_keys
 
@@ -19,6 +20,9 @@ _MOST_OPTIONS = 6
 _FOLDED_RAD = np.deg2rad(135.0)
 _ON_TARGET_MM = 1e-3  # a fibre this near to its target stays where it is
 _SPEED = 0.998  # share of the speed limits that is planned with: rounding takes from the rest
+# The orders follow both joints of a detour within a micrometre, not its times: coupled motors need
+# more than rounding takes.
+_MOTOR_SPEED = 0.99
 _SAME_RAD = 1e-9  # a joint this near to its end stays where it is
 
 
@@ -36,8 +40,12 @@ class Scene(NamedTuple):
         low: lower joint limits [rad], shape (n, 2).
         high: upper joint limits [rad], shape (n, 2).
         speed: highest joint speeds to plan with [rad/s], shape (n, 2).
+        speed_alone: the same while the other joint of the robot rests; less where they are coupled.
         folded_phi: phi of the arm folded clockwise and counter-clockwise; twice the same if
             the limits allow only one of them [rad], shape (n, 2).
+        coupling: motor angles by joint angles, k = 0 where joints are not coupled, shape (n, k, 2).
+        motor_speed: highest speeds of coupled motors to plan with [rad/s], shape (n, k).
+        motor_range: ranges of coupled motors [rad], shape (n, k, 2).
         movable: robots that may be moved, shape (b,).
         key: a number that depends only on a robot's place, for its random numbers, shape (n,).
         options: configurations that put a fibre on its target, fastest first [rad],
@@ -53,7 +61,11 @@ class Scene(NamedTuple):
     low: Angles
     high: Angles
     speed: Floats
+    speed_alone: Floats
     folded_phi: Floats
+    coupling: Floats
+    motor_speed: Floats
+    motor_range: Floats
     movable: Bools
     key: NDArray[np.uint64]
     options: Floats
@@ -89,12 +101,20 @@ def scene_of(problem: Problem, seed: int = 0) -> Scene:
         low=np.ascontiguousarray(plane.limits[:, :, 0]),
         high=np.ascontiguousarray(plane.limits[:, :, 1]),
         speed=_SPEED * plane.speeds,
+        speed_alone=np.minimum(_SPEED * plane.speeds, _motor_share(plane) * speeds_alone(plane)),
         folded_phi=_folded_phi(plane),
+        coupling=plane.coupling,
+        motor_speed=_MOTOR_SPEED * plane.motor_speeds,
+        motor_range=plane.motor_limits,
         movable=movable,
         key=place_keys(plane, seed),
         options=options,
         option_count=option_count,
     )
+
+
+def _motor_share(plane: FocalPlane) -> float:
+    return _MOTOR_SPEED if plane.coupling.shape[1] else _SPEED
 
 
 def _folded_phi(plane: FocalPlane) -> Floats:
@@ -114,7 +134,7 @@ def _options(problem: Problem) -> tuple[Floats, Ints]:
     valid &= plane.enabled[:, None]
     start = problem.start[:, None]
     angles = np.where(np.abs(angles - start) <= _SAME_RAD, start, angles)
-    time = (np.abs(angles - start) / plane.speeds[:, None]).max(axis=2)
+    time = alone_s(plane, problem.start, angles)
     order = np.argsort(np.where(valid, time, np.inf), axis=1, kind="stable")[:, :_MOST_OPTIONS]
     options = np.take_along_axis(angles, order[:, :, None], axis=1)
     count = np.minimum(valid.sum(axis=1), _MOST_OPTIONS)

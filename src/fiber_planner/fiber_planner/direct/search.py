@@ -286,7 +286,7 @@ class Search:
             conflicts = self._local_search()
             if conflicts:
                 return conflicts
-            shortcut_profiles(self._scene, self._plan)
+            shortcut_profiles(self._scene, self._plan, self._grid.step_s)
             short = self._unconfirmed_pairs()
             unconfirmed = int(np.count_nonzero(short))
             if not unconfirmed:

@@ -5,6 +5,7 @@ import numba as nb
 import numpy as np
 
 from fiber_core.clearance import most_neighbours
+from fiber_planner.direct.coupled import motors_follow
 from fiber_planner.direct.plan_state import (
     PlanState,
     commit,
@@ -20,17 +21,19 @@ _STRAIGHT_RAD = 1e-9
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
-def shortcut_profiles(scene: Scene, plan: PlanState) -> int:
+def shortcut_profiles(scene: Scene, plan: PlanState, step_s: float) -> int:
     """Remove breakpoints from the profiles of a plan without conflict while it stays free.
 
     A robot whose straight motion over the whole time is free of collisions uses it. Otherwise
     breakpoints are removed one by one while the motion stays free. A line that joins two
-    pieces is never faster than the faster one of them, and stays between their ends. A robot
+    pieces is never faster than the faster one of them, and stays between their ends; coupled motors
+    are tested. A robot
     is tried again only after its profile or that of a neighbour has changed.
 
     Args:
         scene: the robots and their surroundings.
         plan: the plan; profiles, costs and folded times are written.
+        step_s: length of a grid interval [s].
 
     Returns:
         Number of robots whose profiles became simpler.
@@ -49,14 +52,16 @@ def shortcut_profiles(scene: Scene, plan: PlanState) -> int:
             continue
         rank_neighbours(scene, plan, i, order)
         simpler = False
-        if _straight_is_free(scene, plan, i, profile, order, costs):
+        if _straight_is_free(scene, plan, i, step_s, profile, order, costs):
             commit(scene, plan, i, profile, costs)
             simpler = True
         for joint in range(2):
             count = _breaks(plan.q[i, joint], breaks)
             at = 1
             while at < count - 1:
-                if _free_without_break(scene, plan, i, joint, at, breaks, profile, order, costs):
+                if _free_without_break(
+                    scene, plan, i, joint, at, breaks, step_s, profile, order, costs
+                ):
                     commit(scene, plan, i, profile, costs)
                     simpler = True
                     count = _breaks(plan.q[i, joint], breaks)
@@ -101,18 +106,20 @@ def _is_straight(plan, i):
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _straight_is_free(scene, plan, i, profile, order, costs):
+def _straight_is_free(scene, plan, i, step_s, profile, order, costs):
     # straight lines over the whole time into `profile`; whether they are free of collisions
     last = profile.shape[1] - 1
     for joint in range(2):
         s = plan.q[i, joint, 0]
         g = plan.q[i, joint, last] if plan.choice[i] >= 0 else s
         fill_two_ramps(profile[joint], s, g, g, 0, last, last, last)
+    if not motors_follow(scene, i, profile, step_s):
+        return False
     return weighted_cost(scene, plan, i, profile, 0.0, order, costs) == 0.0
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _free_without_break(scene, plan, i, joint, at, breaks, profile, order, costs):
+def _free_without_break(scene, plan, i, joint, at, breaks, step_s, profile, order, costs):
     # The robot's profile without breakpoint number `at`, a line from the one before to the one
     # after, into `profile`; whether it is free of collisions.
     copy_profile(plan.q[i], profile)
@@ -120,4 +127,6 @@ def _free_without_break(scene, plan, i, joint, at, breaks, profile, order, costs
     begin, end = breaks[at - 1], breaks[at + 1]
     for k in range(begin + 1, end):
         row[k] = row[begin] + (row[end] - row[begin]) * ((k - begin) / (end - begin))
+    if not motors_follow(scene, i, profile, step_s):
+        return False
     return weighted_cost(scene, plan, i, profile, 0.0, order, costs) == 0.0

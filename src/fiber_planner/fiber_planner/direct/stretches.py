@@ -4,6 +4,7 @@
 import numpy as np
 
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.motors import speeds_alone
 from fiber_core.wire_units import WireUnits
 
 __all__ = ["stretches_of"]
@@ -26,7 +27,7 @@ def stretches_of(plane: FocalPlane, crowded: bool, alone_s: float, stretch: floa
         stretch: the longest makespan unless the way is short.
     """
     bend = np.minimum(np.pi, np.diff(plane.limits[:, 1])[:, 0])
-    fold_s = float((bend / plane.speeds[:, 1]).max(initial=0.0))
+    fold_s = float((bend / speeds_alone(plane)[:, 1]).max(initial=0.0))
     most = max(stretch, 1.0 + 2.0 * fold_s / max(alone_s, 1e-9))
     longest_s = WireUnits.for_plane(plane).longest_order_s
     most = min(most, max(1.0, longest_s / max(alone_s, 1e-9)))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The dnf planners: every robot follows its own navigation function (Makarem et al. 2014a)."""
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -9,6 +10,7 @@ from fiber_core import kinematics
 from fiber_core.array_types import Angles, Floats, Ints, Mask, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
+from fiber_core.motors import with_independent_speeds
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_planner.dnf.arm_repulsion import ArmNeighbours
@@ -75,6 +77,8 @@ class DnfPlanner:
         Raises:
             PlannerError: D and d do not suit the plane, or the horizon has too many steps.
         """
+        # each joint follows the law by itself
+        problem = replace(problem, plane=with_independent_speeds(problem.plane))
         law = ControlLaw.of(problem.plane, self.parameters)
         goal, reason = choose_goals(problem, self.parameters.margin_mm)
         motion = self._integrate(problem, goal, law, progress)

@@ -120,26 +120,26 @@ def _draw_corridor(axes: Axes, recording: Recording, row: int, joint: int) -> No
     curves = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
     low, high = curves.min(), curves.max()
     below = above = 0.0
-    walls, shown = None, np.empty(0)
+    bounds, shown = None, np.empty(0)
     corridors = recording.corridors
     if corridors is not None and corridors.lasts_s[row] > 0:
         time_s, until_s = corridors.times_s(row), recording.active_s[0, row, 1]
         shown = np.append(time_s[time_s < until_s], min(until_s, time_s[-1]))
-        walls = np.rad2deg(
+        bounds = np.rad2deg(
             [np.interp(shown, time_s, w[row, joint]) for w in (corridors.low, corridors.high)]
         )
-        for wall in walls:
-            axes.plot(shown, wall, color=PLANNED, lw=0.7)
+        for bound in bounds:
+            axes.plot(shown, bound, color=PLANNED, lw=0.7)
         most = max(high - low, _LEAST_VIEW_DEG)
-        below = min(low - min(low, walls[0].min()), most)
-        above = min(max(high, walls[1].max()) - high, most)
+        below = min(low - min(low, bounds[0].min()), most)
+        above = min(max(high, bounds[1].max()) - high, most)
     pad = max(0.06 * (high - low + below + above), 1.0)
     bottom, top = low - below - pad, high + above + pad
     axes.set_ylim(bottom, top)
-    if walls is not None:
-        for edge, wall in ((bottom, walls[0]), (top, walls[1])):
+    if bounds is not None:
+        for edge, bound in ((bottom, bounds[0]), (top, bounds[1])):
             axes.fill_between(
-                shown, edge, wall, color=PLANNED, alpha=0.28, lw=0, label="outside the corridor"
+                shown, edge, bound, color=PLANNED, alpha=0.28, lw=0, label="outside the corridor"
             )
 
 

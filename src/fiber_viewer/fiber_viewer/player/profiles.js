@@ -88,9 +88,9 @@ export function forbiddenBands(corridor, lowest, highest) {
 // Range of a plot: the curves, and as much of the corridor as keeps them legible.
 function rangeOf(values, band) {
   const low = Math.min(...values), high = Math.max(...values), most = Math.max(high - low, 15);
-  const walls = (wall) => band.filter((_, i) => i % 3 === wall);
-  const below = Math.min(low - Math.min(low, ...walls(1)), most);
-  const above = Math.min(Math.max(high, ...walls(2)) - high, most);
+  const bounds = (bound) => band.filter((_, i) => i % 3 === bound);
+  const below = Math.min(low - Math.min(low, ...bounds(1)), most);
+  const above = Math.min(Math.max(high, ...bounds(2)) - high, most);
   const pad = Math.max(0.06 * (high - low + below + above), 1);
   return [low - below - pad, high + above + pad];
 }
@@ -171,7 +171,7 @@ export class PositionPanel extends ProfilesPanel {
     this.shadePauses(ctx, axes);
     if (corridor.length) {
       for (const side of forbiddenBands(corridor, axes.yLow, axes.yHigh)) axes.band(ctx, side, colors.plan, 0.28);
-      for (const wall of [1, 2]) axes.curve(ctx, corridor.filter((_, i) => i % 3 === 0 || i % 3 === wall), colors.plan, 0.8);
+      for (const bound of [1, 2]) axes.curve(ctx, corridor.filter((_, i) => i % 3 === 0 || i % 3 === bound), colors.plan, 0.8);
     }
     axes.curve(ctx, [...sent, end, sent.at(-1)], color, 2.4);
     axes.curve(ctx, plan, colors.plan, 1.2);

@@ -95,12 +95,12 @@ function corridorsOf(arrays) {
   if (!arrays.margin_lasts_s) return null;
   const steps = arrays.margin_step_mrad.data, count = arrays.margin_step_mrad.shape[3];
   const low = new Float64Array(steps.length / 2), high = new Float64Array(steps.length / 2);
-  for (let wall = 0; wall < steps.length / count; wall++) {
-    const to = wall % 2 ? high : low, at = (wall >> 1) * count;
-    for (let k = 0, sum = 0; k < count; k++) to[at + k] = (sum += steps[wall * count + k]) * MILLIRADIAN;
+  for (let bound = 0; bound < steps.length / count; bound++) {
+    const to = bound % 2 ? high : low, at = (bound >> 1) * count;
+    for (let k = 0, sum = 0; k < count; k++) to[at + k] = (sum += steps[bound * count + k]) * MILLIRADIAN;
   }
-  // rounding inwards can put the low wall above the high one: then the corridor is one angle
-  low.forEach((wall, at) => { low[at] = Math.min(wall, high[at]); });
+  // rounding inwards can put the low bound above the high one: then the corridor is one angle
+  low.forEach((bound, at) => { low[at] = Math.min(bound, high[at]); });
   return { count, low, high, lasts: arrays.margin_lasts_s.data };
 }
 
