@@ -160,9 +160,8 @@ soak: build ## campaigns of faults (CAMPAIGNS= of each kind, MIXED=, LINES=file 
 RUNS ?= 90
 .PHONY: kill
 kill: build ## kill, pause and disturb the processes of a small plane (RUNS=, SEED=), into bench/results/kill.md
-	@$(INSTALLED) && rm -f out/kill.jsonl; \
-	$(PYTHON) bench/kill.py --runs $(RUNS) $(if $(SEED),--seed $(SEED)) --lines out/kill.jsonl; failed=$$?; \
-	$(PYTHON) bench/kill_table.py out/kill.jsonl --out bench/results/kill.md; exit $$failed
+	@$(INSTALLED) && $(PYTHON) bench/kill.py --runs $(RUNS) $(if $(SEED),--seed $(SEED)); failed=$$?; \
+	$(PYTHON) bench/kill_table.py bench/results/kill.jsonl --out bench/results/kill.md; exit $$failed
 
 FAULTS_AT_ONCE ?= 2
 .PHONY: explore

@@ -24,6 +24,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from kill_others import OTHERS, SERVICES, Others
+from kill_table import commit_of_sources
 
 from fiber_bringup import Processes
 from fiber_bus_bridge.plant import PlantTruth, Truth, plant_socket, touching
@@ -358,9 +359,12 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument("--runs", type=int, default=90)
+    parser.add_argument("--first", type=int, default=0, help="number of the first run")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robots", type=int, default=37)
-    parser.add_argument("--lines", type=Path, default="out/kill.jsonl", help="each run adds a line")
+    parser.add_argument(
+        "--lines", type=Path, default="bench/results/kill.jsonl", help="each run adds a line"
+    )
     parser.add_argument("--logs", type=Path, help="folder for the logs of the processes")
     return parser.parse_args(argv)
 
@@ -372,20 +376,18 @@ def main(argv: list[str] | None = None) -> int:
         signal.signal(ends, signal.default_int_handler)
     use_loopback()
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
-    failed = 0
+    failed, commit = 0, commit_of_sources()
     with tempfile.TemporaryDirectory() as folder:
         logs = args.logs or Path(folder)
         logs.mkdir(parents=True, exist_ok=True)
         with Campaign(logs, args.robots, args.seed) as campaign:
-            for number in range(args.runs):
-                line = campaign.run(number)
+            for number in range(args.first, args.first + args.runs):
+                line = campaign.run(number) | {"commit": commit, "seed": args.seed}
                 args.lines.parent.mkdir(parents=True, exist_ok=True)
                 with open(args.lines, "a", encoding="utf-8") as file:
                     file.write(json.dumps(line) + "\n")
                 failed += any(line["counted"].values())
-                print(
-                    *(line[k] for k in ("number", "how", "names", "stage", "counted")), flush=True
-                )
+                print(*(line[k] for k in _SHOWN), flush=True)
     print(json.dumps({"runs": args.runs, "failed": failed, "robots": args.robots}))
     return 1 if failed else 0
 

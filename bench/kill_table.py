@@ -7,11 +7,12 @@ import json
 import statistics
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-__all__ = ["main", "table"]
+__all__ = ["commit_of_sources", "main", "table"]
 
 _Line: TypeAlias = dict[str, Any]
 _ABOUT = """# Killed, paused and disturbed processes
@@ -37,9 +38,11 @@ def table(lines: Sequence[_Line]) -> str:
     """Return the tables of a campaign, in markdown: by process, by stage, and the memory."""
     late = sum("missed" in line for line in lines)
     load = statistics.median(line["load"] for line in lines)
+    of = Counter(line.get("commit", "unknown") for line in lines)
+    commits = ", ".join(f"{count} of {commit}" for commit, count in of.items())
     text = [
-        f"{len(lines)} runs, at a load of {load} (median); in {late} of them the plan ended before "
-        "the stage of the strike.",
+        f"{len(lines)} runs ({commits}), at a load of {load} (median); in {late} of them "
+        "the plan ended before the stage of the strike.",
         "",
     ]
     groups: dict[str, Callable[[_Line], str]] = {
@@ -52,6 +55,15 @@ def table(lines: Sequence[_Line]) -> str:
             rows.setdefault(group(line), []).append(line)
         text += [*_rows(name, [*sorted(rows.items()), ("all", list(lines))]), ""]
     return "\n".join([*text, *_memory(lines), ""])
+
+
+def commit_of_sources() -> str:
+    """Return the commit of the sources, with a mark if they differ from it."""
+    described = subprocess.run(
+        ["git", "describe", "--always", "--dirty"],
+        cwd=Path(__file__).parent, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    return described.stdout.strip()
 
 
 def _rows(name: str, rows: Sequence[tuple[str, list[_Line]]]) -> list[str]:
@@ -84,17 +96,13 @@ def _memory(lines: Sequence[_Line]) -> list[str]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("lines", type=Path, help="file of lines, as out/kill.jsonl")
+    parser.add_argument("lines", type=Path, help="file of lines, as bench/results/kill.jsonl")
     parser.add_argument("--out", type=Path, help="file for the table, in markdown")
     args = parser.parse_args(argv)
     text = table([json.loads(line) for line in args.lines.read_text("utf-8").splitlines()])
     print(text)
     if args.out:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty"],
-            cwd=Path(__file__).parent, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        args.out.write_text(f"{_ABOUT}Commit {described.stdout.strip()}: {text}", encoding="utf-8")
+        args.out.write_text(_ABOUT + text, encoding="utf-8")
     return 0
 
 

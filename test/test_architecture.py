@@ -88,7 +88,7 @@ ARROWS = {
         "fiber_viewer",
         "fiber_positioners",
     },
-    "bench.kill": {"fiber_bringup", "kill_others"},
+    "bench.kill": {"fiber_bringup", "kill_others", "kill_table"},
     "bench.drive": {"bench", "drive_checker"},
     "bench.drive_checker": {"numpy", "scipy"},  # shares no code with what it judges
     "bench.kill_others": {"fiber_client"},

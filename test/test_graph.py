@@ -11,7 +11,7 @@ from fiber_core.clearance import Safety, certify
 from fiber_core.fields import random_field
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, Reason
-from fiber_msgs_py import PlanStamp, targets, topics
+from fiber_msgs_py import PlanStamp, joint_states, targets, topics
 from fiber_msgs_py.table import encode_table
 from fiber_recording.replay import replay
 from fiber_recording.settled_replay import settled_replay
@@ -279,3 +279,37 @@ def test_two_domains_do_not_see_each_other_and_send_the_same_bytes(
             getattr(replayed.motion, name), getattr(replayed_again.motion, name)
         ), name
     assert np.array_equal(first.outcome, second.outcome)
+
+
+def test_a_bag_that_is_played_into_its_own_open_session_moves_no_robot(client):
+    """The hardest bag: every message of it carries the id that the graph accepts."""
+    chain = (
+        topics.LAYOUT, topics.JOINT_STATES, topics.TARGETS, topics.PROGRESS, topics.TRAJECTORY,
+        topics.SEGMENTS, topics.OUTCOME,
+    )  # fmt: skip
+    heard = [client.collect(topic) for topic in chain]
+    check_good_plan(client, 31)
+    bag = [(at, message) for at, messages in enumerate(heard) for message in messages]
+    assert {at for at, _ in bag} == set(range(len(chain)))
+    check_good_plan(client, 32)  # the robots are elsewhere now, and the session is the same
+    client.wait_for(lambda: not client.moving, WAIT_S)
+    counts, ended = client.units.to_counts(client.angles), set(client.outcomes)
+
+    players = [topic.publisher(client._ros.node) for topic in chain]
+    client.wait_for(lambda: all(each.get_subscription_count() for each in players), WAIT_S)
+    for _ in range(2):
+        for at, message in bag:
+            players[at].publish(message)
+        with pytest.raises(PlaneRefusal):
+            client.call_service(topics.START, WAIT_S)
+    for player in players:
+        client._ros.node.destroy_publisher(player)
+
+    # what the bridge reads from the robots themselves
+    client.call_service(topics.CLEAR, WAIT_S)
+    states = client.collect(topics.JOINT_STATES)
+    client.wait_for(lambda: len(states) > 1, WAIT_S)
+    assert np.array_equal(client.units.to_counts(joint_states.decode(states[-1])[1]), counts)
+    assert set(client.outcomes) == ended
+    # and the next plan begins where the robots are, not where the bag says
+    check_good_plan(client, 33)
