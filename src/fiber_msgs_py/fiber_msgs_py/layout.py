@@ -36,6 +36,8 @@ _OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8", "wall": "<f8", "fibre
 # uncertainties [rad]; a plane with an ideal drive has no such column
 _DRIVE = {"drive": "<f8"}
 _DRIVE_NUMBERS = 5
+# the names of the fibres in UTF-8, a line each, the same in every row
+_NAMES = {"fibre_names": "<u1"}
 # of robots with coupled joints: the rows of the matrix, the speeds [rad/s], and low, high [rad]
 _MOTORS = {"coupling": "<f8", "motor_speed": "<f8", "motor_range": "<f8"}
 
@@ -43,8 +45,8 @@ _MOTORS = {"coupling": "<f8", "motor_speed": "<f8", "motor_range": "<f8"}
 def encode(
     plane: FocalPlane, units: WireUnits, stamp: PlanStamp, session: str | None = None
 ) -> PointCloud2:
-    """Return a focal plane and its wire units as a message, without the names of the
-    plane and its fibres.
+    """Return a focal plane and its wire units as a message, without the name of the
+    plane.
 
     Args:
         plane: the focal plane.
@@ -73,7 +75,9 @@ def encode(
         "motor_range": plane.motor_limits,
     }
     gears = [(name, "<f8", (v[0].size,)) for name, v in motors.items() if v.shape[1]]
-    dtype = [*_COLUMNS.items(), *outlines, *corners, *drives, *gears]
+    names = np.frombuffer("\n".join(plane.fibre_names).encode(), np.uint8)
+    named = [("fibre_names", "<u1", (len(names),))] if len(names) else []
+    dtype = [*_COLUMNS.items(), *outlines, *corners, *drives, *gears, *named]
     rows = np.zeros(n + plane.fixtures, dtype=dtype)
     robots, fixed, walls = np.split(rows, [n, n + len(discs)])
     robots["kind"], robots["enabled"] = _ROBOT, plane.enabled
@@ -91,6 +95,8 @@ def encode(
         robots[name] = values / 1e3
     for name, _, (width,) in outlines:
         robots[name] = vertices[name].reshape(n, width) / 1e3
+    if len(names):
+        rows["fibre_names"] = names
     for name, _, (width,) in gears:
         robots[name] = motors[name].reshape(n, width)
     robots["theta_min"], robots["theta_max"] = plane.limits[:, 0].T
@@ -120,7 +126,7 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
             a value that differs between rows and must not, or a value that is not possible for a
             robot; names robot and value.
     """
-    rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES | _DRIVE | _MOTORS)
+    rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES | _DRIVE | _MOTORS | _NAMES)
     kind, ids = rows["kind"], rows["id"]
     why = "is neither 0 (robot), 1 (disc) nor 2 (wall)"
     refuse(kind > _WALL, "layout", "kind", ids, kind, why)
@@ -170,6 +176,7 @@ def _plane(robots: np.ndarray, fixed: np.ndarray, walls: np.ndarray) -> FocalPla
         spacing_mm=float(robots["spacing"][0]) * 1e3,
         envelope_mm=float(robots["envelope"][0]) * 1e3,
         fibres=_vertices(robots, "fibres"),
+        fibre_names=_names(robots),
         drive=_drive(robots),
         coupling=_of_motors(robots, "coupling", 2),
         motor_speeds=_of_motors(robots, "motor_speed", 1),
@@ -211,6 +218,19 @@ def _vertices(rows: np.ndarray, name: str) -> Floats:
             "layout", "numbers, expected pairs", field=f"{name} has", value=values.shape[1]
         )
     return values.reshape(len(rows), -1, 2) * 1e3
+
+
+def _names(rows: np.ndarray) -> tuple[str, ...] | None:
+    if "fibre_names" not in column_names(rows):
+        return None
+    text = rows["fibre_names"]
+    changed = (text != text[0]).any(axis=1)
+    refuse(changed, "layout", "fibre_names", rows["id"], text, "is not that of the other rows")
+    try:
+        return tuple(text[0].tobytes().decode().split("\n"))
+    except UnicodeDecodeError:
+        value = text[0].tolist()
+        raise MessageError("layout", "is no UTF-8", field="fibre_names", value=value) from None
 
 
 def _of_motors(rows: np.ndarray, name: str, each: int) -> Floats | None:

@@ -13,7 +13,7 @@ from fiber_msgs_py import MessageError, layout
 from fiber_msgs_py.table import encode_table
 
 LISTS = (
-    *("phi_outline", "theta_outline", "wall", "fibres", "drive"),
+    *("phi_outline", "theta_outline", "wall", "fibres", "fibre_names", "drive"),
     *("coupling", "motor_speed", "motor_range"),
 )
 UNITS = WireUnits(tick_us=60_000, quantum_prad=4_000_000_000, velocity_bits=16, duration_bits=12)
@@ -151,11 +151,19 @@ def test_walls_are_rows_after_the_discs(plane, stamp):
 
 def test_fibres_are_pairs_of_a_column_that_plain_planes_lack(plane, stamp):
     fibres = np.array([[[14.9, -0.36], [14.2, 0.0]]] * 3) + np.arange(3)[:, None, None]
-    message = layout.encode(replace(plane, fibres=fibres), UNITS, stamp)
+    names = ("BOSS", "Apogée")
+    message = layout.encode(replace(plane, fibres=fibres, fibre_names=names), UNITS, stamp)
     found, _ = layout.decode(message)
     np.testing.assert_allclose(found.fibres, fibres, rtol=1e-15)
-    assert found.fibre_names == ("0", "1")
-    assert "fibres" not in raw_rows(layout.encode(plane, UNITS, stamp)).dtype.names
+    assert found.fibre_names == names
+    assert not {"fibres", "fibre_names"} & set(
+        raw_rows(layout.encode(plane, UNITS, stamp)).dtype.names
+    )
+    for row, value, words in ((1, 67, "is not that of the other rows"), (slice(None), 255, "UTF")):
+        faulty = np.array(raw_rows(message))
+        faulty["fibre_names"][row, 0] = value
+        with pytest.raises(MessageError, match=words):
+            layout.decode(encode_table(faulty, stamp))
     rows = np.array(raw_rows(message))
     rows["fibres"][1] = 0.0
     message.data = rows.tobytes()
