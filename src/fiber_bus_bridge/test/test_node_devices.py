@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,10 @@ from rest_of_graph import Rest, problem_file
 
 from fiber_bus_bridge import BridgeError
 from fiber_bus_bridge.node import BridgeNode
+from fiber_bus_bridge.node.hardware import device_hardware
+from fiber_bus_bridge.simulation import SimulationConfig
+from fiber_core.drive.named import with_drive
+from fiber_core.problem import load_problem, save_problem
 from fiber_msgs_py import topics
 from fiber_node import RosClient
 
@@ -55,6 +60,15 @@ def test_unusable_devices_end_the_bridge(tmp_path, devices, problem, message):
     path = problem_file(tmp_path)
     with RosClient("rest") as peer, pytest.raises(BridgeError, match=message):
         peer.add_node(BridgeNode, devices=devices, problem=path if problem else "")
+
+
+def test_motors_with_a_ramp_are_refused_on_devices(tmp_path):
+    problem = load_problem(problem_file(tmp_path))
+    ramped = replace(problem, plane=with_drive(problem.plane, "accelerated"))
+    save_problem(tmp_path / "ramped.npz", ramped)
+    config = SimulationConfig(problem=str(tmp_path / "ramped.npz"))
+    with pytest.raises(BridgeError, match="'accelerated' has a ramp of .* CONFIG does not carry"):
+        device_hardware(config, ["/dev/i2c-0"])
 
 
 class Unsupported:

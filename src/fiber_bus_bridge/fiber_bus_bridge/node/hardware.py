@@ -180,8 +180,8 @@ def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardwar
         devices: path of the adapter of each bus, as "/dev/i2c-1".
 
     Raises:
-        BridgeError: there is neither problem nor starts, or the devices do not fit the buses, or
-            cannot be opened.
+        BridgeError: there is neither problem nor starts, the motors have a ramp, or the devices do
+            not fit the buses or cannot be opened.
         FiberError: the plane does not exist.
     """
     if not (config.problem or config.starts):
@@ -190,6 +190,11 @@ def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardwar
         )
     found = simulated_problem(config)
     plane, start = found.problem.plane, found.problem.start
+    if plane.drive.ramp_s > 0.0:
+        raise BridgeError(
+            f"the drive {plane.drive.name!r} has a ramp of {plane.drive.ramp_s:.6g} s: CONFIG does "
+            "not carry it, so the robots on devices would not follow the certified curves"
+        )
     numbers = np.unique(np.asarray(plane.bus)).tolist()
     if len(devices) != len(numbers):
         raise BridgeError(f"devices are {list(devices)} for the {len(numbers)} buses {numbers}")
