@@ -2,6 +2,7 @@
 """The base of all nodes of the graph: its namespace, and the parameters that it was given."""
 
 import os
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,6 +37,17 @@ class PlaneNode(Node):
         self.parameters = NodeParameters(self)
         self._workers: list[Worker] = []
         self.ended = True
+
+    def pause(self, seconds: float) -> None:
+        """Sleep for a while in a wait that may take long.
+
+        Raises:
+            KeyboardInterrupt: the process was told to end; rclpy does not say so by itself when it
+                is told by SIGTERM.
+        """
+        if not self.context.ok():
+            raise KeyboardInterrupt
+        time.sleep(seconds)
 
     def worker(self, name: str) -> Worker:
         """Return a new worker, whose work is cancelled when the node is destroyed."""

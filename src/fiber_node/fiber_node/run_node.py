@@ -51,6 +51,10 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         code = 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # the signal has shut rclpy down already
+    except Exception:
+        if rclpy.ok():
+            raise
+        # after a signal whatever is sent fails, wherever the node is
     finally:
         nodes = executor.get_nodes()
         executor.shutdown()  # a node must not go before its callbacks have returned

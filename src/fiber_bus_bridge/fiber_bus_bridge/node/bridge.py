@@ -75,7 +75,7 @@ class BridgeNode(ManagedNode):
             FiberError: the parameters describe no hardware, its plant or devices are not there, or
                 another bridge has the plane.
         """
-        hardware = open_hardware(self._parameters_given.hardware, self.get_namespace())
+        hardware = open_hardware(self._parameters_given.hardware, self.get_namespace(), self.pause)
         try:
             with self._lock:  # what hears and serves waits until all is there
                 self._build(hardware)

@@ -111,12 +111,17 @@ def declare_hardware(parameters: NodeParameters) -> DeclaredHardware:
     return DeclaredHardware(plane, parameters.declare(HardwareConfig, read_only=True).value)
 
 
-def open_hardware(declared: DeclaredHardware, namespace: str = "") -> Hardware:
+def open_hardware(
+    declared: DeclaredHardware,
+    namespace: str = "",
+    pause: Callable[[float], None] = time.sleep,
+) -> Hardware:
     """Return the hardware that parameters describe.
 
     Args:
         declared: the parameters.
         namespace: the namespace of the node, which is part of the path of its plant.
+        pause: waits for a number of seconds, while there is no plant yet.
 
     Raises:
         FiberError: the parameters describe no hardware, or there is no plant.
@@ -131,7 +136,7 @@ def open_hardware(declared: DeclaredHardware, namespace: str = "") -> Hardware:
     if chosen.plant == "none":
         return simulated_hardware(config)
     path = plant_socket(namespace) if chosen.plant == "auto" else Path(chosen.plant)
-    return plant_hardware(config, path)
+    return plant_hardware(config, path, pause)
 
 
 def simulated_hardware(config: SimulationConfig) -> Hardware:
@@ -147,12 +152,15 @@ def simulated_hardware(config: SimulationConfig) -> Hardware:
     return Hardware(plane, units, start, buses, bus_timing(config.clock), lines=found.lines)
 
 
-def plant_hardware(config: SimulationConfig, path: Path) -> Hardware:
+def plant_hardware(
+    config: SimulationConfig, path: Path, pause: Callable[[float], None] = time.sleep
+) -> Hardware:
     """Return a plane with robots in the process of a plant.
 
     Args:
         config: the plane; errors of clocks and faults are those of the plant.
         path: the socket of the plant, which may appear later.
+        pause: waits for a number of seconds, while there is no plant yet.
 
     Raises:
         BridgeError: a parameter belongs to the plant; there is no plant, another bridge is
@@ -167,7 +175,7 @@ def plant_hardware(config: SimulationConfig, path: Path) -> Hardware:
     plane, start = found.problem.plane, found.problem.start
     timing = bus_timing(config.clock)
     rehearse()
-    buses = PlantBuses(path, plane.ids, addresses_of(plane), timing, _PLANT_S)
+    buses = PlantBuses(path, plane.ids, addresses_of(plane), timing, _PLANT_S, pause=pause)
     units = WireUnits.for_plane(plane)
     return Hardware(plane, units, start, buses, timing, lines=found.lines, plant=path)
 

@@ -3,10 +3,8 @@
 
 import time
 
-from rclpy.node import Node
-
 from fiber_bus_bridge.errors import BridgeError
-from fiber_node import BRIDGE, Claim
+from fiber_node import BRIDGE, Claim, PlaneNode
 
 __all__ = ["OtherBridges", "claim_plane"]
 
@@ -15,7 +13,7 @@ _STAYS_S = 2 * _LEASE_S  # a bridge that refuses to run has left the graph by th
 _POLL_S = 0.02
 
 
-def claim_plane(node: Node, discovery_s: float) -> Claim:
+def claim_plane(node: PlaneNode, discovery_s: float) -> Claim:
     """Claim the plane of a node, before any robot is asked.
 
     Args:
@@ -34,7 +32,7 @@ def claim_plane(node: Node, discovery_s: float) -> Claim:
                 f"a bridge of this plane is in the graph already, of {earlier}: end it first, "
                 "or use another ROS_DOMAIN_ID or namespace"
             )
-        time.sleep(_POLL_S)
+        node.pause(_POLL_S)
     return claim
 
 

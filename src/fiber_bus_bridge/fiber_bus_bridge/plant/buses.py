@@ -66,7 +66,7 @@ class PlantBuses:
         }
         self._timing, self._link = timing, PlantLink(path, answer_s)
         self._clock, self._again_s = clock, -np.inf  # not before this time is a plant looked for
-        self._link.connect(wait_s)
+        self._link.connect(wait_s, pause=pause)
         for _ in range(int(_BUSY_S / _PAUSE_S)):
             try:
                 self._link.ask(Kind.OPEN, **self._opening)
