@@ -71,3 +71,25 @@ def test_every_preset_stands_in_the_table_of_the_readme():
     assert {name.strip(" `"): int(robots) for name, robots in named} == {
         name: figures.robots for name, figures in PRESETS.items()
     }
+
+
+def test_rafts_are_triangles_of_63_that_do_not_overlap():
+    plane = preset("must", 20 * 63)
+    apart = np.hypot(*np.moveaxis(plane.centers[:, None] - plane.centers, -1, 0))
+    np.fill_diagonal(apart, np.inf)
+    assert apart.min() == pytest.approx(6.2)
+    raft = np.arange(plane.n) // 63
+    between = apart[raft[:, None] != raft]
+    assert 6.2 < between.min() < 9.0
+    assert np.array_equal(plane.bus, raft)
+    middles = plane.centers.reshape(-1, 63, 2).mean(axis=1)
+    assert np.diff(np.hypot(*middles.T)).min() > -1e-6  # from the centre outwards
+    assert abs(np.hypot(*preset("must").centers.T).max() - 592.0) < 40.0
+
+
+def test_three_robots_of_a_raft_have_long_arms():
+    plane = preset("wst_mixed", 4 * 63)
+    long = plane.arms[:, 0] == 3.6
+    assert long.reshape(4, 63).sum(axis=1).tolist() == [3] * 4
+    assert np.array_equal(plane.phi_vertices[long, 1, 0], plane.arms[long, 1])
+    assert np.array_equal(plane.centers, preset("must", 4 * 63).centers)

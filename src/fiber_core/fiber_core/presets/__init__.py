@@ -11,6 +11,7 @@ from fiber_core.presets.desi_petals import DESI_PETALS
 from fiber_core.presets.figures import PlaneColumns, Polygon, Preset, on_a_grid, plane_from
 from fiber_core.presets.others import LAMOST, MOONS, PAPER
 from fiber_core.presets.pfs import PFS, PFS_WINDOWS
+from fiber_core.presets.rafts import MUST, WST_MIXED
 from fiber_core.presets.sdss_v import SDSS_V
 from fiber_core.presets.sdss_v_apo import SDSS_V_APO
 from fiber_core.presets.spec_s5 import SPEC_S5
@@ -30,6 +31,8 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         "moons": MOONS,
         "lamost": LAMOST,
         "spec_s5": SPEC_S5,
+        "must": MUST,
+        "wst_mixed": WST_MIXED,
     }
 )
 
