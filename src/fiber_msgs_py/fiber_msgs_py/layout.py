@@ -224,8 +224,8 @@ def _names(rows: np.ndarray) -> tuple[str, ...] | None:
     if "fibre_names" not in column_names(rows):
         return None
     text = rows["fibre_names"]
-    changed = (text != text[0]).any(axis=1)
-    refuse(changed, "layout", "fibre_names", rows["id"], text, "is not that of the other rows")
+    why = "is not that of the other rows"
+    refuse(text != text[0], "layout", "fibre_names", rows["id"], text, why)
     try:
         return tuple(text[0].tobytes().decode().split("\n"))
     except UnicodeDecodeError:
