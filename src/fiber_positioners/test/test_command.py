@@ -7,7 +7,6 @@ import subprocess
 import sys
 
 import pytest
-from astropy.table import Table
 
 from fiber_core.problem import load_problem
 from fiber_positioners import study
@@ -31,7 +30,8 @@ def test_plan_prints_one_json_line_and_writes_its_files(tmp_path, capsys, result
     assert load_problem(out / "problem.npz").plane.n == 37
     assert (tmp_path / "player.html").stat().st_size > 50_000
     assert (out / "player.html").read_bytes() == (tmp_path / "player.html").read_bytes()
-    assert len(Table.read(out / "outcomes.ecsv")) == 37
+    lines = (out / "outcomes.ecsv").read_text().splitlines()
+    assert len([line for line in lines if not line.startswith("#")]) == 1 + 37
 
 
 def test_a_folder_that_cannot_be_made_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
