@@ -71,7 +71,7 @@ PLANES: dict[str, Callable[[int], Problem]] = {
     ),
     **{
         name: _of_preset(name)
-        for name in ("desi_petals", "spec_s5", "must", "wst")
+        for name in ("desi_petals", "spec_s5", "must", "wst_mixed")
         if name in PRESETS
     },
 }
