@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fiber_core.clearance import Safety, certify, hold_until_safe, neighbour_pairs
+from fiber_core.errors import MotionError
 from fiber_core.fields import random_field
 from fiber_core.motion import SegmentMotion
 from fiber_core.presets import preset
@@ -183,3 +184,17 @@ def test_only_the_given_pairs_are_examined():
     assert not held.any() and certificate.ok
     _, some, _ = hold_until_safe(plane, wished, Safety(), pairs)
     assert some.any()
+
+
+@pytest.mark.parametrize(("duration_s", "speed"), [(1.0, 1e9), (1e12, 0.1), (1e6, 1e4)])
+def test_a_robot_that_turns_beyond_all_bounds_is_refused_by_name_and_held(duration_s, speed):
+    plane = preset("desi", 7)
+    start = np.stack([np.linspace(-1.0, 1.0, 7), np.full(7, 2.6)], axis=1)
+    lasts_s, velocity = np.full(14, 1.0), np.full(14, 0.01)
+    lasts_s[6], velocity[6] = duration_s, speed  # theta of the fourth robot
+    motion = SegmentMotion(start, np.arange(15), lasts_s, velocity)
+    with pytest.raises(MotionError, match=f"robot {plane.ids[3]} turns to .* rad at up to"):
+        certify(plane, motion, Safety())
+    rest, held, certificate = hold_until_safe(plane, motion, Safety())
+    assert np.flatnonzero(held).tolist() == [3] and certificate.ok
+    assert np.array_equal(_moving(rest), ~held)

@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Floats, Gaps, Mask, Pairs, Rows, Times
+from fiber_core.bounds import MAX_ANGLE_RAD, MAX_SPEED_RAD_S
 from fiber_core.clearance.collision_bodies import Bodies, bodies_of
 from fiber_core.clearance.minimum_distance import FINEST_MM, Minima, minimum_gaps
 from fiber_core.clearance.neighbours import neighbour_pairs
 from fiber_core.clearance.safety import Safety
 from fiber_core.drive.curves import CurveMotion, carried_out
+from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.motors import motors_broken
@@ -103,8 +105,21 @@ def certify(
             come closer than the largest required gap (at least 1 mm).
         tolerance_mm: resolution of the gaps below their required value and of the smallest
             of all, at least 1e-6 [mm].
+
+    Raises:
+        MotionError: a robot turns further or faster than any robot can (fiber_core.bounds), which
+            would take for ever to examine; names the robot and the value.
     """
     true_motion = carried_out(plane.drive, motion)
+    wild = out_of_bounds(true_motion)
+    if wild.any():
+        row = int(np.argmax(wild))
+        angle = float(np.abs([true_motion.lowest[row], true_motion.highest[row]]).max())
+        raise MotionError(
+            f"robot {plane.ids[row]} turns to {angle:g} rad at up to "
+            f"{true_motion.fastest[row].max():g} rad/s: the bounds are {MAX_ANGLE_RAD:g} rad and "
+            f"{MAX_SPEED_RAD_S:g} rad/s"
+        )
     if pairs is None:
         pairs = certified_pairs(plane, true_motion, safety)
     pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
@@ -169,6 +184,12 @@ def _lower_bounds(
         level, _TOLERANCE_MM, resolve, minima,
     )  # fmt: skip
     return minima.lower
+
+
+def out_of_bounds(motion: SegmentMotion | CurveMotion) -> Mask:
+    """Return the robots that turn further or faster than any robot can, shape (n,)."""
+    furthest = np.maximum(np.abs(motion.lowest), np.abs(motion.highest))
+    return ((furthest > MAX_ANGLE_RAD) | (motion.fastest > MAX_SPEED_RAD_S)).any(axis=1)
 
 
 def certified_pairs(

@@ -11,6 +11,7 @@ from fiber_core.clearance.certificate import (
     certified_pairs,
     limits_broken,
     moved_disabled,
+    out_of_bounds,
 )
 from fiber_core.clearance.collision_bodies import bodies_of
 from fiber_core.clearance.minimum_distance import Minima, minimum_gaps
@@ -51,6 +52,12 @@ def hold_until_safe(
         the motion that remains.
     """
     true_motion = carried_out(plane.drive, motion)
+    wild = out_of_bounds(true_motion)
+    if wild.any():
+        rest, held, certificate = hold_until_safe(
+            plane, motion.without(wild), safety, pairs, tolerance_mm
+        )
+        return rest, held | wild, certificate
     if pairs is None:
         pairs = certified_pairs(plane, true_motion, safety)
     search = _Search(plane, true_motion, safety, pairs, tolerance_mm)
