@@ -22,7 +22,7 @@ _ALL_STEPS = 1 << 30  # each step is FINEST_RAD or more, so the approach ends by
 _OUT_RAD = 0.02  # least step out of a neighbour
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def corridor_bounds(
     table: Floats,
     levers: Floats,

@@ -13,10 +13,14 @@ from fiber_core.clearance import (
     sampled_gaps,
     unproven,
 )
+from fiber_core.fields import random_problem
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.outcomes import Reason
+from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import DiscretizeOptions, discretize
+from fiber_discretizer.corridor import corridor_bounds
+from fiber_discretizer.sequential import candidates
 from fiber_discretizer.sequential.segment_plan import SegmentPlan
 from fiber_discretizer.sequential.selection import Selection
 
@@ -189,3 +193,22 @@ def test_a_robot_that_returns_to_its_start_moves_only_where_it_must_make_way(pla
     angles[0, 0, -1] = 0.0
     result = discretize(plane, SampledMotion(2.0 * part, angles), UNITS, SAFETY)
     assert result.reason[0] == Reason.OK and not result.wire.decoded().counts.any()
+
+
+def test_one_thread_and_two_give_the_same_bytes(monkeypatch):
+    plane = preset("pfs", 60)
+    start, goal = (random_problem(plane, np.random.default_rng(seed)).start for seed in range(2))
+    trajectory = SampledMotion([0.0, 2.5], np.stack([start, goal], axis=2))  # many pairs collide
+    units, calls, wires = WireUnits.for_plane(plane), [], []
+
+    def counted_bounds(*arguments):
+        calls.append(candidates._LEAST_SHARE)
+        return corridor_bounds(*arguments)
+
+    monkeypatch.setattr(candidates, "corridor_bounds", counted_bounds)
+    for least in (1, 1000):
+        monkeypatch.setattr(candidates, "_LEAST_SHARE", least)
+        wires.append(discretize(plane, trajectory, units, SAFETY).wire.decoded())
+    assert calls.count(1) > calls.count(1000) > 0  # work was divided the first time
+    for column, other in zip(wires[0].arrays, wires[1].arrays):
+        assert column.tobytes() == other.tobytes()

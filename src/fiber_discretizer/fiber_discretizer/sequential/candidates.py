@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motions that a robot can select from, straightest first."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,8 @@ from fiber_discretizer.soften import softened
 
 __all__ = ["Candidates"]
 
+_THREADS = 2  # that trace corridors
+_LEAST_SHARE = 8  # robots of a thread: a few are done sooner than a thread begins
 _INTERVALS = 48  # of the time grid of a corridor
 _SHARES = np.linspace(0.0, 1.0, _INTERVALS + 1)
 _FINEST_MM = 0.001  # smallest width within which a trajectory is traced
@@ -55,6 +58,7 @@ class Candidates:
         options: DiscretizeOptions,
     ):
         plane, units = plan.plane, plan.units
+        self._pool = ThreadPoolExecutor(_THREADS, "corridors")  # ends with this object
         self._plan, self._options = plan, options
         self.time_s, self._planned = trajectory.time_s, trajectory.angles
         self._ranges = units.range_counts(plane)
@@ -211,11 +215,22 @@ class Candidates:
         desired: Floats,
         side: int,
     ) -> tuple[Floats, Floats, Bools]:
+        # Each robot has a corridor of its own, so the result does not depend on the threads.
         plan = self._plan
-        return corridor_bounds(
-            plan.bodies.table, plan.levers_mm, plan.plane.limits, motion.arrays, plan.neighbours,
-            required_mm, rows, joint, times, desired, side, self._options.reach_rad,
-        )  # fmt: skip
+        share = max(_LEAST_SHARE, -(-len(rows) // _THREADS))
+        parts = [slice(k, k + share) for k in range(0, len(rows), share)]
+
+        def bounds_of(part: slice) -> tuple[Floats, Floats, Bools]:
+            return corridor_bounds(
+                plan.bodies.table, plan.levers_mm, plan.plane.limits, motion.arrays,
+                plan.neighbours, required_mm, rows[part], joint, times[part], desired[part],
+                side, self._options.reach_rad,
+            )  # fmt: skip
+
+        if len(parts) < 2:
+            return bounds_of(slice(None))
+        low, high, is_open = zip(*self._pool.map(bounds_of, parts))
+        return np.concatenate(low), np.concatenate(high), np.concatenate(is_open)
 
     def _path(
         self,

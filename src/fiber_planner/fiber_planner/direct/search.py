@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fiber_core.array_types import Angles, Bools, Codes, Floats, Ints, Pairs, Times
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Pairs, Times
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
+from fiber_planner.direct.best_effort import hold_at_start, release_worst, worst_robots
 from fiber_planner.direct.certify_changed import shortfall_mm
+from fiber_planner.direct.compression import compress_profiles
 from fiber_planner.direct.initial_plan import choose_ends, straight_plan
 from fiber_planner.direct.local_search import fold_arms, raise_weights, restore, straighten, sweep
 from fiber_planner.direct.parameters import DirectParameters, effort_share
@@ -27,6 +29,7 @@ __all__ = ["Search", "SearchResult"]
 # If straight motions conflict in more pairs than half the number of robots the plane is crowded,
 # and arms fold on their way from the beginning. Of each tuple: loose plane, crowded plane.
 _CROWDED = 0.5
+_SHORTENED = 0.33  # with more conflicts than this share, shorter plans are sought
 _FOLD_FROM = (1.4, 1.2)  # stretch from which arms are folded on their way
 _RELEASE_FROM = (1.1, 1.5)  # stretch from which stuck robots near static arms are released
 _FOLDING = 0.7  # share of moves that fold the arm, once arms are folded
@@ -93,7 +96,7 @@ class Search:
         self._limit = parameters.effort * self._effort_share
         self._at_one_makespan = _AT_ONE_MAKESPAN * self._effort_share
         self._refolded_at_most = _REFOLDED_AT_MOST
-        self.crowded, self.stretch, self.certified = False, 1.0, False
+        self.crowded, self.dense, self.stretch, self.certified = False, False, 1.0, False
         # robots next to an arm that cannot move; a fixed disc blocks only a passage
         pairs, movable, robots = self._scene.pairs, self._scene.movable, problem.plane.n
         near_static = pairs[((pairs < robots) & ~movable[pairs]).any(axis=1)]
@@ -103,6 +106,7 @@ class Search:
         """Search at longer and longer makespans, and return the motion that was found."""
         conflicts = self._start_straight(1.0)
         self.crowded = conflicts > _CROWDED * self._problem.plane.n
+        self.dense = conflicts > _SHORTENED * self._problem.plane.n
         crowded = int(self.crowded)
         stretches = stretches_of(
             self._problem.plane, self.crowded, self._alone_s, self._parameters.stretch
@@ -131,12 +135,14 @@ class Search:
         self._restore()
         return self._result()
 
-    def begin_at(self, stretch: float, released: Bools) -> None:
+    def begin_at(self, stretch: float, released: Bools, like: "Search | None" = None) -> None:
         """Begin a search at one makespan of a crowded plane, for `go_on`.
 
         Args:
             stretch: the makespan, in units of the time that the slowest robot needs alone.
             released: robots that have lost their targets in an earlier search, shape (n,).
+            like: a search that has found a longer plan of the same problem, to begin with that
+                plan compressed; by default the search begins with folded arms.
         """
         self.stretch, self.crowded, self._limit = stretch, True, 0.0
         self._refolded_at_most = 10 * _REFOLDED_AT_MOST
@@ -144,7 +150,14 @@ class Search:
         self._ends.angles[released] = self._problem.start[released]
         self._reason[released] = Reason.NOT_CONVERGED
         self._start_straight(stretch)
-        self._fold_all()
+        if like is None:
+            self._fold_all()
+        else:
+            self._folding = _FOLDING
+            other = like._plan
+            compress_profiles(self._scene, self._plan, other.q, other.choice, self._grid.step_s)
+            self._plan.changed[:] = self._plan.shortcut_due[:] = True
+            measure_all(self._scene, self._plan)
 
     def go_on(self, moves: float) -> SearchResult | None:
         """Go on with a search at one makespan.
@@ -343,45 +356,25 @@ class Search:
             for column, old in zip(self._plan, before):
                 column[...] = old
 
-    def _worst_of(self, bad: Bools, among: Bools) -> Ints:
-        # Of every bad pair, (p,), the robot with most conflict, if it is among those, (b,).
-        scene, plan = self._scene, self._plan
-        total = np.zeros(len(scene.movable))
-        for side in range(2):
-            np.add.at(total, scene.pairs[bad, side], (plan.weight * plan.cost)[bad])
-        total[~among] = -1.0
-        a, b = scene.pairs[bad].T
-        worst = np.where(total[a] >= total[b], a, b)
-        return np.unique(worst[among[worst]])
-
     def _release_worst(self, among: Bools) -> int:
         # The robots with most conflict lose their targets; returns their number.
-        plan = self._plan
-        with_target = among.copy()
-        with_target[: len(plan.choice)] &= plan.choice >= 0
-        worst = self._worst_of(plan.cost > 0.0, with_target)
-        plan.choice[worst] = -1
-        plan.shortcut_due[worst] = True
+        worst = release_worst(self._scene, self._plan, among)
         self._reason[worst] = Reason.NOT_CONVERGED
-        plan.weight[:] = 1.0
         return len(worst)
 
     def _hold_worst(self) -> None:
         # The robots with most conflict rest at their starts, then those in conflict with them.
-        scene, plan = self._scene, self._plan
-        plan.weight[:] = 1.0
-        moving = scene.movable.copy()
+        self._plan.weight[:] = 1.0
+        moving = self._scene.movable.copy()
         while True:
-            bad = plan.cost > 0.0 if measure_all(scene, plan) else self._unconfirmed_pairs()
-            rows = self._worst_of(bad, moving)
+            in_conflict = measure_all(self._scene, self._plan) > 0
+            bad = self._plan.cost > 0.0 if in_conflict else self._unconfirmed_pairs()
+            rows = worst_robots(self._scene, self._plan, bad, moving)
             if not len(rows):
                 return
             moving[rows] = False
-            plan.q[rows] = self._problem.start[rows][:, :, None]
-            plan.changed[rows] = True
-            rows = rows[plan.choice[rows] >= 0]
-            plan.choice[rows] = -1
-            self._reason[rows] = Reason.NOT_CONVERGED
+            lost = hold_at_start(self._scene, self._plan, rows)
+            self._reason[lost] = Reason.NOT_CONVERGED
 
     @property
     def _without_target(self) -> Bools:
