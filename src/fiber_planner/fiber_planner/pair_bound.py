@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fiber_core import kinematics
 from fiber_core.clearance import neighbour_pairs
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
@@ -24,7 +25,8 @@ class PairBound(NamedTuple):
         robots: at most as many robots can reach their targets in one motion.
         time_s: a motion in which as many do lasts at least as long, up to the rounding of its end
             to quanta and ticks [s].
-        proven: whether the search for these figures was complete.
+        proven: whether the search for these figures was complete. It is not where a target leaves
+            the choice of its fibre: of several, only the one that is there first is considered.
     """
 
     robots: int
@@ -48,6 +50,9 @@ def pair_bound(problem: Problem, margin_mm: float = 0.05) -> PairBound:
         margin_mm: gap between outlines that the certificate requires at every instant [mm].
     """
     plane = problem.plane
+    _, valid, fibre, _ = kinematics.solutions(plane, problem.targets)
+    lowest = np.where(valid, fibre, np.iinfo(fibre.dtype).max).min(axis=1)
+    one_fibre = not bool((valid & (fibre != lowest[:, None])).any())
     can = reachable(problem, neighbour_pairs(plane), margin_mm)
     if not can.any():
         return PairBound(0, 0.0, True)
@@ -55,9 +60,9 @@ def pair_bound(problem: Problem, margin_mm: float = 0.05) -> PairBound:
     goal, reason = choose_goals(left, margin_mm)
     alone_s = lower_bound_s(left)
     if (reason[can] == Reason.OK).all() and travel_s(left, goal)[can].max() <= alone_s:
-        return PairBound(int(can.sum()), alone_s, True)  # nothing is in the way
+        return PairBound(int(can.sum()), alone_s, one_fibre)  # nothing is in the way
     rounding_mm = 2.0 * WireUnits.for_plane(plane).quantum_rad * float(plane.reach_mm.max())
     program = goal_program(problem, can, max(0.0, margin_mm - rounding_mm))
     chosen, proven = most_goals(program)
     robots = robots_with_goals(chosen)
-    return PairBound(robots, least_time_s(program, robots), proven)
+    return PairBound(robots, least_time_s(program, robots), proven and one_fibre)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The integer program of goals, against enumeration of all choices."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from fiber_core import kinematics
 from fiber_core.clearance import gaps, neighbour_pairs
+from fiber_core.fibres import ANY_FIBRE
 from fiber_core.fields import random_problem
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
@@ -103,3 +105,12 @@ def test_no_plan_beats_the_pair_bound():
         assert arrived < bound.robots or plan.motion.makespan_s >= bound.time_s
         refused += np.count_nonzero(problem.asked) - bound.robots
     assert refused
+
+
+@pytest.mark.parametrize("fibre, proven", [(1, True), (ANY_FIBRE, False)])
+def test_the_bound_is_not_called_proven_where_a_fibre_may_be_chosen(fibre, proven):
+    plane, places = preset("sdss_v", 7), np.array([[14.9, -0.4], [14.9, 0.4]])
+    fibres = np.broadcast_to(places, (7, *places.shape))
+    plane = replace(plane, fibres=fibres, fibre_names=("a", "b"), fibre=np.full(7, fibre))
+    problem = Problem(plane, np.full((7, 2), 1.5), plane.centers + [9.0, 0.0])
+    assert pair_bound(problem).proven is proven
