@@ -150,7 +150,7 @@ class Search:
         self._ends.angles[released] = self._problem.start[released]
         self._reason[released] = Reason.NOT_CONVERGED
         self._start_straight(stretch)
-        if like is None:
+        if like is None or self._scene.coupling.shape[1]:  # compression knows no coupled motors
             self._fold_all()
         else:
             self._folding = _FOLDING
