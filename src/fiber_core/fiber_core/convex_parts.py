@@ -48,7 +48,8 @@ def convex_parts(polygon: ArrayLike) -> list[Points]:
 
 
 def _triangles(corners: Points, flat: float) -> list[list[int]]:
-    left, triangles = list(range(len(corners))), []
+    left = list(range(len(corners)))
+    triangles: list[list[int]] = []
     while len(left) > 2:
         for k in range(len(left)):
             a, b, c = left[k - 1], left[k], left[(k + 1) % len(left)]

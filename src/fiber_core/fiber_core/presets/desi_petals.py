@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiber_core.array_types import Floats, Points
+from fiber_core.array_types import Floats, Ints, Points
 from fiber_core.convex_parts import convex_parts
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets.desi import DESI_OUTLINES, keepouts
@@ -41,12 +41,12 @@ _PETAL_SHIFT_MM, _SITE_SCATTER_MM = 0.06, 0.033
 _DEGREES = 3  # of freedom of a t distribution, which has the tails that the values have
 
 
-def petal_angle(petal: Floats) -> Floats:
+def petal_angle(petal: Floats | Ints) -> Floats:
     """Return how far petals are turned in the focal plane [rad], given their places 0 to 9."""
     return np.deg2rad(36.0 * (petal - 3.0))
 
 
-def petal_walls(petals: Floats) -> Floats:
+def petal_walls(petals: Floats | Ints) -> Floats:
     """Return the edges and cameras of petals as walls [mm], shape (w, c, 2).
 
     The eight edges of a petal are lines; its camera is made of convex parts.
@@ -123,7 +123,7 @@ def _plane(figures: Preset, robots: int | None, name: str) -> FocalPlane:
     )
 
 
-def _centers(rng: np.random.Generator, petal: Floats) -> Points:
+def _centers(rng: np.random.Generator, petal: Ints) -> Points:
     sites = _petal_sites()
     # the sites of a petal that hold fiducials instead of robots, spread over it
     empty = rng.choice(len(sites), (len(sites) - _IN_PETAL), replace=False)

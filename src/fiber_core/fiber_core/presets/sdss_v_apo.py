@@ -67,7 +67,7 @@ def _sites() -> tuple[Points, Points]:
 
 
 def _cameras() -> Floats:
-    walls = []
+    walls: list[Points] = []
     for angle in np.deg2rad(30.0 + 60.0 * np.arange(6)):
         away = np.array([np.cos(angle), np.sin(angle)])
         along = np.array([away[1], -away[0]])
