@@ -6,6 +6,7 @@ intervals and a verdict for every robot. `fiber_metrology.camera` simulates a ca
 """
 
 from fiber_metrology.angles import angles_of_places
+from fiber_metrology.calibration import Calibration, GearVerdict, calibrate
 from fiber_metrology.correction import arms_within, correction_problem, follows, grown
 from fiber_metrology.errors import ImageError, MetrologyError
 from fiber_metrology.exposures import Lights, combine
@@ -16,7 +17,9 @@ from fiber_metrology.polynomials import PolynomialMap, fit_map
 from fiber_metrology.spots import Spots, checked_spots
 
 __all__ = [
+    "Calibration",
     "Expected",
+    "GearVerdict",
     "Identified",
     "IdentifyConfig",
     "ImageError",
@@ -31,6 +34,7 @@ __all__ = [
     "Verdict",
     "angles_of_places",
     "arms_within",
+    "calibrate",
     "checked_spots",
     "combine",
     "correction_problem",
