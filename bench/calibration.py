@@ -30,7 +30,7 @@ from fiber_metrology import GearVerdict, calibrate
 
 def main() -> int:
     """Run it; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--preset", default="desi")
     parser.add_argument("--robots", type=int)
     parser.add_argument("--points", type=int, default=20)

@@ -44,7 +44,7 @@ _DARK, _NON_MOVERS = 0.02, 0.01
 
 def main() -> int:
     """Run the campaign; return 1 if a fibre was told wrongly or a healthy robot was blamed."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--preset", default="desi")
     parser.add_argument("--robots", type=int)
     parser.add_argument("--images", type=int, default=200)
