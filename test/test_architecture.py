@@ -88,6 +88,7 @@ ARROWS = {
         "fiber_viewer",
         "fiber_positioners",
     },
+    "bench.identification": {"bench", "closed_loop"},
     "bench.kill": {"fiber_bringup", "kill_others", "kill_table"},
     "bench.drive": {"bench", "drive_checker"},
     "bench.drive_checker": {"numpy", "scipy"},  # shares no code with what it judges
