@@ -123,7 +123,7 @@ def line_of(row: Row, fields: Sequence[tuple[Reconfiguration, Verdict]]) -> str:
 
 def main() -> int:
     """Run the rows and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rows", nargs="+", choices=sorted(ROWS), default=sorted(ROWS))
     parser.add_argument("--fields", type=int, default=20, help="fields of each row")
     parser.add_argument("--errors", type=int, help="errors for each field, in place of the row's")

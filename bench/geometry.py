@@ -17,6 +17,7 @@ from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -232,7 +233,8 @@ def _edges_cross(first: Floats, second: Floats) -> Mask:
     r = np.roll(first, -1, axis=1)[:, :, None] - p
     s = np.roll(second, -1, axis=1)[:, None] - q
     ends_apart = _cross(r, q - p) * _cross(r, q + s - p) < 0.0
-    return (ends_apart & (_cross(s, p - q) * _cross(s, p + r - q) < 0.0)).any(axis=(1, 2))
+    crossing = ends_apart & (_cross(s, p - q) * _cross(s, p + r - q) < 0.0)
+    return np.any(crossing, axis=(1, 2))
 
 
 def _is_inside(points: Floats, polygon: Floats) -> Mask:
@@ -258,7 +260,7 @@ def markdown(lines: list[dict]) -> str:
     lines = sorted(lines, key=lambda line: order.index(line["plane"]))
     for plane, several in groupby(lines, lambda line: line["plane"]):
         fields = list(several)
-        of = {key: [line.get(key) for line in fields] for key in fields[0]}
+        of: dict[str, list[Any]] = {key: [line.get(key) for line in fields] for key in fields[0]}
         share = [reached / can for reached, can in zip(of["reached"], of["reachable"])]
         cost = [
             line["cpu_s"] / line["cpu_without_walls_s"]

@@ -160,7 +160,7 @@ def draw(path: Path, tables: Sequence[tuple[str, Runs]], cap: float) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Read tables and print a line for each."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("tables", nargs="+", type=Path)
     parser.add_argument("--cap", type=float, default=0.55, help="share of motors on at once")
     parser.add_argument("--figure", type=Path)

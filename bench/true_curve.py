@@ -21,7 +21,7 @@ SEGMENTS = ((0.3, 90.0), (0.2, -60.0), (0.25, 30.0))  # durations [s], velocitie
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write the figure."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("path", type=Path)
     path = parser.parse_args(arguments).path
     duration, velocity = np.array(SEGMENTS).T

@@ -46,7 +46,9 @@ def vouch_for(client: PlaneClient, ids: Iterable[int], timeout_s: float) -> None
     new = Parameter("vouched", Parameter.Type.INTEGER_ARRAY, sorted(set(ids)))
     future = client.bridge_parameters(timeout_s).set_parameters([new])
     client.wait_for(future.done, timeout_s, f"answer of {_BRIDGE}")
-    (result,) = future.result().results
+    answer = future.result()
+    assert answer is not None  # the wait is over
+    (result,) = answer.results
     if not result.successful:
         raise PlaneRefusal(_BRIDGE, result.reason)
 

@@ -55,12 +55,12 @@ def checked_motor_speeds(
     Raises:
         LayoutError: a speed is out of bounds; names the robot.
     """
-    if speeds is None or np.size(speeds) == 0:
-        speeds = (np.abs(coupling) * joints[:, None]).sum(axis=2)
+    given = None if speeds is None or np.size(speeds) == 0 else speeds
+    most = (np.abs(coupling) * joints[:, None]).sum(axis=2) if given is None else given
     shape = (len(ids), coupling.shape[1])
-    checked = frozen_array(speeds, np.float64, shape, "motor_speeds", LayoutError)
+    checked = frozen_array(most, np.float64, shape, "motor_speeds", LayoutError)
     low, high = bounds.MIN_SPEED_RAD_S, bounds.MAX_SPEED_RAD_S
-    good = ((checked >= low) & (checked <= high)).all(axis=1)
+    good = np.all((checked >= low) & (checked <= high), axis=1)
     _refuse(~good, ids, "motor_speeds", checked, f"must be {low:.6g} to {high:.6g} rad/s")
     return checked
 
@@ -84,7 +84,8 @@ def checked_motor_limits(
         limits = np.stack([ends.min(axis=3).sum(axis=2), ends.max(axis=3).sum(axis=2)], axis=2)
     shape = (len(ids), coupling.shape[1], 2)
     checked = frozen_array(limits, np.float64, shape, "motor_limits", LayoutError)
-    good = (np.isfinite(checked).all(axis=2) & (checked[..., 0] <= checked[..., 1])).all(axis=1)
+    valid = np.isfinite(checked).all(axis=2) & (checked[..., 0] <= checked[..., 1])
+    good = np.all(valid, axis=1)
     _refuse(~good, ids, "motor_limits", checked, "must be finite and not empty")
     return checked
 

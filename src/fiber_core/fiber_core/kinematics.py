@@ -8,7 +8,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiber_core.array_types import Bools, Floats, Ints, Points
+from fiber_core.array_types import Bools, Floats, Ints, Mask, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motors import in_motor_range
 
@@ -126,12 +126,13 @@ def distance_range(plane: FocalPlane) -> tuple[Floats, Floats]:
 
     Of a robot whose target may have any fibre, the nearest and the farthest of all its fibres.
     """
-    lever = np.hypot(*np.moveaxis(plane.fibre_offsets, -1, 0))
+    lever: Floats = np.hypot(plane.fibre_offsets[..., 0], plane.fibre_offsets[..., 1])
     near, far = np.abs(plane.arms[:, :1] - lever), plane.arms[:, :1] + lever
-    named = (plane.fibre >= 0) & (plane.fibre[:, None] != np.arange(lever.shape[1])).T
+    chosen = plane.fibre[:, None]
+    excluded: Mask = (chosen >= 0) & (chosen != np.arange(lever.shape[1]))
     return (
-        np.where(named.T, np.inf, near).min(axis=1),
-        np.where(named.T, -np.inf, far).max(axis=1),
+        np.where(excluded, np.inf, near).min(axis=1),
+        np.where(excluded, -np.inf, far).max(axis=1),
     )
 
 

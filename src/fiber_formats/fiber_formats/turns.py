@@ -44,7 +44,7 @@ def on_a_turn_inside(angles: Angles, limits: Floats, slack: float) -> Turned:
     moves = outside & (fit == 1)
     return Turned(
         np.where(moves, angles + _TURN * first, angles),
-        moves.any(axis=1),
-        (outside & (fit > 1)).any(axis=1),
-        (~outside & (fit > 1)).any(axis=1),
+        np.any(moves, axis=1),
+        np.any(outside & (fit > 1), axis=1),
+        np.any(~outside & (fit > 1), axis=1),
     )

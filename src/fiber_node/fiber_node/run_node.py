@@ -9,7 +9,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.node import Node
-from rclpy.utilities import try_shutdown
+from rclpy.utilities import get_default_context, try_shutdown
 
 from fiber_core.errors import FiberError
 from fiber_node.params_files import section_warnings
@@ -52,7 +52,7 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # the signal has shut rclpy down already
     except Exception:
-        if rclpy.ok():
+        if get_default_context().ok():
             raise
         # after a signal whatever is sent fails, wherever the node is
     finally:

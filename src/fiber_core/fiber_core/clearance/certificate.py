@@ -189,7 +189,7 @@ def _lower_bounds(
 def out_of_bounds(motion: SegmentMotion | CurveMotion) -> Mask:
     """Return the robots that turn further or faster than any robot can, shape (n,)."""
     furthest = np.maximum(np.abs(motion.lowest), np.abs(motion.highest))
-    return ((furthest > MAX_ANGLE_RAD) | (motion.fastest > MAX_SPEED_RAD_S)).any(axis=1)
+    return np.any((furthest > MAX_ANGLE_RAD) | (motion.fastest > MAX_SPEED_RAD_S), axis=1)
 
 
 def certified_pairs(

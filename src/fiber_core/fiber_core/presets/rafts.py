@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiber_core.array_types import Floats, Points
+from fiber_core.array_types import Floats, Ints, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets.figures import Preset, checked_number, plane_from
 
@@ -36,13 +36,15 @@ def _sites(pitch_mm: float) -> Points:
 def _rafts(count: int) -> tuple[Points, Floats]:
     # middles [mm] and signs of the rafts nearest the centre; -1 is turned by half a turn
     reach = int(np.ceil(np.sqrt(count))) + 2
-    a, b = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    sites: Ints = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    a, b = sites
     corner = _SIDE_MM * np.stack([a + 0.5 * b, _ROOT3 / 2 * b], axis=1)
     up, down = [0.5, _ROOT3 / 6], [1.0, _ROOT3 / 3]
     middles = np.concatenate([corner + _SIDE_MM * np.array(at) for at in (up, down)])
     signs = np.repeat([1.0, -1.0], len(corner))
-    x, y = np.round(middles, 6).T
-    order = np.lexsort([x, y, np.round(np.hypot(x, y), 6)])[:count]
+    place = np.round(middles, 6)
+    away = np.round(np.hypot(place[:, 0], place[:, 1]), 6)
+    order = np.lexsort((place[:, 0], place[:, 1], away))[:count]
     return middles[order], signs[order]
 
 

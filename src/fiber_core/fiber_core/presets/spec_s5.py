@@ -8,7 +8,7 @@ raft by raft, from the centre outwards; a raft is a bus.
 
 import numpy as np
 
-from fiber_core.array_types import Floats, Points
+from fiber_core.array_types import Floats, Ints, Points
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets.figures import Preset, plane_from, repeated
@@ -42,7 +42,7 @@ def _walls_of_raft() -> Floats:
     to_corner = (sites @ up).max() + beside
     cut = 2 * to_side - to_corner  # from the corner of the whole triangle
     half_cut, half_side = cut / _ROOT3, _RAFT_SIDE_MM / 2 - 2 * cut / _ROOT3
-    plates = []
+    plates: list[Points] = []
     for turn in range(3):
         for away, distance, half in ((down, to_side, half_side), (up, to_corner, half_cut)):
             along = np.array([-away[1], away[0]])
@@ -57,14 +57,16 @@ def _walls_of_raft() -> Floats:
 def _rafts() -> tuple[Points, Floats]:
     # middles [mm] and turns [rad] of all rafts, from the centre outwards
     side = _RAFT_SIDE_MM + _ROOT3 * _GAP_MM  # with half of the gap on each side
-    a, b = np.mgrid[-12:13, -12:13].reshape(2, -1)
+    sites: Ints = np.mgrid[-12:13, -12:13].reshape(2, -1)
+    a, b = sites
     corner = side * np.stack([a + 0.5 * b, 0.5 * _ROOT3 * b], axis=1)
     up = corner + side * np.array([0.5, _ROOT3 / 6])
     down = corner + side * np.array([1.0, _ROOT3 / 3])
     middles = np.concatenate([up, down])
     turns = np.repeat([0.0, np.pi], len(corner))
-    away, around = np.hypot(*middles.T), np.arctan2(middles[:, 1], middles[:, 0])
-    order = np.lexsort([np.round(around, 6), np.round(away, 6)])[:_RAFTS]
+    away: Floats = np.hypot(middles[:, 0], middles[:, 1])
+    around: Floats = np.arctan2(middles[:, 1], middles[:, 0])
+    order = np.lexsort((np.round(around, 6), np.round(away, 6)))[:_RAFTS]
     return middles[order], turns[order]
 
 
