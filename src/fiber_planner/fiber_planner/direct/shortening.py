@@ -13,8 +13,9 @@ from fiber_planner.interface import ProgressCallback
 
 __all__ = ["shortest_plan"]
 
-_SLICE = 50.0  # moves of each search, per robot, between two decisions
+_SLICE = 100.0  # moves of each search, per robot, between two decisions
 _PATIENCE = 1000.0  # moves after which a search is given up
+_QUICK = 200.0  # moves after which one that began with a compressed plan is given up
 _NEAR = 0.04  # share of the time alone by which a compressed plan is shorter at first
 _FINEST = 0.01  # of the time alone: no plan is sought that is shorter by less
 _POLL_S = 0.1
@@ -36,9 +37,9 @@ def shortest_plan(
     alone and the makespan of the best plan. The longer one begins with the best plan compressed, a
     little shorter; the other one begins anew, in the middle of the range. A search that succeeds
     moves the upper end of the range. The latter, when it has failed for long, moves the lower end;
-    the former is tried again with half of the compression, and with twice as much when it has
-    succeeded. Decisions are made at fixed numbers of moves, so the plan depends neither on the
-    number of cores nor on their speed, unless there is a budget of time.
+    the former is soon tried again with half of the compression. Decisions are made at fixed numbers
+    of moves, so the plan depends neither on the number of cores nor on their speed, unless there is
+    a budget of time.
 
     Args:
         problem: robots sorted by their places; robots that may not be moved are disabled.
@@ -155,9 +156,7 @@ class _Shortening:
             self._failed, self._anew = max(self._failed, anew.stretch), None
         elif anew.stretch >= self._found:
             self._anew = None
-        if compressed.stretch < self._found and (stuck[1] or compressed.spent >= _PATIENCE):
+        if compressed.stretch < self._found and (stuck[1] or compressed.spent >= _QUICK):
             self._nearer, self._compressed = max(0.5 * self._nearer, _FINEST), None
         elif compressed.stretch >= self._found:
-            if compressed is self._best:
-                self._nearer *= 2.0
             self._compressed = None
