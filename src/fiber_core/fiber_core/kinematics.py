@@ -129,7 +129,7 @@ def distance_range(plane: FocalPlane) -> tuple[Floats, Floats]:
     lever: Floats = np.hypot(plane.fibre_offsets[..., 0], plane.fibre_offsets[..., 1])
     near, far = np.abs(plane.arms[:, :1] - lever), plane.arms[:, :1] + lever
     chosen = plane.fibre[:, None]
-    each = np.arange(plane.fibre_offsets.shape[1])
+    each: Ints = np.arange(int(plane.fibre_offsets.shape[1]))
     excluded: Mask = np.logical_and(chosen >= 0, chosen != each)
     return (
         np.where(excluded, np.inf, near).min(axis=1),
