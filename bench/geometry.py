@@ -53,7 +53,7 @@ def _of_preset(name: str) -> Callable[[int], Problem]:
 
 def _desi_tile(seed: int) -> Problem:
     found = problem_from(
-        layout=_DATA / "desi/calib-20260303.csv",
+        layout=_DATA / "desi/fp-20260219.ecsv",
         starts=_DATA / "desi/fp-20260219.ecsv",
         targets=_DATA / "cases/desi_tile0.csv",
         seed=seed,
