@@ -33,7 +33,8 @@ def checked_coupling(coupling: ArrayLike | None, ids: Ints) -> Floats:
         raise LayoutError(f"coupling is of {checked.shape[1]} motors a robot, expected 2")
     if checked.shape[1]:
         inside = (np.abs(checked) <= _MOST_RATIO).all(axis=(1, 2))  # nan is not inside
-        determinant = checked[:, 0, 0] * checked[:, 1, 1] - checked[:, 0, 1] * checked[:, 1, 0]
+        with np.errstate(invalid="ignore"):  # an infinite ratio
+            determinant = checked[:, 0, 0] * checked[:, 1, 1] - checked[:, 0, 1] * checked[:, 1, 0]
         good = inside & (np.abs(determinant) >= _LEAST_DETERMINANT)
         _refuse(
             ~good, ids, "coupling", checked, f"must have an inverse and ratios to {_MOST_RATIO:g}"

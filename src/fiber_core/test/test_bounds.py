@@ -23,14 +23,25 @@ from fiber_core.clearance import Safety, neighbour_pairs
 
 NUMBERS = ("spacing_mm", "envelope_mm")
 EXTREMES = (0.0, -1.0, np.nan, np.inf, -np.inf, 1e-300, 1e12, 1e25, 2.0**63, "many", None)
-COLUMNS = [f.name for f in fields(FocalPlane) if f.name not in ("name", "enabled", "drive")]
+OTHER = ("name", "enabled", "drive", "fibre_names")
+COLUMNS = [f.name for f in fields(FocalPlane) if f.name not in OTHER]
+
+
+def plane_with_every_column() -> FocalPlane:
+    plane = preset("desi_outlines", 7)
+    return replace(
+        plane,
+        obstacles=[[60.0, 0.0, 1.0]],
+        walls=[[[60.0, 9.0], [61.0, 9.0], [61.0, 10.0]]],
+        fibres=np.tile([[2.9, 0.1], [3.0, 0.0]], (plane.n, 1, 1)),
+        coupling=np.tile([[1.0, 0.0], [-1.5, 1.5]], (plane.n, 1, 1)),
+    )
 
 
 @pytest.mark.parametrize("extreme", EXTREMES, ids=str)
 @pytest.mark.parametrize("column", COLUMNS)
 def test_a_layout_with_an_extreme_value_works_or_is_refused(column, extreme):
-    plane = replace(preset("desi_outlines", 7), obstacles=[[60.0, 0.0, 1.0]])
-    plane = replace(plane, walls=[[[60.0, 9.0], [61.0, 9.0], [61.0, 10.0]]])
+    plane = plane_with_every_column()
     rng = np.random.default_rng(COLUMNS.index(column))
     value = extreme
     if column not in NUMBERS:
