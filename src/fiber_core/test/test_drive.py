@@ -224,3 +224,18 @@ def test_motors_that_take_turns_are_never_on_together():
     assert most_motors_on(motion, [0, 0]).tolist() == [0.5]
     assert most_motors_on(carried_out(Drive(2, ramp_s=0.2), motion), [0, 1]).tolist() == [1.0, 0.5]
     assert most_motors_on(SegmentMotion.at_rest(np.zeros((2, 2))), [7, 7]).tolist() == [0.0]
+
+
+def test_drives_are_equal_by_value():
+    drive = Drive(3, 0.1, 2.0, 0.01, "own")
+    assert drive == Drive(3, 0.1, [2.0, 2.0], 0.01, "own")
+    assert drive == drive.of_robots([2, 1, 0])
+    for other in (
+        Drive(2, 0.1, 2.0, 0.01, "own"),
+        Drive(3, 0.2, 2.0, 0.01, "own"),
+        Drive(3, 0.1, [2.0, 2.5], 0.01, "own"),
+        Drive(3, 0.1, 2.0, [0.01, 0.02], "own"),
+        Drive(3, 0.1, 2.0, 0.01, "other"),
+    ):
+        assert drive != other
+    assert drive != "own"

@@ -83,6 +83,16 @@ class Drive:
                 f"robot row {at}: an acceleration of {limit} rad/s2 needs a ramp, got 0 s"
             )
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both carry out every order in the same way, and have the same name."""
+        if not isinstance(other, Drive):
+            return NotImplemented
+        return (
+            (self.n, self.ramp_s, self.name) == (other.n, other.ramp_s, other.name)
+            and np.array_equal(self.acceleration_rad_s2, other.acceleration_rad_s2)
+            and np.array_equal(self.uncertainty_rad, other.uncertainty_rad)
+        )
+
     def _per_joint(self, value: ArrayLike, name: str) -> NDArray[np.float64]:
         if np.ndim(value) == 2:
             return frozen_array(value, np.float64, (self.n, 2), name, LayoutError)
