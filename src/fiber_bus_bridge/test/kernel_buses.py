@@ -68,7 +68,11 @@ class Kernel:
             self._bases.append(base)
         self._loop = glib.MainLoop()
         self._server = threading.Thread(target=self._loop.run, daemon=True)
+        # A node that is made while the loop opens its sockets has been seen to abort.
+        running = threading.Event()
+        glib.idle_add(running.set)
         self._server.start()
+        running.wait()
 
     def close(self):
         self._loop.quit()
