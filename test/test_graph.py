@@ -294,6 +294,8 @@ def test_a_bag_that_is_played_into_its_own_open_session_moves_no_robot(client):
     check_good_plan(client, 32)  # the robots are elsewhere now, and the session is the same
     client.wait_for(lambda: not client.moving, WAIT_S)
     counts, ended = client.units.to_counts(client.angles), set(client.outcomes)
+    # the client hears the bag too, and remembers only so many plans
+    ended |= {PlanStamp.of(message) for message in heard[chain.index(topics.OUTCOME)]}
 
     players = [topic.publisher(client._ros.node) for topic in chain]
     client.wait_for(lambda: all(each.get_subscription_count() for each in players), WAIT_S)
@@ -310,6 +312,6 @@ def test_a_bag_that_is_played_into_its_own_open_session_moves_no_robot(client):
     states = client.collect(topics.JOINT_STATES)
     client.wait_for(lambda: len(states) > 1, WAIT_S)
     assert np.array_equal(client.units.to_counts(joint_states.decode(states[-1])[1]), counts)
-    assert set(client.outcomes) == ended
+    assert set(client.outcomes) <= ended
     # and the next plan begins where the robots are, not where the bag says
     check_good_plan(client, 33)

@@ -17,6 +17,7 @@ from fiber_core.clearance import Safety, certify
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome
 from fiber_core.problem import load_plan, load_problem
+from fiber_core.wire_units import WireUnits
 from fiber_formats import read_results
 
 pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
@@ -150,9 +151,10 @@ def test_the_demo_writes_files_that_agree(demo):
     assert (demo.folder / "plane.png").read_bytes().startswith(b"\x89PNG")
     table = read_results(demo.folder / "results.ecsv")
     assert np.array_equal(table.ids, problem.plane.ids)
-    assert np.array_equal(table.outcome, outcome) and np.allclose(
-        np.deg2rad(table.angles_deg), motion.end, atol=1e-12
-    )
+    assert np.array_equal(table.outcome, outcome)
+    # the robots begin at the nearest angle that an encoder can read, problem.npz at any angle
+    off_rad = np.abs(np.deg2rad(table.angles_deg) - motion.end)
+    assert off_rad.max() <= 0.51 * WireUnits.for_plane(problem.plane).quantum_rad
     for name in ("makespan", "report.json", "plan.npz", "plane.png", "results.ecsv"):
         assert name in demo.said
 
