@@ -73,6 +73,14 @@ class ManagedNode(LifecycleNodeMixin, PlaneNode):
                 self.destroy_node()
                 raise self._refusal or FiberError(f"{self.get_name()} does not start")
 
+    def destroy_node(self) -> None:
+        """Give up the node and its state machine."""
+        super().destroy_node()
+        # rclpy keeps the state machine, which keeps the node and its participant of the middleware
+        for name in [name for name in vars(self) if name.startswith("_service_")]:
+            delattr(self, name)
+        self.__dict__.pop("_state_machine", None)
+
     def configure(self) -> None:
         """Make all that the node works with; afterwards it hears and does not act."""
 
