@@ -42,6 +42,7 @@ class RobotMemory:
         boot: boot counter, -1 if it was never read, shape (n,).
         failed: Reason for which the robot is left out of plans, else OK, shape (n,).
         sequence: sequence number of the last orders on each bus, 0 for none, shape (b,).
+        stopped: whether all robots were stopped and nothing has cleared them since.
     """
 
     counts: Counts
@@ -50,12 +51,13 @@ class RobotMemory:
     boot: Ints
     failed: Codes
     sequence: Ints
+    stopped: bool = False
 
     def same(self, other: "RobotMemory") -> bool:
         """Return whether another memory has the same content."""
         return all(
             np.array_equal(getattr(self, name), getattr(other, name))
-            for name in ("counts", "placed", "lost", "boot", "failed", "sequence")
+            for name in ("counts", "placed", "lost", "boot", "failed", "sequence", "stopped")
         )
 
 
@@ -91,6 +93,7 @@ def save_memory(path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad
         "boot": memory.boot.tolist(),
         "failed": memory.failed.tolist(),
         "sequence": memory.sequence.tolist(),
+        "stopped": int(memory.stopped),
     }
     content["checksum"] = _checksum(content)
     fresh = path.with_name(path.name + ".new")
@@ -149,6 +152,9 @@ def _memory(content: object, plane: FocalPlane, quantum_prad: int, buses: int) -
     theta, phi, placed, lost, boot, failed = (_column(content, name, plane.n) for name in _COLUMNS)
     if not np.isin(failed, [int(reason) for reason in Reason]).all():
         raise BridgeError("failed holds a number that is no reason")
+    stopped = content.get("stopped", 0)  # files of earlier versions do not say
+    if type(stopped) is not int or stopped not in (0, 1):
+        raise BridgeError(f"stopped is {stopped!r}, expected 0 or 1")
     return RobotMemory(
         np.stack([theta, phi], axis=1),
         placed.astype(bool),
@@ -156,6 +162,7 @@ def _memory(content: object, plane: FocalPlane, quantum_prad: int, buses: int) -
         boot,
         failed,
         _column(content, "sequence", buses),
+        bool(stopped),
     )
 
 

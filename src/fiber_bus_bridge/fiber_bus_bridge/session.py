@@ -178,6 +178,7 @@ class Session:
         return RobotMemory(
             robots["counts"].copy(), robots["placed"].copy(), lost, robots["boot"].copy(),
             failed.copy(), self.buses["sequence"].copy(),
+            self.state is SessionState.STOPPED,
         )  # fmt: skip
 
     def recall(self, memory: RobotMemory) -> None:
@@ -196,6 +197,7 @@ class Session:
         robots["placed"], robots["lost"] = placed, memory.lost
         robots["boot"] = memory.boot
         self.buses["sequence"] = memory.sequence
+        self.protocol.was_stopped = memory.stopped
 
     def vouch(self, ids: ArrayLike) -> None:
         """Believe that robots that do not answer rest where they were read last, or assumed.

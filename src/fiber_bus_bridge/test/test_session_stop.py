@@ -231,6 +231,27 @@ def test_a_new_session_clears_robots_that_stopped_by_themselves():
     assert set(np.delete(rig.run().outcome, 3)) == {Outcome.REACHED}
 
 
+@pytest.mark.parametrize("cleared", [False, True])
+def test_a_stop_outlives_the_bridge_also_of_robots_that_do_not_remember_it(cleared):
+    rig = Rig(7)
+    rig.ready()
+    rig.call("start")
+    rig.t += 1.0  # the controller pauses: robots without heartbeats stop by themselves
+    assert set(rig.robots.states(rig.t)) == {RobotState.FAULT}
+    rig.call("stop")
+    assert set(rig.robots.states(rig.t)) == {RobotState.FAULT}
+    if cleared:
+        rig.call("clear")
+    memory = rig.session.memory(np.full(7, int(Reason.OK)))
+    later = Session(rig.plane, rig.units, Safety(), SimulatedBuses(rig.robots), rig.session.angles)
+    later.recall(memory)
+    rig.t = later.configure(rig.t)
+    assert later.state is (SessionState.IDLE if cleared else SessionState.STOPPED)
+    rig.t = later.clear(rig.t)
+    assert later.state is SessionState.IDLE
+    assert not later.memory(np.full(7, int(Reason.OK))).stopped
+
+
 def test_a_new_session_does_not_clear_beside_robots_that_an_operator_stopped():
     rig = Rig(7)
     rig.ready()

@@ -132,8 +132,8 @@ class BridgeNode(ManagedNode):
             guarded(self, "tick", self._calls.locked(self._on_tick)),
             callback_group=work,
             clock=steady if in_real_time else self.get_clock(),
+            autostart=False,
         )
-        self._timer.cancel()
         for period_s, name, call, clock in (
             (_CHECK_PERIOD_S, "plans", self._check_plans, steady),
             (_REPEAT_PERIOD_S, "repeat", self._repeat, self.get_clock()),

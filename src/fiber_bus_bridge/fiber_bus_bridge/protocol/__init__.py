@@ -4,11 +4,10 @@
 from fiber_bus_bridge.protocol.context import Certifier, Context, Phase, Transition, Watch
 from fiber_bus_bridge.protocol.machine import STEPS, handle, run, run_one
 from fiber_bus_bridge.protocol.states import TRANSITIONS, Event, State, allows, next_state
-from fiber_bus_bridge.protocol.tables import BUS, REMEMBERED, ROBOT, Buses, Robots
+from fiber_bus_bridge.protocol.tables import BUS, ROBOT, Buses, Robots
 
 __all__ = [
     "BUS",
-    "REMEMBERED",
     "ROBOT",
     "STEPS",
     "TRANSITIONS",

@@ -130,6 +130,7 @@ class Context:
     robots: Robots
     buses: Buses
     state: State = State.UNCONFIGURED
+    was_stopped: bool = False  # an earlier session left the robots stopped; nothing cleared them
     log: list[Transition] = field(default_factory=list)
     t: float = -np.inf  # earliest time of the next message [s]
     now_s: float = -np.inf  # time of the last transition [s]

@@ -51,12 +51,13 @@ def _found(c: Context) -> Event:
 
     A robot in FAULT stopped by itself: its controller died, or a joint did not follow. Its place
     was read, so that it may move again once all robots rest. A robot that was stopped waits for
-    an operator, as one may have stopped it.
+    an operator, as one may have stopped it. A robot that was in FAULT at the STOP, or lost its
+    power since, does not tell of the STOP; the memory of the bridge does.
     """
     state, known = c.robots["state"], c.robots["known"]
     alone = known & (state == RobotState.FAULT)
     stopped = known & (state == RobotState.STOPPED)
-    if stopped.any() or (alone.any() and (state == RobotState.MOVING).any()):
+    if c.was_stopped or stopped.any() or (alone.any() and (state == RobotState.MOVING).any()):
         return Event.FOUND_STOPPED
     return Event.FOUND_ALONE if alone.any() else Event.CONFIGURED
 
@@ -64,6 +65,7 @@ def _found(c: Context) -> Event:
 def clear(c: Context) -> Event:
     """Delete orders and faults; robots stay where they are."""
     end_plan(c)
+    c.was_stopped = False
     c.transactions.revive()
     rows = c.known_or_all
     c.transactions.command(Opcode.CLEAR, rows, c.t)

@@ -12,7 +12,6 @@ from fiber_core.outcomes import Reason
 
 __all__ = [
     "BUS",
-    "REMEMBERED",
     "ROBOT",
     "Buses",
     "Robots",
@@ -62,8 +61,6 @@ ROBOT = np.dtype(
     align=True,
 )
 SEQUENCES = 15  # sequence numbers are 1..15
-# columns that stay true when the controller ends while robots are where they are
-REMEMBERED = ("boot", "counts", "lost", "placed", "cause")
 
 BUS = np.dtype(
     [

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mechanical errors of the joints: what keeps a true arm from the angle that its counter reads."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -167,11 +167,6 @@ class MechanicalErrors:
 
     def __post_init__(self) -> None:
         bounds.check_ranges(self, self.RANGES, BridgeError)
-
-    @property
-    def none(self) -> bool:
-        """Whether no joint has an error."""
-        return not any(getattr(self, f.name) for f in fields(self) if f.name != "slip")
 
 
 def draw_mechanics(n: int, errors: MechanicalErrors, rng: np.random.Generator) -> Mechanics:
