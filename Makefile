@@ -106,7 +106,7 @@ console: inputs build ## a simulated plane in a browser until Ctrl-C, into out/l
 	@$(call command,fiber_bringup,live) $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) \
 		$(if $(SEED),--seed $(SEED)) $(if $(PLANNER),--planner $(PLANNER)) $(if $(LAYOUT),--layout $(LAYOUT)) \
 		$(if $(STARTS),--starts $(STARTS)) $(if $(FAULTS),--faults $(FAULTS)) $(if $(PORT),--port $(PORT)) \
-		--out $(if $(filter-out out/demo,$(OUT)),$(OUT),out/live)
+		--out $(if $(filter file,$(origin OUT)),out/live,$(OUT))
 
 .PHONY: reconfigure
 reconfigure: build ## take a running plane to new targets (TARGETS=random:1 or a file)
@@ -125,10 +125,10 @@ player: build ## write the page of a RECORDING= beside it
 	@$(call command,fiber_viewer,player) $(RECORDING) $(ARGS)
 
 figures: build ## draw the figures of a RECORDING= into out/figures, or OUT=
-	@$(call command,fiber_viewer,figures) $(RECORDING) -o $(if $(filter-out out/demo,$(OUT)),$(OUT),out/figures) $(ARGS)
+	@$(call command,fiber_viewer,figures) $(RECORDING) -o $(if $(filter file,$(origin OUT)),out/figures,$(OUT)) $(ARGS)
 
 bag: build ## write a RECORDING= as a rosbag2 into out/bag, or OUT=
-	@$(call command,fiber_recording,bag) $(RECORDING) $(if $(filter-out out/demo,$(OUT)),$(OUT),out/bag) $(ARGS)
+	@$(call command,fiber_recording,bag) $(RECORDING) $(if $(filter file,$(origin OUT)),out/bag,$(OUT)) $(ARGS)
 
 .PHONY: screenshots
 screenshots: build ## take the pictures of docs/images from the last demo, and out/faults (needs chromium)
@@ -140,7 +140,7 @@ screenshots: build ## take the pictures of docs/images from the last demo, and o
 bench: inputs build ## plan one field with no ROS and print one JSON line, into OUT
 	@$(if $(FAULTS),echo "bench moves no robots, so FAULTS=$(FAULTS) has no effect: use make demo" >&2; exit 1,true)
 	@$(INSTALLED) && $(PYTHON) bench/plan_field.py $(OPTIONS) \
-		--out $(if $(filter-out out/demo,$(OUT)),$(OUT),out/bench)
+		--out $(if $(filter file,$(origin OUT)),out/bench,$(OUT))
 
 .PHONY: wheel
 wheel: $(ENV_STAMP) ## build the wheel of the packages that need no ROS, into dist/

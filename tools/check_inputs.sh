@@ -10,19 +10,22 @@ refuse() {
   exit 1
 }
 case $seed in *[!0-9]*) refuse "SEED=$seed: a seed is a whole number, 0 or more" ;; esac
-case $robots in *[!0-9]* | 0) refuse "ROBOTS=$robots: robots are a whole number, 1 or more" ;; esac
+[ ${#seed} -le 18 ] || refuse "SEED=$seed: a seed has 18 digits at most"
+case $robots in *[!0-9]* | 0*) refuse "ROBOTS=$robots: robots are a whole number, 1 or more" ;; esac
 # a folder is written to, or made in the nearest folder that is there
 writable() {
   local place=$1
   while [ ! -e "$place" ] && [ ! -L "$place" ]; do place=$(dirname "$place"); done
-  [ -d "$place" ] && touch "$place/.fiber_writable" 2>/dev/null && rm "$place/.fiber_writable"
+  local probe
+  [ -d "$place" ] && probe=$(mktemp "$place/.fiber_XXXXXX" 2>/dev/null) && rm "$probe"
 }
 writable "$clone" || refuse "$clone cannot be written to, and the build is made there: copy the clone elsewhere"
+[ -n "$out" ] || refuse "OUT= is empty: name a folder"
 writable "$out" || refuse "OUT=$out cannot be written to: choose another folder"
 for files in "$@"; do
   IFS=, read -ra each <<<"$files"
   for file in "${each[@]}"; do
-    [ -e "$file" ] || refuse "$file: there is no such file"
+    [ -e "$file" ] && [ ! -d "$file" ] || refuse "$file: there is no such file"
   done
 done
 if [ -r /sys/class/net/lo/flags ] && [ $(($(</sys/class/net/lo/flags) & 1)) -eq 0 ]; then

@@ -17,7 +17,6 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from fiber_bringup.errors import ProcessError
 from fiber_bringup.processes import Processes
 from fiber_bus_bridge.plant import plant_socket
 from fiber_core.errors import FiberError
@@ -114,8 +113,6 @@ def _address(processes: Processes, log: Path) -> str:
         for line in log.read_text(errors="replace").splitlines():
             if _ADDRESS in line:
                 return f"console: {line.partition(_ADDRESS)[2]}"
-        if not log.exists():
-            raise ProcessError(f"{log} is missing")
         time.sleep(_LOOK_S)
 
 

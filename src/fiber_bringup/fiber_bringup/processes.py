@@ -36,6 +36,11 @@ class _Started:
         return f"{self.name} ended with code {self.process.returncode}, {self.log}:\n{tail}"
 
 
+def _private(path: str, flags: int) -> int:
+    # what a node prints is for its owner: the address of the console has its token
+    return os.open(path, flags, 0o600)
+
+
 def installed(package: str, executable: str) -> Path:
     """Return the path of an installed executable.
 
@@ -113,7 +118,7 @@ class Processes:
         return self._run(executable, command, self._logs / f"{executable}.log", "wb").pid
 
     def _run(self, name: str, command: Sequence[str], log: Path, mode: str) -> _Process:
-        with open(log, mode) as file:
+        with open(log, mode, opener=_private) as file:
             process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,

@@ -109,8 +109,9 @@ class ConsoleNode(PlaneNode):
                 observe(message)
             except FiberError as error:
                 self._report.refuse(f"{name} refused: {error}", name)
-            if self.server is not None:
-                self.server.touch()
+            server = self.server  # another thread ends it
+            if server is not None:
+                server.touch()
 
         return receive
 
@@ -122,8 +123,9 @@ class ConsoleNode(PlaneNode):
 
     def _on_joint_states(self, message: JointState) -> None:
         _, angles, speeds, _ = joint_states.decode(message)
-        if self.server is not None:
-            self.server.send_motion(self.feed.motion_message(angles, speeds))
+        server = self.server  # another thread ends it
+        if server is not None:
+            server.send_motion(self.feed.motion_message(angles, speeds))
 
     def _on_outcome(self, message: PointCloud2) -> None:
         stamp = PlanStamp.of(message)
@@ -164,7 +166,8 @@ async def serve(node: ConsoleNode, ended: asyncio.Event) -> None:
     token = kept_token(_token_file(config))
     server = ConsoleServer(node.feed, node.orders, token, Path(config.folder), config.port)
     node.server = server
-    node.get_logger().info(f"the console is at {server.address}")
+    # not to the log, which other nodes hear: the address has the token
+    print(f"the console is at {server.address}", flush=True)
     try:
         await ended.wait()
     finally:

@@ -27,6 +27,7 @@ _STATUS_PERIOD_S = 0.1  # least time between two messages about stages, alerts a
 _PLANS_PERIOD_S = 2.0  # time between two looks at the folder of the recordings
 _PLANS_SHOWN = 20
 _TOKEN_BYTES = 24
+_STOPS, _ORDERS = 32, 4  # orders that may wait for an answer at once
 
 # an order from a browser: its name, the plan, ids of robots, why; returns the answer's text
 Order = Callable[[str, str | None, Sequence[int], str], str]
@@ -41,21 +42,35 @@ def kept_token(path: Path) -> str:
         path: the file.
 
     Raises:
-        ConsoleError: the file cannot be read or written.
+        ConsoleError: the file cannot be read or written, or others could have read or made it.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-                file.write(secrets.token_urlsafe(_TOKEN_BYTES))
-        except FileExistsError:
-            pass
-        token = path.read_text().strip()
+        if not path.exists():
+            _make_token(path)
+        with open(path) as file:
+            about = os.fstat(file.fileno())
+            token = file.read().strip()
     except OSError as error:
         raise ConsoleError(f"the token of the console cannot be kept: {error}") from None
+    if about.st_uid != os.geteuid() or about.st_mode & 0o077:
+        raise ConsoleError(f"{path} is open to other users, or theirs: remove it")
     if not token:
         raise ConsoleError(f"the token in {path} is empty: remove the file")
     return token
+
+
+def _make_token(path: Path) -> None:
+    # as a whole: of two consoles that start together both take the token of the first
+    fresh = path.with_name(f"{path.name}.{os.getpid()}")
+    with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
+        file.write(secrets.token_urlsafe(_TOKEN_BYTES))
+    try:
+        os.link(fresh, path)
+    except FileExistsError:
+        pass
+    finally:
+        fresh.unlink()
 
 
 class ConsoleServer:
@@ -83,7 +98,8 @@ class ConsoleServer:
         self._loop = asyncio.get_running_loop()
         self._motion: bytes | None = None
         self._told = asyncio.Event()
-        self._stop_thread = ThreadPoolExecutor(1)  # free, whatever other orders wait for
+        # a stop is carried out whatever other orders, and earlier stops, wait for
+        self._stops, self._orders = ThreadPoolExecutor(_STOPS), ThreadPoolExecutor(_ORDERS)
         application = Application(
             [
                 ("/", _Page),
@@ -130,14 +146,15 @@ class ConsoleServer:
         """Leave all browsers alone."""
         for task in self._tasks:
             task.cancel()
-        self._stop_thread.shutdown(wait=False)
+        for pool in (self._stops, self._orders):
+            pool.shutdown(wait=False, cancel_futures=True)
         self._http.stop()
         for client in list(self.clients):
             client.close()
 
     async def carry_out(self, order: str, plan: str | None, ids: Sequence[int], why: str) -> str:
-        """Carry out an order in a thread; stop has one of its own."""
-        pool = self._stop_thread if order == "stop" else None
+        """Carry out an order in a thread; stops have threads of their own."""
+        pool = self._stops if order == "stop" else self._orders
         return await self._loop.run_in_executor(pool, self.order, order, plan, ids, why)
 
     def newest_motion(self) -> bytes | None:
@@ -233,6 +250,7 @@ class _Live(WebSocketHandler, _Guarded):
     def open(self, *_: str, **__: str) -> None:
         self.set_nodelay(True)
         self.sending: asyncio.Future[None] | None = None
+        self._behind = False
         self._orders: set[asyncio.Future[None]] = set()
         self.server.clients.add(self)
         self.tell(self.server.status())
@@ -244,8 +262,15 @@ class _Live(WebSocketHandler, _Guarded):
         self.server.clients.discard(self)
 
     def send_motion(self, message: bytes) -> None:
-        if self.sending is None or self.sending.done():  # else the browser is behind
+        self._behind = self.sending is not None and not self.sending.done()
+        if not self._behind:
             self.sending = self._send(message)
+            self.sending.add_done_callback(self._catch_up)
+
+    def _catch_up(self, _: object) -> None:
+        motion = self.server.newest_motion()
+        if self._behind and motion is not None:
+            self.send_motion(motion)
 
     def tell(self, text: str) -> None:
         self._orders.add(self._send(text))

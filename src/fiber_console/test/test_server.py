@@ -2,6 +2,7 @@
 """The server of the console without ROS: its port, its token, and browsers that are slow."""
 
 import asyncio
+import itertools
 import threading
 
 import pytest
@@ -46,6 +47,10 @@ def test_a_token_is_kept_for_its_owner_alone(tmp_path):
         kept_token(file)
     with pytest.raises(ConsoleError, match="cannot be kept"):
         kept_token(file / "below")
+    file.write_text("known")
+    file.chmod(0o640)
+    with pytest.raises(ConsoleError, match="open to other users"):
+        kept_token(file)
 
 
 def test_a_browser_that_does_not_read_gets_the_newest_motion_and_delays_no_other(tmp_path):
@@ -62,11 +67,16 @@ def test_a_browser_that_does_not_read_gets_the_newest_motion_and_delays_no_other
                     break
             seen += int.from_bytes(message[:4], "little") == number
         behind = [client for client in server.clients if not client.sending.done()]
+        newest, read = -1, 0
+        while newest < pictures - 1:  # what it was sent before, and then the newest
+            message = await asyncio.wait_for(slow.read_message(), 20.0)
+            if isinstance(message, bytes):
+                newest, read = int.from_bytes(message[:4], "little"), read + 1
         slow.close()
-        return seen, len(behind)
+        return seen, len(behind), read
 
-    seen, behind = serve(tmp_path, visit)
-    assert seen == pictures and behind == 1
+    seen, behind, read = serve(tmp_path, visit)
+    assert seen == pictures and behind == 1 and read < pictures
 
 
 def test_orders_that_hang_delay_no_stop(tmp_path):
@@ -76,21 +86,22 @@ def test_orders_that_hang_delay_no_stop(tmp_path):
         socket = await browser(server)
         for number in range(hanging):
             await socket.write_message(f'{{"number": {number}, "order": "home"}}')
-        await socket.write_message('{"number": 99, "order": "stop"}')
+        for number in (98, 99):
+            await socket.write_message(f'{{"number": {number}, "order": "stop"}}')
         answers = []
-        while len(answers) < hanging + 1:
+        while len(answers) < hanging + 2:
             message = await socket.read_message()
             if '"answer"' in message:
                 answers.append(message)
                 released.set()
         return answers
 
-    released = threading.Event()
+    released, stops = threading.Event(), itertools.count()
 
     def order(name, *_):
-        if name == "home":
+        if name == "home" or next(stops) == 0:  # the first stop hangs as well
             assert released.wait(20)
         return name
 
     first, *others = serve(tmp_path, visit, order)
-    assert '"order": "stop"' in first and len(others) == hanging
+    assert '"order": "stop"' in first and len(others) == hanging + 1

@@ -47,7 +47,9 @@ def write_player(page: Path, recording: Path) -> None:
         title += f", plan {about['plan_ns']}"
     embedded = base64.b64encode(recording.read_bytes()).decode()
     marks = {"RECORDING": embedded, "LENGTH": str(len(embedded))}
-    page.write_text(_filled("page.html", title, SCRIPTS, marks))
+    part = page.with_name(page.name + ".part")  # a page that is there is whole
+    part.write_text(_filled("page.html", title, SCRIPTS, marks))
+    part.replace(page)
 
 
 def console_page() -> str:

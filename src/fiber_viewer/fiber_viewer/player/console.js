@@ -51,7 +51,9 @@ class Console {
     this.version = version;
     const bytes = await this.connection.fetchPlane();
     if (!bytes) return;
-    const recording = await openPlane(bytes), { plane } = recording, sameRobots = this.recording?.plane.ids.join() === plane.ids.join();
+    const recording = await openPlane(bytes);
+    if (this.version !== version) return; // a newer one was asked for meanwhile
+    const { plane } = recording, sameRobots = this.recording?.plane.ids.join() === plane.ids.join();
     if (sameRobots) recording.speeds.set(this.recording.speeds);
     this.recording = recording;
     if (!sameRobots) {

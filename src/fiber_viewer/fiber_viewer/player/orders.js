@@ -16,8 +16,10 @@ export class Orders {
   constructor(app, send, elements) {
     Object.assign(this, { app, send, ...elements });
     this.sent = new Map();
-    for (const button of this.buttons.querySelectorAll("[data-order]")) {
-      button.addEventListener("click", () => this.ask(button.dataset.order));
+    for (const place of [this.buttons, this.dialog]) { // a stop is in reach while a question is open
+      for (const button of place.querySelectorAll("[data-order]")) {
+        button.addEventListener("click", () => this.ask(button.dataset.order));
+      }
     }
     this.dialog.addEventListener("close", () => {
       if (this.dialog.returnValue === "yes") this.confirmed();
@@ -66,7 +68,7 @@ export class Orders {
     this.sent.delete(number);
     this.lasted = performance.now() - began;
     const about = plan ? `${order}, plan ${plan}` : order ?? "order";
-    this.list(`${about}: ${ok ? "" : "refused: "}${text}`, ok, `${this.lasted.toFixed(0)} ms`);
+    this.list(`${about}: ${ok ? "" : "refused: "}${text}`, ok, began === undefined ? "" : `${this.lasted.toFixed(0)} ms`);
   }
 
   list(text, ok, note = "") {
