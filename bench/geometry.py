@@ -107,7 +107,7 @@ def run(name: str, seed: int, bare: bool) -> dict[str, object]:
         "reachable": int(can.sum()),
         "reached": int(reached.sum()),
         "certified": orders.discretization.certificate.ok,
-        "wall_contacts": int((to_walls[moves] < 0.0).sum()),
+        "wall_contacts": int((to_walls[moves] <= 0.0).sum()),
         "least_to_walls_mm": _rounded(to_walls[moves]),
         "least_between_arms_mm": _rounded(to_arms[moves]),
         "fastest_motor": _fastest_motor(plane, motion),

@@ -172,12 +172,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (TableError, KeyError, ValueError, OSError) as error:
         print(f"move_tables: {error}", file=sys.stderr)
         return 1
-    print(
-        "| table | positioners | time [s] | motor time [s] | of it creep | most motors on | ",
-        end="",
-    )
-    print(f"mean | bound with {args.cap:.0%} on [s] |")
-    print("|---|---|---|---|---|---|---|---|")
+    header = (*COLUMNS, f"bound with {args.cap:.0%} on [s]")
+    print(f"| {' | '.join(header)} |")
+    print("|" + "---|" * len(header))
     for name, runs in tables:
         print(line_of(name, runs, args.cap))
     if args.figure is not None:

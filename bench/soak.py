@@ -35,7 +35,7 @@ from fiber_bus_bridge.simulation import (
     TrueMotion,
     draw_faults,
 )
-from fiber_core.clearance import Safety, certify, neighbour_pairs
+from fiber_core.clearance import Safety, certify_arms, neighbour_pairs
 from fiber_core.outcomes import Outcome
 from fiber_core.presets import preset
 from fiber_positioners import Orders, make_orders, random_problem
@@ -200,7 +200,7 @@ def _judge_motion(campaign: Campaign, setup: _Setup, t: float) -> None:
     _judge_movements(campaign, moves, setup.phases)
     campaign.apart_ms = 1e3 * _apart_s(moves, setup.phases, setup.orders.units.tick_s)
     motion = setup.truth.motion(t)
-    truth = certify(plane, motion, Safety(0.0, 0.0, 0.0, 0.0), neighbour_pairs(plane))
+    truth = certify_arms(plane, motion, Safety(0.0, 0.0, 0.0, 0.0), neighbour_pairs(plane))
     campaign.gap_mm = truth.min_gap_mm
     if truth.unsafe.any():
         at = int(np.argmin(truth.gap_mm))

@@ -40,7 +40,7 @@ MAX_ANGLE_RAD = 2 * MAX_LIMIT_RAD
 # Joint speeds. At the highest a joint turns 0.1 rad in the shortest tick of the wire, 10 us; at
 # the lowest half a turn takes 36 days, hundreds of times longer than the longest order.
 MIN_SPEED_RAD_S, MAX_SPEED_RAD_S = 1e-6, 1e4
-# Robots of a plane; the largest instruments have 5000.
+# Robots of a plane; the largest that are planned have 32,000.
 MAX_ROBOTS = 100_000
 # Robot ids, buses and addresses: an id has 32 bits in every message.
 MAX_NUMBER = 2**32 - 1

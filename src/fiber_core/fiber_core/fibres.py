@@ -45,11 +45,15 @@ def checked_names(names: tuple[str, ...] | None, number: int) -> tuple[str, ...]
     """Return the names of the fibres of a robot; without names their numbers.
 
     Raises:
-        LayoutError: there are more or fewer names than fibres, or one is empty or given twice.
+        LayoutError: there are more or fewer names than fibres, or one is empty, given twice or
+            cannot be printed.
     """
     if not names:
         return tuple(str(k) for k in range(number))
-    if len(names) != number or len(set(names)) != number or not all(names):
+    usual = all(
+        name and name.isprintable() for name in names
+    )  # a line break parts them on the wire
+    if len(names) != number or len(set(names)) != number or not usual:
         raise LayoutError(f"fibre_names are {names!r}, expected {number} different names")
     return tuple(names)
 

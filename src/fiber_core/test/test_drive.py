@@ -8,7 +8,14 @@ import pytest
 from random_motions import RESOLVE_ALL, Fixed, all_at, random_motion
 
 from fiber_core import kinematics
-from fiber_core.clearance import Safety, certify, hold_until_safe, neighbour_pairs, sampled_gaps
+from fiber_core.clearance import (
+    Safety,
+    certify,
+    certify_arms,
+    hold_until_safe,
+    neighbour_pairs,
+    sampled_gaps,
+)
 from fiber_core.drive import CurveMotion, Drive, carried_out, most_motors_on
 from fiber_core.drive.named import DRIVES, with_drive
 from fiber_core.errors import LayoutError
@@ -224,6 +231,30 @@ def test_motors_that_take_turns_are_never_on_together():
     assert most_motors_on(motion, [0, 0]).tolist() == [0.5]
     assert most_motors_on(carried_out(Drive(2, ramp_s=0.2), motion), [0, 1]).tolist() == [1.0, 0.5]
     assert most_motors_on(SegmentMotion.at_rest(np.zeros((2, 2))), [7, 7]).tolist() == [0.0]
+
+
+def test_a_motor_that_rests_between_two_moves_is_off(rng):
+    # the other motor turns only in the rest of the first, of which a ramp leaves 1e-17 rad/s
+    for _ in range(50):
+        ramp_s, (v, w) = 0.05, rng.uniform(0.1, 3.0, 2)
+        offsets = np.array([0, 3, 5, 5, 5])
+        motion = SegmentMotion(
+            np.zeros((2, 2)), offsets, [0.3, 1.0, 0.3, 0.5, 0.2], [v, 0.0, -v / 3.0, 0.0, w]
+        )
+        curve = carried_out(Drive(2, ramp_s=ramp_s), motion)
+        assert most_motors_on(curve, [0, 0]).tolist() == [0.25]
+
+
+def test_the_motion_that_arms_made_is_judged_without_the_drive():
+    plane = preset("desi", 7)
+    drive = Drive(7, 0.5, np.inf, 0.05)
+    problem = random_problem(plane, np.random.default_rng(3))
+    motion = SegmentMotion.at_rest(problem.start)
+    pairs, safety = neighbour_pairs(plane), Safety(0.0, 0.0, 0.0, 0.0)
+    made = certify_arms(replace(plane, drive=drive), motion, safety, pairs)
+    assert np.array_equal(made.gap_mm, certify(plane, motion, safety, pairs).gap_mm)
+    ordered = certify(replace(plane, drive=drive), motion, safety, pairs)
+    assert (ordered.gap_mm < made.gap_mm).all()
 
 
 def test_drives_are_equal_by_value():

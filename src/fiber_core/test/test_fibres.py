@@ -155,6 +155,7 @@ def test_a_part_of_a_plane_keeps_its_fibres(rng):
         ({"fibres": np.ones((3, 17, 2))}, "17 fibres, expected at most 16"),
         ({"fibres": np.ones((3, 2, 2)), "fibre_names": ("a",)}, "2 different names"),
         ({"fibres": np.ones((3, 2, 2)), "fibre_names": ("a", "a")}, "2 different names"),
+        ({"fibres": np.ones((3, 2, 2)), "fibre_names": ("a", "b\nc")}, "2 different names"),
         ({"fibres": np.ones((3, 2, 2)), "fibre": [0, 1, 2]}, "robot 2: fibre must be 0 to 1"),
         ({"fibre": [0, 1, 0]}, "robot 1: fibre must be 0 to 0"),
     ],

@@ -9,7 +9,7 @@ from fiber_bus_bridge.plant.link import PlantLink
 from fiber_bus_bridge.plant.messages import Kind, PlantError
 from fiber_bus_bridge.simulation import Mechanics, Movements, arms_at, arms_motion
 from fiber_core.array_types import Bools, Codes, Counts, Ints
-from fiber_core.clearance import Certificate, Safety, certify, neighbour_pairs
+from fiber_core.clearance import Certificate, Safety, certify_arms, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 
@@ -134,4 +134,4 @@ def touching(plane: FocalPlane, truth: Truth, mechanics: Mechanics | None = None
         truth: the true movements.
         mechanics: the errors of the joints, as for Truth.motion.
     """
-    return certify(plane, truth.motion(mechanics), _EXACT, neighbour_pairs(plane))
+    return certify_arms(plane, truth.motion(mechanics), _EXACT, neighbour_pairs(plane))

@@ -5,6 +5,7 @@ from fiber_core.clearance.certificate import (
     Certificate,
     certified_pairs,
     certify,
+    certify_arms,
     smallest_gaps,
     unproven,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "bodies_of",
     "certified_pairs",
     "certify",
+    "certify_arms",
     "gaps",
     "hold_until_safe",
     "levers_of",

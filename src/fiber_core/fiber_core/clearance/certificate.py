@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Certificates: the proof that a motion keeps gaps, limits and speeds in continuous time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,12 +13,13 @@ from fiber_core.clearance.minimum_distance import FINEST_MM, Minima, minimum_gap
 from fiber_core.clearance.neighbours import neighbour_pairs
 from fiber_core.clearance.safety import Safety
 from fiber_core.drive.curves import CurveMotion, carried_out
+from fiber_core.drive.drive import Drive
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.motors import motors_broken
 
-__all__ = ["Certificate", "certified_pairs", "certify", "smallest_gaps", "unproven"]
+__all__ = ["Certificate", "certified_pairs", "certify", "certify_arms", "smallest_gaps", "unproven"]
 
 _TOLERANCE_MM = 0.5e-3
 
@@ -34,8 +35,8 @@ class Certificate:
             tolerance of that gap where it is below the required gap or the smallest of all.
         time_s: instant of the smallest gap found of each pair [s], shape (p,).
         unsafe: pairs not proven to keep their required gap, shape (p,).
-        limits_broken: robots that move a joint or a coupled motor outside its limits, or faster or
-            harder than it can, shape (n,).
+        limits_broken: robots that move a joint or a coupled motor outside its limits or faster than
+            it can, or a joint harder than it can, shape (n,).
         moved_disabled: disabled robots that move, shape (n,).
     """
 
@@ -134,6 +135,22 @@ def certify(
     return certificate_of(plane, true_motion, pairs, required, minima, tolerance_mm)
 
 
+def certify_arms(
+    plane: FocalPlane, motion: SegmentMotion, safety: Safety, pairs: ArrayLike
+) -> Certificate:
+    """Return the certificate of a motion that the arms have made, and not of one that is ordered.
+
+    The drive of the plane is not applied: nothing is delayed by a ramp, and no angle is uncertain.
+
+    Args:
+        plane: the focal plane.
+        motion: true joint profiles of all robots.
+        safety: the margin and the timing errors.
+        pairs: rows a < b to examine, shape (p, 2).
+    """
+    return certify(replace(plane, drive=Drive(plane.n)), motion, safety, pairs)
+
+
 def unproven(
     bodies: Bodies,
     motion: SegmentMotion | CurveMotion,
@@ -187,9 +204,10 @@ def _lower_bounds(
 
 
 def out_of_bounds(motion: SegmentMotion | CurveMotion) -> Mask:
-    """Return the robots that turn further or faster than any robot can, shape (n,)."""
+    """Return the robots that move, further or faster than any robot can, shape (n,)."""
     furthest = np.maximum(np.abs(motion.lowest), np.abs(motion.highest))
-    return np.any((furthest > MAX_ANGLE_RAD) | (motion.fastest > MAX_SPEED_RAD_S), axis=1)
+    beyond = (furthest > MAX_ANGLE_RAD) | (motion.fastest > MAX_SPEED_RAD_S)
+    return motion.moves & np.any(beyond, axis=1)
 
 
 def certified_pairs(

@@ -52,7 +52,7 @@ def hold_until_safe(
         the motion that remains.
     """
     true_motion = carried_out(plane.drive, motion)
-    wild = out_of_bounds(true_motion) & motion.moves  # at rest there is nothing to hold
+    wild = out_of_bounds(true_motion)
     if wild.any():
         rest, held, certificate = hold_until_safe(
             plane, motion.without(wild), safety, pairs, tolerance_mm

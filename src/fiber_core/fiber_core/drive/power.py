@@ -11,6 +11,7 @@ from fiber_core.motion import SegmentMotion
 __all__ = ["most_motors_on"]
 
 _SAME_S = 1e-9  # a motor that ends this near to the begin of another one is off by then
+_REST_RAD_S = 1e-12
 
 
 def most_motors_on(motion: SegmentMotion | CurveMotion, groups: ArrayLike) -> Floats:
@@ -26,7 +27,8 @@ def most_motors_on(motion: SegmentMotion | CurveMotion, groups: ArrayLike) -> Fl
         Shares, 0 to 1, in the order of the group numbers, shape (g,).
     """
     numbers, group = np.unique(np.asarray(groups), return_inverse=True)
-    turns = motion.velocity_rad_s != 0.0
+    # the sums of a ramp leave a speed of 1e-17 rad/s where a joint rests
+    turns = np.abs(motion.velocity_rad_s) > _REST_RAD_S
     if isinstance(motion, CurveMotion):
         turns |= motion.acceleration_rad_s2 != 0.0
     begins = np.round(motion.begins_s[turns] / _SAME_S)
