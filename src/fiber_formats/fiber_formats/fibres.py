@@ -24,9 +24,14 @@ def fibres_of(columns: Columns, name: str) -> tuple[Floats, tuple[str, ...]]:
     bad = np.zeros(len(texts), dtype=bool)
     for row, words in enumerate(texts):
         try:
-            if tuple(words[::3]) != names or len(words) != 3 * len(names) or "_" in "".join(words):
+            xy = [words[1::3], words[2::3]]
+            if (
+                tuple(words[::3]) != names
+                or len(words) != 3 * len(names)
+                or "_" in "".join(xy[0] + xy[1])
+            ):
                 raise ValueError
-            places[row] = np.array([words[1::3], words[2::3]], dtype=float).T
+            places[row] = np.array(xy, dtype=float).T
         except ValueError:
             bad[row] = True
     columns.refuse_rows(bad, name, "does not name the fibres of the first row: NAME x y ...")
@@ -63,10 +68,12 @@ def chosen_fibres(
         return found.xy_mm, any_fibre, ()
     has = () if plane is None else plane.fibre_names
     lacking = sorted(set(found.fibre.tolist()) - {"", *has})
-    if found.tip_mm is not None and (lacking or plane is None):
-        what = "" if plane is None else f": the plane has no fibre {', '.join(lacking)}"
+    if plane is None:
+        return found.xy_mm, found.fibre, ()
+    if found.tip_mm is not None and lacking:
+        what = f": the plane has no fibre {', '.join(lacking)}"
         return found.tip_mm, any_fibre, (f"targets are places of the tips{what}",)
-    if lacking and plane is not None:
+    if lacking:
         have = f"it has {', '.join(has)}" if has else "it has one fibre at each tip"
         raise FormatError(f"{name}: the plane has no fibre {', '.join(lacking)}; {have}")
     return found.xy_mm, found.fibre, ()

@@ -65,8 +65,12 @@ def read_layout(
     if len(found.columns["id"]) == 0:
         raise FormatError(f"{source.name} has no robots")
     if obstacles is not None:
-        discs = np.concatenate([found.obstacles, read_obstacles(obstacles)])
-        found = replace(found, obstacles=discs)
+        discs, notices = obstacles_of(Source([obstacles]).only)
+        found = replace(
+            found,
+            obstacles=np.concatenate([found.obstacles, discs]),
+            notices=found.notices + tuple(f"{obstacles}: {notice}" for notice in notices),
+        )
     chosen = preset_of(source.name, found, preset)
     found = without_outlines(found, preset)
     plane, supplied = plane_of(source.name, source.stem, found, chosen)

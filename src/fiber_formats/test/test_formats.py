@@ -2,6 +2,7 @@
 """Every format, on a small made-up file in the shape of a real one."""
 
 import gzip
+import re
 import shutil
 from dataclasses import replace
 
@@ -124,6 +125,22 @@ def test_sdss_v_needs_two_files_and_takes_four(made_up):
     assert np.allclose(np.rad2deg(np.diff(plane.limits, axis=2)[:, :, 0]), [360, 180])
     with pytest.raises(FormatError, match="name the file with wokCoords too"):
         read_layout(made_up / "sdss_positionerTable.csv")
+
+
+def test_what_sdss_v_tables_lack_and_what_of_them_is_not_used_is_named(made_up, tmp_path):
+    table = Table.read(made_up / "sdss_positionerTable.csv")
+    table.remove_columns(["dx", "dy", "bossX"])
+    table.write(tmp_path / "sdss_positionerTable.csv")
+    holes = Table.read(made_up / "sdss_wokCoords.csv")
+    holes["odd"] = 1
+    holes.write(tmp_path / "sdss_wokCoords.csv")
+
+    text = "\n".join(read_layout(sdss(tmp_path)).notices)
+    assert "no column dx, dy: taken as 0" in text
+    assert "the fibres need all of their columns, there are only apX, apY, bossY" in text
+    assert re.search("sdss_wokCoords.csv: columns not used: .*odd", text)
+    complete = "\n".join(read_layout(sdss(made_up)).notices)
+    assert "taken as 0" not in complete and "need all" not in complete
     with pytest.raises(FormatError, match=r"moons_assignment.txt is none of"):
         read_layout(sdss(made_up, "moons_assignment.txt"))
     with pytest.raises(FormatError, match="named twice"):

@@ -222,7 +222,7 @@ def measure(
                        Verdict.AMBIGUOUS, verdict)  # fmt: skip
     verdict = np.where((verdict == Verdict.MISSING) & expected.dark, Verdict.DARK, verdict)
     unknown = ~sure
-    angles[unknown] = expected.counters[unknown]
+    angles[unknown] = near[unknown]  # by the counters where no light tells more
     interval[unknown] = _unseen(expected, config)[unknown]
     return Measurement(
         plane, verdict, measured, angles, interval, bound_mm,

@@ -140,19 +140,20 @@ def robots_with_goals(chosen: Ints) -> int:
     return int(np.count_nonzero(chosen >= 0))
 
 
-def least_time_s(program: GoalProgram, robots: int) -> float:
-    """Return the least time in which as many robots can be on their targets [s].
+def least_time_s(program: GoalProgram, robots: int) -> tuple[float, bool]:
+    """Return the least time in which as many robots can be on their targets [s], and if proven.
 
     Args:
         program: the elbows.
         robots: their number, of most_goals without a limit of time.
     """
     times = np.unique(program.time_s[program.possible])
-    low, high = 0, len(times) - 1
+    low, high, all_proven = 0, len(times) - 1, True
     while low < high:  # the first time that suffices is in low..high
         middle = (low + high) // 2
-        if robots_with_goals(most_goals(program, float(times[middle]))[0]) >= robots:
+        chosen, proven = most_goals(program, float(times[middle]))
+        if robots_with_goals(chosen) >= robots:
             high = middle
-        else:
-            low = middle + 1
-    return float(times[high]) if len(times) else 0.0
+        else:  # a search that was given up may have missed as many
+            low, all_proven = middle + 1, all_proven and proven
+    return (float(times[high]) if len(times) else 0.0), all_proven

@@ -19,7 +19,7 @@ __all__ = ["PairBound", "pair_bound"]
 
 
 class PairBound(NamedTuple):
-    """Bounds of every certified motion.
+    """Bounds of every certified motion that ends on its targets, up to the rounding to quanta.
 
     Args:
         robots: at most as many robots can reach their targets in one motion.
@@ -65,4 +65,5 @@ def pair_bound(problem: Problem, margin_mm: float = 0.05) -> PairBound:
     program = goal_program(problem, can, max(0.0, margin_mm - rounding_mm))
     chosen, proven = most_goals(program)
     robots = robots_with_goals(chosen)
-    return PairBound(robots, least_time_s(program, robots), proven and one_fibre)
+    time_s, least = least_time_s(program, robots)
+    return PairBound(robots, time_s, proven and least and one_fibre)

@@ -75,13 +75,25 @@ def test_enumeration_finds_no_more_robots_and_no_shorter_time(name):
         chosen, proven = most_goals(program)
         assert proven and (chosen[~seeking] < 0).all()
         assert robots_with_goals(chosen) == robots, seed
-        assert least_time_s(program, robots) == pytest.approx(soonest, abs=1e-12), seed
+        least_s, proven = least_time_s(program, robots)
+        assert proven and least_s == pytest.approx(soonest, abs=1e-12), seed
         chosen, _ = most_goals(program, soonest, soonest=True)
         assert robots_with_goals(chosen) == robots
         given_up += np.count_nonzero(seeking) - robots
         later += soonest > fastest(problem)[chosen >= 0].max(initial=0.0) + 1e-6
     assert given_up > 2
     assert later > 2 or name != "moons"
+
+
+def test_a_least_time_of_searches_that_were_given_up_is_not_called_proven(monkeypatch):
+    problem = crowded_field(0, name="moons")
+    program = goal_program(problem, problem.plane.enabled & np.isfinite(fastest(problem)), MARGIN)
+    robots = robots_with_goals(most_goals(program)[0])
+    assert least_time_s(program, robots)[1]
+    monkeypatch.setattr(
+        "fiber_planner.goal_program.most_goals", lambda *a, **k: (most_goals(*a, **k)[0], False)
+    )
+    assert not least_time_s(program, robots)[1]
 
 
 def test_direct_brings_all_others_to_their_targets():

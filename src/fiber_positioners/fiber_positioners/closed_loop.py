@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from fiber_bus_bridge.simulation import Mechanics, arms_at, arms_motion, true_angles
 from fiber_core import bounds, kinematics
 from fiber_core.array_types import Angles, Floats, Mask
-from fiber_core.clearance import Certificate, Safety, certify, neighbour_pairs
+from fiber_core.clearance import Certificate, Safety, certify_arms, neighbour_pairs
+from fiber_core.errors import LayoutError
 from fiber_core.motion import SegmentMotion
 from fiber_core.problem import Problem
 from fiber_metrology import (
@@ -159,7 +160,8 @@ def closed_loop(
         config: how the loop is closed.
 
     Raises:
-        FiberError: the problem cannot be planned, or an image cannot be used.
+        FiberError: the problem cannot be planned, an image cannot be used, or robots have fibres
+            beside their tips.
     """
     config = config or LoopConfig()
     plane, n = problem.plane, problem.plane.n
@@ -168,7 +170,10 @@ def closed_loop(
     state = arms_at(mechanics, problem.start)
     before, before_rad = np.asarray(problem.start), np.zeros((n, 2))
     blind_rad = config.sigmas * config.blind_um * 1e-3 / plane.arms / np.sqrt(2.0)
-    dark, error_um = np.zeros(n, dtype=bool), np.full(n, config.blind_um)
+    if plane.fibres.shape[1]:
+        names = ", ".join(plane.fibre_names)
+        raise LayoutError(f"the closed loop sees one fibre at each tip, the plane has {names}")
+    never_seen, error_um = np.ones(n, dtype=bool), np.full(n, config.blind_um)
     moved_plane = grown(plane, np.where(plane.enabled[:, None], blind_rad, 0.0))
     now = Problem(moved_plane, problem.start, problem.targets)
     moves: list[Move] = []
@@ -183,12 +188,13 @@ def closed_loop(
         counters = orders.units.to_angles(run.counts)
         tips = kinematics.forward(plane, angles)[1]
         exposures = [camera.expose(tips, fiducials, lit, rng) for _ in range(config.exposures)]
+        dark = never_seen & (number > 0)
         expected = Expected(plane, counters, before, before_rad, error_um, dark)
         spots = [exposure.spots for exposure in exposures]
         begin, cpu = time.perf_counter(), time.process_time()
         image = measure(expected, spots, fiducials, camera.calibrated, config.measure)
         took = time.perf_counter() - begin, time.process_time() - cpu
-        touches = certify(plane, arms, _TOUCH, neighbour_pairs(plane))
+        touches = certify_arms(plane, arms, _TOUCH, neighbour_pairs(plane))
         moves.append(
             Move(
                 orders,
@@ -202,10 +208,10 @@ def closed_loop(
                 took[0],
                 plan[1],
                 took[1],
-            )  # fmt: skip
+            )
         )
         seen = image.certain
-        dark = dark | ~seen
+        never_seen &= image.light < 0
         known = follows(image)
         before = np.where(seen[:, None], image.angles, before)
         before_rad = np.where(seen[:, None], image.interval_rad, before_rad)

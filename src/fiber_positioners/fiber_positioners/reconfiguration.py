@@ -96,8 +96,11 @@ class Reconfiguration:
             "reachable_at_once": bound.robots,
             "pair_bound_s": bound.time_s,
             "pair_bound_proven": bound.proven,
+            # the bound is of motions in which as many robots arrive as can
             "makespan_to_pair_bound": (
-                figures["makespan_s"] / bound.time_s if bound.time_s else None
+                figures["makespan_s"] / bound.time_s
+                if bound.time_s and figures["reached"] >= bound.robots
+                else None
             ),
             "bytes_mean": costs["bytes_mean"],
             "bytes_bound": ORDER_BYTES_BOUND,

@@ -11,7 +11,7 @@ import numpy as np
 from fiber_core.array_types import Bools
 from fiber_core.presets.desi_petals import petal_walls
 from fiber_formats.columns import MOST_ID, Columns
-from fiber_formats.formats.desi_frame import motor_notices, petal_angle_deg
+from fiber_formats.formats.desi_frame import linear_motors, motor_notices, petal_angle_deg
 from fiber_formats.formats.desi_keepouts import expanded_outlines
 from fiber_formats.interface import Format
 from fiber_formats.records import LayoutColumns
@@ -69,7 +69,7 @@ def layout(source: Source) -> LayoutColumns:
 def _linear_phi(columns: Columns) -> Bools:
     if "zeno_motor_p" not in columns:
         return np.zeros(len(columns), dtype=bool)
-    return np.char.lower(columns.words("zeno_motor_p", missing=True)) == "true"
+    return linear_motors(columns, "zeno_motor_p")
 
 
 def _newest_rows(table: Table) -> Bools:

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from fiber_core.array_types import Floats, Ints
+from fiber_core.array_types import Bools, Floats, Ints
 from fiber_formats.columns import Columns
 
 __all__ = ["motor_notices", "petal_angle_deg"]
@@ -12,6 +12,12 @@ __all__ = ["motor_notices", "petal_angle_deg"]
 def petal_angle_deg(petal: Ints) -> Floats:
     """Return how far each petal is turned in the focal plane [deg], given its place 0 to 9."""
     return 36.0 * (petal.astype(float) - 3.0)
+
+
+def linear_motors(columns: Columns, name: str) -> Bools:
+    """Return which robots a column says to have a linear motor, shape (rows,)."""
+    words = np.char.lower(columns.words(name, missing=True))
+    return np.isin(words, ("true", "t", "1"))
 
 
 def motor_notices(columns: Columns) -> tuple[str, ...]:
@@ -23,8 +29,7 @@ def motor_notices(columns: Columns) -> tuple[str, ...]:
             notices += (f"{retracted} robots are classified as retracted; that is not used",)
     for name in ("LINPHI", "LINTHETA", "ZENO_MOTOR_P", "ZENO_MOTOR_T"):
         if name in columns:
-            words = np.char.lower(columns.words(name, missing=True))
-            linear = np.count_nonzero(np.isin(words, ("true", "t", "1")))
+            linear = np.count_nonzero(linear_motors(columns, name))
             if linear:
                 notices += (f"{linear} robots have a linear motor ({name}): its speed is not used",)
     return notices

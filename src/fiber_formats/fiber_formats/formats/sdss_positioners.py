@@ -37,7 +37,7 @@ def layout(source: Source) -> LayoutColumns:
     files = _files(source)
     columns = Columns(files["positionerTable"].table_with(*_POSITIONERS))
     ids = columns.ids("positionerID")
-    centers = _centers(files["wokCoords"], columns)
+    centers, beside = _centers(files["wokCoords"], columns)
     found = {
         "id": ids,
         "x_mm": centers[:, 0] + _optional(columns, "dx"),
@@ -54,16 +54,24 @@ def layout(source: Source) -> LayoutColumns:
         names = tuple(FIBRES)
         places = [[columns.numbers(k, "mm") for k in pair] for pair in FIBRES.values()]
         found["fibre_places_mm"] = np.moveaxis(np.array(places), -1, 0)
+    lacking = [name for name in ("dx", "dy", "metY") if name not in columns]
+    some = [k for places in FIBRES.values() for k in places if k in columns and not names]
     columns.check()
     notices: tuple[str, ...] = ("the tip is the metrology fibre",)
+    if lacking:
+        notices += (f"no column {', '.join(lacking)}: taken as 0",)
+    if not {*some} <= {"metX", "metY"}:
+        notices += (f"the fibres need all of their columns, there are only {', '.join(some)}",)
     discs, walls = np.zeros((0, 3)), np.zeros((0, 1, 2))
     if "fiducialCoords" in files:
-        discs = _fiducials(files["fiducialCoords"])
+        discs, more = _fiducials(files["fiducialCoords"])
+        beside += more
         notices += (f"fiducials are given a radius of {_FIDUCIAL_RADIUS_MM} mm",)
     if "gfaCoords" in files:
         walls, more = _cameras(files["gfaCoords"])
         notices += more
-    return LayoutColumns(found, discs, "sdss_v", notices + columns.unused_notice(), walls, names)
+    notices += columns.unused_notice() + beside
+    return LayoutColumns(found, discs, "sdss_v", notices, walls, names)
 
 
 def _files(source: Source) -> dict[str, DataFile]:
@@ -88,7 +96,7 @@ def _files(source: Source) -> dict[str, DataFile]:
     return found
 
 
-def _centers(file: DataFile, positioners: Columns) -> Floats:
+def _centers(file: DataFile, positioners: Columns) -> tuple[Floats, tuple[str, ...]]:
     holes = Columns(file.table_with(*_HOLES))
     keys = _keys(holes)
     xy_mm = np.stack([holes.numbers(name, "mm") for name in ("xWok", "yWok")], axis=1)
@@ -98,7 +106,12 @@ def _centers(file: DataFile, positioners: Columns) -> Floats:
     row = {key: k for k, key in enumerate(keys)}
     rows = np.array([row.get(key, -1) for key in _keys(positioners)], dtype=int)
     positioners.refuse_rows(rows < 0, "holeID", f"is not in {file.name}")
-    return xy_mm[rows] if len(xy_mm) else np.full((len(rows), 2), np.nan)
+    places = xy_mm[rows] if len(xy_mm) else np.full((len(rows), 2), np.nan)
+    return places, _unused(file, holes)
+
+
+def _unused(file: DataFile, columns: Columns) -> tuple[str, ...]:
+    return tuple(f"{file.name}: {notice}" for notice in columns.unused_notice())
 
 
 def _keys(columns: Columns) -> list[tuple[str, str]]:
@@ -106,11 +119,12 @@ def _keys(columns: Columns) -> list[tuple[str, str]]:
     return list(zip(site, columns.words("holeID").tolist()))
 
 
-def _fiducials(file: DataFile) -> Floats:
+def _fiducials(file: DataFile) -> tuple[Floats, tuple[str, ...]]:
     columns = Columns(file.table_with(*_FIDUCIALS))
     xy_mm = [columns.numbers(name, "mm") for name in ("xWok", "yWok")]
     columns.check()
-    return np.stack([*xy_mm, np.full(len(columns), _FIDUCIAL_RADIUS_MM)], axis=1)
+    discs = np.stack([*xy_mm, np.full(len(columns), _FIDUCIAL_RADIUS_MM)], axis=1)
+    return discs, _unused(file, columns)
 
 
 def _cameras(file: DataFile) -> tuple[Floats, tuple[str, ...]]:
@@ -125,6 +139,7 @@ def _cameras(file: DataFile) -> tuple[Floats, tuple[str, ...]]:
     walls = place[:, None] + corners[:, :1] * along[:, None] + corners[:, 1:] * away[:, None]
     return walls, (
         f"GFAs are walls of {np.ptp(corners[:, 0]):.1f} mm, as SDSS-V's own planner has them",
+        *_unused(file, columns),
     )
 
 

@@ -86,7 +86,7 @@ def _soonest_ends(problem: Problem, seeking: Mask, margins_mm: list[float]) -> t
     robots = [robots_with_goals(most_goals(program)[0]) for program in programs]
     widest = next(k for k, count in enumerate(robots) if count >= robots[-1])
     program = programs[widest]
-    least_s = least_time_s(program, robots[widest])
+    least_s, _ = least_time_s(program, robots[widest])
     return most_goals(program, least_s, soonest=True)[0], program.angles
 
 
