@@ -6,6 +6,8 @@ The place of a robot is that of its hole in wokCoords plus dx, dy. Alpha counts 
 the axis of the beta arm; the BOSS and APOGEE fibres stand beside it.
 """
 
+from pathlib import Path
+
 import numpy as np
 
 from fiber_core.array_types import Floats
@@ -111,7 +113,7 @@ def _centers(file: DataFile, positioners: Columns) -> tuple[Floats, tuple[str, .
 
 
 def _unused(file: DataFile, columns: Columns) -> tuple[str, ...]:
-    return tuple(f"{file.name}: {notice}" for notice in columns.unused_notice())
+    return tuple(f"{Path(file.name).name}: {notice}" for notice in columns.unused_notice())
 
 
 def _keys(columns: Columns) -> list[tuple[str, str]]:
