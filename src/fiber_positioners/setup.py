@@ -25,6 +25,7 @@ setup(
         "numpy",
         "matplotlib",
         "rich",
+        "scipy",
     ],
     extras_require={"test": ["pytest"]},  # colcon looks for pytest here
     zip_safe=False,

@@ -7,6 +7,7 @@ intervals and a verdict for every robot. `fiber_metrology.camera` simulates a ca
 
 from fiber_metrology.angles import angles_of_places
 from fiber_metrology.calibration import Calibration, GearVerdict, calibrate
+from fiber_metrology.centroids import CentroidConfig, find_spots
 from fiber_metrology.correction import arms_within, correction_problem, follows, grown
 from fiber_metrology.errors import ImageError, MetrologyError
 from fiber_metrology.exposures import Lights, combine
@@ -18,6 +19,7 @@ from fiber_metrology.spots import Spots, checked_spots
 
 __all__ = [
     "Calibration",
+    "CentroidConfig",
     "Expected",
     "GearVerdict",
     "Identified",
@@ -38,6 +40,7 @@ __all__ = [
     "checked_spots",
     "combine",
     "correction_problem",
+    "find_spots",
     "fit_map",
     "follows",
     "grown",

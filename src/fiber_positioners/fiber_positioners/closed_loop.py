@@ -7,10 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from fiber_bus_bridge.simulation import Mechanics, arms_at, arms_motion, true_angles
 from fiber_core import bounds, kinematics
-from fiber_core.array_types import Angles, Floats, Mask
+from fiber_core.array_types import Angles, Floats, Mask, Points
 from fiber_core.clearance import Certificate, Safety, certify_arms, neighbour_pairs
 from fiber_core.errors import LayoutError
 from fiber_core.motion import SegmentMotion
@@ -21,6 +22,7 @@ from fiber_metrology import (
     Measurement,
     MetrologyError,
     correction_problem,
+    find_spots,
     follows,
     grown,
     measure,
@@ -32,6 +34,7 @@ from fiber_positioners.straight_planner import StraightPlanner
 
 __all__ = ["ClosedLoop", "LoopConfig", "Move", "closed_loop"]
 
+_OWN_PX = 3.0  # between a spot and the light that a judge takes it for
 _TOUCH = Safety(0.0, 0.0, 0.0, 0.0)  # outlines as they are, clocks as they ran
 
 
@@ -46,6 +49,7 @@ class LoopConfig:
         sigmas: errors at which the interval of a blind move ends. At 2 the arms of a pair stay
             apart unless both are off by more, towards each other.
         tolerance_um: a fibre so close to its target is not corrected [um].
+        pixels: whether spots are found in the pixels of images; else the camera gives lists.
         measure: errors of camera and air.
 
     Raises:
@@ -65,6 +69,7 @@ class LoopConfig:
     corrected_um: float = 10.0
     sigmas: float = 2.0
     tolerance_um: float = 0.0
+    pixels: bool = False
     measure: MeasureConfig = field(default_factory=MeasureConfig)
 
     def __post_init__(self) -> None:
@@ -84,6 +89,7 @@ class Move:
         exposures: the exposures, with what a judge knows about their spots.
         measurement: what the metrology says about them.
         plan_s, measure_s: wall time of the orders, and from spots to measured angles [s].
+        image_s: wall time from the pixels of all exposures to spots [s], nan without pixels.
         plan_cpu_s, measure_cpu_s: processor time of the same [s].
     """
 
@@ -98,6 +104,7 @@ class Move:
     measure_s: float
     plan_cpu_s: float
     measure_cpu_s: float
+    image_s: float
 
     @property
     def simulated_s(self) -> float:
@@ -187,7 +194,7 @@ def closed_loop(
         angles = true_angles(mechanics, state)
         counters = orders.units.to_angles(run.counts)
         tips = kinematics.forward(plane, angles)[1]
-        exposures = [camera.expose(tips, fiducials, lit, rng) for _ in range(config.exposures)]
+        exposures, image_s = _expose(camera, tips, fiducials, lit, rng, config)
         dark = never_seen & (number > 0)
         expected = Expected(plane, counters, before, before_rad, error_um, dark)
         spots = [exposure.spots for exposure in exposures]
@@ -208,6 +215,7 @@ def closed_loop(
                 took[0],
                 plan[1],
                 took[1],
+                image_s,
             )
         )
         seen = image.certain
@@ -218,3 +226,27 @@ def closed_loop(
         error_um = np.where(known, config.corrected_um, np.where(seen, config.blind_um, error_um))
         now = correction_problem(image, problem.targets, config.tolerance_um)
     return ClosedLoop(problem, moves, lit)
+
+
+def _expose(
+    camera: SimulatedCamera,
+    tips: Points,
+    fiducials: ArrayLike,
+    lit: Mask,
+    rng: np.random.Generator,
+    config: LoopConfig,
+) -> tuple[list[Exposure], float]:
+    """The exposures of an image, and the time in which spots were found in their pixels [s]."""
+    if not config.pixels:
+        made = [camera.expose(tips, fiducials, lit, rng) for _ in range(config.exposures)]
+        return made, float("nan")
+    exposures, took_s = [], 0.0
+    for _ in range(config.exposures):
+        shot = camera.photograph(tips, fiducials, lit, rng)
+        begin = time.perf_counter()
+        spots = find_spots(shot.pixels)
+        took_s += time.perf_counter() - begin
+        apart, nearest = cKDTree(shot.place_px).query(spots.place_px)
+        owner = np.where(apart < _OWN_PX, shot.owner[nearest], SimulatedCamera.STRAY)
+        exposures.append(Exposure(spots, owner))
+    return exposures, took_s

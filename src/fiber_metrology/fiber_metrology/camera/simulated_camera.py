@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from fiber_core import bounds
@@ -16,12 +16,15 @@ from fiber_metrology.errors import MetrologyError
 from fiber_metrology.polynomials import PolynomialMap, fit_map
 from fiber_metrology.spots import Spots
 
-__all__ = ["CameraConfig", "Exposure", "SimulatedCamera"]
+__all__ = ["CameraConfig", "Exposure", "Photograph", "SimulatedCamera"]
 
 FIDUCIAL, STRAY = -1, -2  # owners of spots that are of no robot
 _FIBRE_FLUX, _FIDUCIAL_FLUX = 1.0e4, 3.0e4
 _FLUX_SPREAD = 0.1  # of the logarithm, from fibre to fibre
 _WIDTH_PX, _WIDTH_SPREAD = 1.5, 0.03
+_ELECTRONS = 2.0  # of a count
+_LEVEL, _READ_NOISE, _FULL = 100.0, 5.0, 65535.0  # background, its noise, and the top [counts]
+_HALF_PX = 9  # of the part of an image that one spot lights
 _RADIAL, _OTHER = 0.01, 0.0005  # distortion at the rim over the radius: barrel; each other term
 _DEGREE = 5  # of the distortion
 _CALIBRATED_DEGREE = 9  # of the map from pixels to mm that the laboratory measures
@@ -91,6 +94,20 @@ class Exposure(NamedTuple):
     owner: Ints
 
 
+class Photograph(NamedTuple):
+    """The pixels of one exposure, and what a judge knows about them.
+
+    Args:
+        pixels: counts, shape (h, w), uint16; (column, row) is a place.
+        place_px: where each light is in it [px], shape (s, 2).
+        owner: row of the robot that each light is of, FIDUCIAL or STRAY, shape (s,).
+    """
+
+    pixels: NDArray[np.uint16]
+    place_px: Floats
+    owner: Ints
+
+
 class SimulatedCamera:
     """A camera that looks at a focal plane of a given radius.
 
@@ -116,6 +133,9 @@ class SimulatedCamera:
             np.zeros(2), radius_mm, _DEGREE, _OTHER * radius_mm * rng.normal(size=(terms, 2)) / 3
         )
         self._turn = rng.uniform(-0.1, 0.1)
+        # the middle of a square image that holds the plane and its shifts
+        reach_mm = 1.02 * radius_mm + config.shift_mm + 5.0
+        self._middle = math.ceil(reach_mm / config.mm_per_px) + 4 * _HALF_PX
         # the laboratory's map: a grid of lights, without air and without noise
         line = np.linspace(-1.02, 1.02, 25) * radius_mm
         grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
@@ -138,6 +158,53 @@ class SimulatedCamera:
             rng: source of air, noise and everything that goes wrong.
         """
         c = self.config
+        places, flux, owner = self._lights(fibres, fiducials, lit, rng)
+        noise = c.noise_um * 1e-3 / math.sqrt(2.0) * np.sqrt(_FIBRE_FLUX / flux)
+        places += noise[:, None] * rng.normal(size=places.shape)
+        px = self._moved(places, rng)
+        width = _WIDTH_PX * (1.0 + _WIDTH_SPREAD * rng.normal(size=len(owner)))
+        px, flux, width, owner = _with_strays_beside(px, flux, width, owner, c, rng)
+        px, flux, width, owner = _merged(px, flux, width, owner, c.merge_px)
+        order = rng.permutation(len(owner))
+        return Exposure(Spots(px[order], flux[order], width[order]), owner[order])
+
+    def photograph(
+        self,
+        fibres: ArrayLike,
+        fiducials: ArrayLike,
+        lit: ArrayLike,
+        rng: np.random.Generator,
+    ) -> Photograph:
+        """Return the pixels of one exposure, with the noise of photons and reading.
+
+        The arguments are those of `expose`. `noise_um` and `merge_px` take no part: both come
+        from the pixels.
+        """
+        places, flux, owner = self._lights(fibres, fiducials, lit, rng)
+        px = self._moved(places, rng)
+        width = _WIDTH_PX * (1.0 + _WIDTH_SPREAD * rng.normal(size=len(owner)))
+        px, flux, width, owner = _with_strays_beside(px, flux, width, owner, self.config, rng)
+        side = 2 * self._middle + 1
+        pixels = rng.standard_normal((side, side), dtype=np.float32)
+        pixels *= _READ_NOISE
+        pixels += _LEVEL
+        near = np.arange(-_HALF_PX, _HALF_PX + 1)
+        for (x, y), light, sigma in zip(px, flux, width):
+            c, r = round(x), round(y)
+            if not (_HALF_PX <= min(c, r) and max(c, r) < side - _HALF_PX):
+                continue  # beyond the image
+            across = np.exp(-((near + c - x) ** 2) / (2.0 * sigma**2))
+            along = np.exp(-((near + r - y) ** 2) / (2.0 * sigma**2))
+            mean = light / (2.0 * math.pi * sigma**2) * np.outer(along, across)
+            part = pixels[r - _HALF_PX : r + _HALF_PX + 1, c - _HALF_PX : c + _HALF_PX + 1]
+            part += rng.poisson(_ELECTRONS * mean) / _ELECTRONS
+        return Photograph(np.clip(pixels, 0.0, _FULL).astype(np.uint16), px, owner)
+
+    def _lights(
+        self, fibres: ArrayLike, fiducials: ArrayLike, lit: ArrayLike, rng: np.random.Generator
+    ) -> tuple[Points, Floats, Ints]:
+        """The lights of an exposure: places that the air has moved, light, and owners."""
+        c = self.config
         fibres, fiducials = np.asarray(fibres, dtype=float), np.asarray(fiducials, dtype=float)
         rows = np.flatnonzero(lit)
         rows = rows[rng.random(len(rows)) >= c.missing]
@@ -151,15 +218,11 @@ class SimulatedCamera:
         flux = np.exp(_FLUX_SPREAD * rng.normal(size=len(owner)))
         flux *= np.where(owner == FIDUCIAL, _FIDUCIAL_FLUX, _FIBRE_FLUX)
         flux[owner == STRAY] *= np.exp(rng.normal(size=strays))
-        places = places + turbulence(places, c.turbulence_um * 1e-3, c.correlation_mm, rng)
-        noise = c.noise_um * 1e-3 / math.sqrt(2.0) * np.sqrt(_FIBRE_FLUX / flux)
-        places += noise[:, None] * rng.normal(size=places.shape)
-        px = self._moved(places, rng)
-        width = _WIDTH_PX * (1.0 + _WIDTH_SPREAD * rng.normal(size=len(owner)))
-        px, flux, width, owner = _with_strays_beside(px, flux, width, owner, c, rng)
-        px, flux, width, owner = _merged(px, flux, width, owner, c.merge_px)
-        order = rng.permutation(len(owner))
-        return Exposure(Spots(px[order], flux[order], width[order]), owner[order])
+        return (
+            places + turbulence(places, c.turbulence_um * 1e-3, c.correlation_mm, rng),
+            flux,
+            owner,
+        )
 
     def _optics(self, places: Points) -> Floats:
         r2 = (places**2).sum(axis=1, keepdims=True) / self.radius_mm**2
@@ -170,7 +233,7 @@ class SimulatedCamera:
                 [-math.sin(self._turn), math.cos(self._turn)],
             ]
         )
-        return seen @ turn / self.config.mm_per_px
+        return seen @ turn / self.config.mm_per_px + self._middle
 
     def _moved(self, places: Points, rng: np.random.Generator) -> Floats:
         c = self.config
