@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The terms on which sectors move together, and the skews that follow from them."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from fiber_core.bounds import MAX_SKEW_S, Range, check_ranges
+from fiber_sectors.errors import SectorError
+
+__all__ = ["Terms"]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Times on which coordinator and sectors agree.
+
+    Args:
+        period_s: time between two beats of the coordinator, and two reports of a sector [s].
+        lease_s: time for which a sector may move after it has sent a report that a beat answers
+            [s].
+        fresh_s: age of the newest beat that each sector has answered, up to which the coordinator
+            lets the others move on [s].
+        notice_s: longest time from the decision of a sector to stop until its robots rest [s].
+        start_error_s: largest error of the instant at which a sector starts, with the error bound
+            of the offset between the clocks of two hosts [s].
+        drift_ppm: largest difference between the rates of the clocks of two hosts [1e-6].
+        spare: beats that may be lost in a row after the last confirmation before a start fails.
+        ready_s: longest time in which a sector loads and verifies its orders [s].
+        gone_s: time without a report after which a sector counts as lost [s].
+
+    Raises:
+        SectorError: a value is no number or out of bounds, or the lease is too short for its beats.
+    """
+
+    RANGES: ClassVar = {
+        "period_s": Range(1e-4, MAX_SKEW_S),
+        "lease_s": Range(1e-4, MAX_SKEW_S),
+        "fresh_s": Range(1e-4, MAX_SKEW_S),
+        "notice_s": Range(0.0, MAX_SKEW_S),
+        "start_error_s": Range(0.0, MAX_SKEW_S),
+        "drift_ppm": Range(0.0, 1e5),
+        "spare": Range(1, 100, whole=True),
+        "ready_s": Range(1e-3, 3600.0),
+        "gone_s": Range(1e-3, 3600.0),
+    }
+
+    period_s: float = 5e-3
+    lease_s: float = 17.5e-3
+    fresh_s: float = 12.5e-3
+    notice_s: float = 2e-3
+    start_error_s: float = 1e-3
+    drift_ppm: float = 100.0
+    spare: int = 2
+    ready_s: float = 60.0
+    gone_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self, self.RANGES, SectorError)
+        # a beat may be lost: the next one still comes in time
+        for name, beats in (("lease_s", 3), ("fresh_s", 2)):
+            if getattr(self, name) < beats * self.period_s:
+                raise SectorError(
+                    f"{name} is {getattr(self, name):g} s: {beats} beats take "
+                    f"{beats * self.period_s:g} s"
+                )
+
+    @property
+    def start_skew_s(self) -> float:
+        """Largest difference between the instants at which two sectors start [s]."""
+        return 2 * self.start_error_s
+
+    @property
+    def stop_skew_s(self) -> float:
+        """Longest time from the stop of one sector until the robots of all others rest [s].
+
+        A sector that stops at t has answered no beat that was sent after t. So no beat sent after
+        t + fresh_s lets another sector move, and a lease ends lease_s after the report that its
+        beat answers, which was sent before the beat.
+        """
+        drift = 1.0 + 1e-6 * self.drift_ppm
+        return self.fresh_s + drift * self.lease_s + self.notice_s

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+from setuptools import find_packages, setup
+
+setup(
+    name="fiber_sectors",
+    version="0.1.0",
+    description="One focal plane on many hosts: sectors that start and stop together.",
+    maintainer="fiber positioner team",
+    maintainer_email="maintainers@example.org",
+    license="Apache-2.0",
+    packages=find_packages(exclude=["test", "test.*"]),
+    package_data={"fiber_sectors": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/fiber_sectors"]),
+        ("share/fiber_sectors", ["package.xml"]),
+    ],
+    # package.xml names the ROS packages as well
+    install_requires=["fiber_core", "numpy"],
+    extras_require={"test": ["pytest"]},  # colcon looks for pytest here
+    zip_safe=True,
+)
