@@ -171,12 +171,13 @@ explore: build ## check the protocol in every state that some faults can lead to
 .PHONY: test
 test: build ## run every test of the packages and of test/, and count them
 	@rm -rf build/*/pytest.xml build/test
-	@failed=0; \
+	@# the safe path: tests import what is installed, with its compiled loops, and not the folder they run in
+	@failed=0; export PYTHONSAFEPATH=1; \
 	$(INSTALLED); \
 	$(COLCON) test --return-code-on-test-failure --event-handlers $(QUIET) \
 		--packages-ignore fiber_interfaces || failed=1; \
 	$(COLCON) test-result --test-result-base build --verbose | grep -v '^Summary' || true; \
-	$(PYTHON) -m pytest test --junit-xml=build/test/pytest.xml || failed=1; \
+	$(PYTHON) -m pytest test -n 2 --dist loadfile --junit-xml=build/test/pytest.xml || failed=1; \
 	$(PYTHON) test/check_counts.py build test/minimum_tests.toml || failed=1; \
 	exit $$failed
 

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 NEEDED = (
     "rclpy sensor_msgs trajectory_msgs diagnostic_msgs std_srvs colcon_core "
-    "numpy numba scipy astropy matplotlib rich pytest hypothesis"
+    "numpy numba scipy astropy matplotlib rich pytest xdist hypothesis"
 )
 
 missing = [name for name in NEEDED.split() if find_spec(name) is None]
