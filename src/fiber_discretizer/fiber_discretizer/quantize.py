@@ -101,7 +101,7 @@ def quantize(
         np.minimum(fastest, units.max_velocity).astype(np.int64),
         np.ravel(slack_rad) / units.quantum_rad,
         units.max_ticks,
-        astuple(rounding),
+        tuple(map(int, astuple(rounding))),  # one type: 8.0 is a whole number too
         min(np.ceil(latest_s / units.tick_s - 1e-6), float(_ENDLESS)),
     )
     return WireMotion(units, start, *segments)
