@@ -365,6 +365,22 @@ def test_a_pair_too_close_that_cannot_part_stays_and_costs_no_other_robot_its_ta
     assert (planned.motion.angles[:2] == start[:2, :, None]).all()
 
 
+@pytest.mark.parametrize(
+    "goals_deg", [((-89.7, 40.7), (160.8, 39.2)), ((-68.8, 49.1), (136.7, 43.7))]
+)
+def test_a_pair_that_starts_close_passes_slowly(goals_deg):
+    # Robots 0 and 1 have to pass each other. At full speed they would need more than the gap they
+    # start with, so that no profile could ever be free of conflict.
+    plane, start = _tangled(0.12)
+    plane = replace(plane, centers=plane.centers + [[0.0, 0.0], [0.0, 0.0], [30.0, 0.0]])
+    goal = np.vstack([np.deg2rad(goals_deg), start[2] + [np.deg2rad(-340.0), 0.5]])
+    problem = Problem(plane, start, kinematics.forward(plane, goal)[1])
+    planned = DirectPlanner().plan(problem)
+    motion, ok = _judge(problem, planned)
+    assert ok.all() and not len(planned.tangled)
+    assert motion.makespan_s <= 1.25 * lower_bound_s(problem)
+
+
 def test_no_robot_is_tangled_in_a_valid_field():
     problem = random_problem(preset("desi", 60), np.random.default_rng(20))
     assert len(DirectPlanner().plan(problem).tangled) == 0

@@ -20,6 +20,7 @@ from fiber_planner.direct.parameters import DirectParameters, effort_share
 from fiber_planner.direct.plan_state import count_conflicts, measure_all, measure_pairs
 from fiber_planner.direct.scene import scene_of
 from fiber_planner.direct.shortcut import shortcut_profiles
+from fiber_planner.direct.slowing import slow_close_starts
 from fiber_planner.direct.stretches import stretches_of
 from fiber_planner.direct.time_grid import time_grid
 from fiber_planner.interface import ProgressCallback
@@ -219,6 +220,11 @@ class Search:
             self._plan = self._plan._replace(q=np.concatenate([self._plan.q, rest], axis=2))
             self._plan.changed[:] = self._plan.shortcut_due[:] = True
             self._grid = longer
+            self._slow_close_starts(self._plan.cost > 0.0)
+
+    def _slow_close_starts(self, among: Bools) -> None:
+        makespan_s = self._grid.makespan_s
+        slow_close_starts(self._problem.plane, self._scene, self._plan, among, makespan_s)
 
     def _report_progress(self, conflicts: int) -> None:
         if self._progress is not None:
@@ -316,6 +322,7 @@ class Search:
         )  # fmt: skip
         short = missing > 0.0
         self._plan.required[short] += missing[short] + _MORE_MM
+        self._slow_close_starts(short)
         return short
 
     # -- best effort
