@@ -270,6 +270,11 @@ class FocalPlane:
         tips.setflags(write=False)
         return tips
 
+    @property
+    def supply(self) -> Ints:
+        """Number of the power supply of each robot, that of its bus if none is known, (n,)."""
+        return self.bus if self.drive.supply is None else self.drive.supply
+
     @cached_property
     def growth_mm(self) -> Floats:
         """How far uncertain joints can displace the outlines of theta and phi link [mm], (n, 2).
@@ -277,7 +282,7 @@ class FocalPlane:
         A link that turns by an angle displaces none of its vertices by more than the angle times
         its reach, and the rounding as much as the vertices.
         """
-        theta, phi = self.drive.uncertainty_rad.T
+        theta, phi = self.drive.interval_rad.T
         phi_reach = np.hypot(*np.moveaxis(self.phi_vertices, -1, 0)).max(axis=1)
         growth = np.zeros((self.n, 2))
         growth[:, 1] = theta * (self.arms[:, 0] + phi_reach) + phi * phi_reach

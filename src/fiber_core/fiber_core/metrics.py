@@ -9,14 +9,15 @@ import numpy as np
 from fiber_core import kinematics
 from fiber_core.array_types import Codes, Floats
 from fiber_core.clearance import Certificate
-from fiber_core.drive import carried_out, most_motors_on
+from fiber_core.drive import carried_out, most_motors_on, motors_allowed
+from fiber_core.drive.least_time import least_time_s
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.motors import alone_s
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.problem import Problem
 
-__all__ = ["ORDER_BYTES_BOUND", "lower_bound_s", "plan_metrics"]
+__all__ = ["ORDER_BYTES_BOUND", "lower_bound_s", "plan_metrics", "power_bound_s"]
 
 # Information in the orders of a robot with one segment per motor: about 35 bits.
 ORDER_BYTES_BOUND = 35 / 8
@@ -32,21 +33,38 @@ def lower_bound_s(problem: Problem) -> float:
     Args:
         problem: the problem.
     """
-    movable = np.where(problem.plane.enabled[:, None], problem.targets, np.nan)
-    angles, valid = kinematics.inverse(problem.plane, movable)
-    travel_s = _travel_s(problem.plane, np.abs(angles - problem.start[:, None]))
-    travel_s = np.maximum(travel_s.max(axis=2), alone_s(problem.plane, problem.start, angles))
+    return _bounds_s(problem)[0]
+
+
+def power_bound_s(problem: Problem) -> float:
+    """Return the least time in which the power supplies can feed all moves [s].
+
+    The time that the motors of a supply are on, each robot with the elbow and turn for which that
+    is least, divided by how many of them may be on at once; or the lower bound, if that is longer.
+
+    Args:
+        problem: the problem.
+    """
+    return _bounds_s(problem)[1]
+
+
+def _bounds_s(problem: Problem) -> tuple[float, float]:
+    # lower_bound_s and power_bound_s
+    plane = problem.plane
+    movable = np.where(plane.enabled[:, None], problem.targets, np.nan)
+    angles, valid = kinematics.inverse(plane, movable)
+    turns = angles - problem.start[:, None]
+    motor_s = least_time_s(plane.drive, plane.speeds, np.where(valid[..., None], turns, np.nan))
+    travel_s = np.maximum(motor_s.max(axis=2), alone_s(plane, problem.start, angles))
     alone = np.where(valid, travel_s, np.inf).min(axis=1, initial=np.inf)
-    return float(alone[np.isfinite(alone)].max(initial=0.0))
-
-
-def _travel_s(plane: FocalPlane, turn: Floats) -> Floats:
-    # the shortest time in which each joint turns by some angles, from rest to rest, (n, k, 2)
-    speed, limit = plane.speeds[:, None], plane.drive.acceleration_rad_s2[:, None]
-    if np.isinf(limit).all():
-        return turn / speed
-    rise_s = speed / limit
-    return np.where(turn < speed * rise_s, 2.0 * np.sqrt(turn / limit), turn / speed + rise_s)
+    moves = np.isfinite(alone)
+    bound = float(alone[moves].max(initial=0.0))
+    least_s = np.where(moves, motor_s.sum(axis=2).min(axis=1, initial=np.inf), 0.0)
+    _, group = np.unique(plane.supply, return_inverse=True)
+    allowed = motors_allowed(plane.supply, plane.drive.motors_on)
+    of_group = np.bincount(group, least_s)
+    fed = of_group[group[moves]] / np.maximum(allowed[moves], 1)
+    return bound, max(bound, float(fed.max(initial=0.0)))
 
 
 def plan_metrics(
@@ -67,7 +85,7 @@ def plan_metrics(
 
     Returns:
         Plain numbers and strings, ready for JSON. The peak of motors is the largest share of
-        the motors of a bus that turn at once. Segments are counted per motor that
+        the motors of a supply, or of a bus, that turn at once. Segments are counted per motor that
         moves. The end error is the distance from the fibre at the end of the motion to
         the target, over the robots that reached their target.
     """
@@ -77,7 +95,7 @@ def plan_metrics(
     error_mm = kinematics.on_target(plane, motion.end, problem.targets).error_mm
     error_um: Floats = 1e3 * error_mm[reached]
     segments = motion.counts[motion.counts > 0]
-    bound = lower_bound_s(problem)
+    bound, power_bound = _bounds_s(problem)
     true_motion = carried_out(plane.drive, motion)
     makespan_s = true_motion.makespan_s
     codes, counts = np.unique(reason[asked], return_counts=True)
@@ -96,7 +114,9 @@ def plan_metrics(
         "makespan_s": makespan_s,
         "lower_bound_s": bound,
         "makespan_ratio": makespan_s / bound if bound else None,
-        "motors_on_peak": float(most_motors_on(true_motion, plane.bus).max(initial=0.0)),
+        "power_bound_s": power_bound,
+        "motors_on": plane.drive.motors_on,
+        "motors_on_peak": float(most_motors_on(true_motion, plane.supply).max(initial=0.0)),
         "drive_violations": int(certificate.limits_broken.sum()),
         "certified": certificate.ok,
         "min_clearance_mm": certificate.min_gap_mm if certificate.min_pair else None,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiber_core import bounds
 from fiber_core.array_types import Angles, Bools, Codes, Floats, Mask, Points
-from fiber_core.drive import CurveMotion, Drive, carried_out
+from fiber_core.drive import CurveMotion, Drive, ListedSpeeds, carried_out
 from fiber_core.errors import FiberError, LayoutError, MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -92,7 +92,7 @@ def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
         problem: the problem.
     """
     plane = problem.plane
-    drive = {} if plane.drive.is_ideal else _drive_columns(plane.drive)
+    drive = {} if plane.drive.is_plain else _drive_columns(plane.drive)
     columns: dict[str, NDArray[Any]] = drive | {
         "id": plane.ids,
         "center_mm": plane.centers,
@@ -130,23 +130,40 @@ def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
 
 
 def _drive_columns(drive: Drive) -> dict[str, NDArray[Any]]:
-    return {
+    columns: dict[str, NDArray[Any]] = {
         "drive": np.array(drive.name),
         "ramp_s": np.array(drive.ramp_s),
         "acceleration_rad_s2": drive.acceleration_rad_s2,
         "uncertainty_rad": drive.uncertainty_rad,
+        "lost_motion_rad": drive.lost_motion_rad,
+        "motor_scale": drive.scale,
+        "motors_on": np.array(drive.motors_on),
     }
+    if drive.supply is not None:
+        columns["supply"] = drive.supply
+    if drive.listed is not None:
+        columns["listed_speeds"] = drive.listed.numbers
+    return columns
 
 
 def _drive_of(data: Mapping[str, NDArray[Any]], n: int) -> Drive:
     # the drive in named arrays, an ideal one where they hold none
-    ramp = frozen_array(data.get("ramp_s", 0.0), np.float64, (), "ramp_s", LayoutError)
+    def number(name: str, otherwise: float) -> float:
+        value = data.get(name, otherwise)
+        return float(frozen_array(value, np.float64, (), name, LayoutError))
+
+    listed = data.get("listed_speeds")
     return Drive(
         n,
-        float(ramp),
+        number("ramp_s", 0.0),
         data.get("acceleration_rad_s2", np.inf),
         data.get("uncertainty_rad", 0.0),
         str(data.get("drive", "ideal")),
+        None if listed is None else ListedSpeeds.of_numbers(listed),
+        data.get("motor_scale", 1.0),
+        data.get("lost_motion_rad", 0.0),
+        data.get("supply"),
+        number("motors_on", 1.0),
     )
 
 
@@ -238,7 +255,7 @@ def save_plan(
 ) -> None:
     """Write a plan: the motion decoded from the bytes, and the outcome of each robot.
 
-    With a ramp, the fields ``curve_*`` hold the true curves: for each change of the law of each
+    With ramps, the fields ``curve_*`` hold the true curves: for each change of the law of each
     joint its time, and angle, velocity and acceleration from then on. A joint rests from the last
     change on, whose velocity and acceleration are zero.
 
@@ -250,7 +267,7 @@ def save_plan(
         drive: how the motors carry out orders; by default ideally.
     """
     curves: dict[str, Any] = {}
-    if drive is not None and drive.ramp_s > 0.0:
+    if drive is not None and drive.has_curves:
         curves = _curve_columns(carried_out(drive, motion))
     np.savez_compressed(
         path,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiber_core.array_types import Floats, Ints
+from fiber_core.drive import Drive
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets import PRESETS, PlaneColumns, Preset, plane_from
@@ -112,9 +113,41 @@ def plane_of(
     else:
         supplied.append("outlines")
     try:
+        drive = _drive(columns)
+        if drive is not None:
+            fields["drive"] = drive
         return plane_from(figures, ids, centers, arms, **fields), tuple(supplied)
     except LayoutError as error:
         raise FormatError(f"{name}: {error}") from None
+
+
+def _drive(columns: Mapping[str, NDArray]) -> Drive | None:
+    # what a table tells of each robot's gears, joints and supply; None without such a column
+    names = [f"{joint}_scale_{way}" for joint in ("theta", "phi") for way in ("falling", "rising")]
+    known = [name for name in names if name in columns]
+    of_joints = [
+        [f"{joint}_{what}_deg" for joint in ("theta", "phi")]
+        for what in ("uncertainty", "lost_motion")
+    ]
+    known += [name for pair in of_joints for name in pair if name in columns]
+    if not known and "supply" not in columns:
+        return None
+    n = len(columns["id"])
+
+    def of(name: str, otherwise: float) -> Floats:
+        return np.asarray(columns.get(name, np.full(n, otherwise)))
+
+    uncertainty, lost = (
+        np.deg2rad(np.stack([of(name, 0.0) for name in pair], axis=1)) for pair in of_joints
+    )
+    scale = np.stack([of(name, 1.0) for name in names], axis=1).reshape(n, 2, 2)
+    return Drive(
+        n,
+        uncertainty_rad=uncertainty,
+        lost_motion_rad=lost,
+        scale=scale,
+        supply=columns.get("supply"),
+    )
 
 
 def _put_outlines(

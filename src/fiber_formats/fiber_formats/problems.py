@@ -41,6 +41,7 @@ def problem_from(
     random_targets: bool = True,
     spacing_mm: float | None = None,
     drive: str | None = None,
+    motors_on: float | None = None,
 ) -> FoundProblem:
     """Return a problem; what no file gives is random.
 
@@ -57,9 +58,12 @@ def problem_from(
             none; otherwise no robot has a target then.
         spacing_mm: least distance between two targets, in place of that of the plane [mm].
         drive: name of the drive, one of `fiber_core.DRIVES`, in place of that of the plane.
+        motors_on: largest share of the motors of a supply that may turn at once, in place of that
+            of the plane.
 
     Raises:
-        FiberError: there is no such preset or drive, or a file is refused.
+        FiberError: there is no such preset or drive, the share is out of range, or a file is
+            refused.
         OSError: problem.npz cannot be read.
     """
     lines: tuple[str, ...] = ()
@@ -73,8 +77,8 @@ def problem_from(
         plane = preset_plane(preset or DEFAULT_PRESET, robots or None)
     if spacing_mm is not None:
         plane = replace(plane, spacing_mm=spacing_mm)
-    if drive is not None:
-        plane = with_drive(plane, drive)
+    if drive is not None or motors_on is not None:
+        plane = with_drive(plane, drive or plane.drive.name, motors_on)
     start = None if base is None else base.start
     if starts:
         begun = read_starts(starts, plane)

@@ -5,7 +5,7 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 
 from fiber_core.array_types import Floats
-from fiber_core.drive import Drive
+from fiber_core.drive import Drive, ListedSpeeds
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
@@ -34,8 +34,10 @@ _COLUMNS = (
 _OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8", "wall": "<f8", "fibres": "<f8"}
 # the ramp [s], then of theta and phi the accelerations [rad/s2], 0 where unlimited, and the
 # uncertainties [rad]; a plane with an ideal drive has no such column
+# then of theta and phi the lost motion [rad], the scales (falling, rising), the supply, -1 for that
+# of the bus, the share of motors that may be on, and the numbers of the list of speeds, if any
 _DRIVE = {"drive": "<f8"}
-_DRIVE_NUMBERS = 5
+_DRIVE_NUMBERS = 13
 # the names of the fibres in UTF-8, a line each, the same in every row
 _NAMES = {"fibre_names": "<u1"}
 # of robots with coupled joints: the rows of the matrix, the speeds [rad/s], and low, high [rad]
@@ -68,7 +70,8 @@ def encode(
     }
     outlines = [(name, "<f8", (2 * v.shape[1],)) for name, v in vertices.items() if v.shape[1]]
     corners = [("wall", "<f8", (2 * plane.walls.shape[1],))] if len(plane.walls) else []
-    drives = [] if plane.drive.is_ideal else [("drive", "<f8", (_DRIVE_NUMBERS,))]
+    drive = None if plane.drive.is_plain else _drive_numbers(plane.drive)
+    drives = [] if drive is None else [("drive", "<f8", (drive.shape[1],))]
     motors = {
         "coupling": plane.coupling,
         "motor_speed": plane.motor_speeds,
@@ -102,8 +105,8 @@ def encode(
     robots["theta_min"], robots["theta_max"] = plane.limits[:, 0].T
     robots["phi_min"], robots["phi_max"] = plane.limits[:, 1].T
     robots["theta_speed"], robots["phi_speed"] = plane.speeds.T
-    if drives:
-        robots["drive"] = _drive_numbers(plane.drive)
+    if drive is not None:
+        robots["drive"] = drive
     fixed["kind"], fixed["id"] = _DISC, np.arange(len(discs))
     fixed["x"], fixed["y"], fixed["arm_radius"] = discs.T / 1e3
     walls["kind"], walls["id"] = _WALL, np.arange(len(walls))
@@ -185,9 +188,20 @@ def _plane(robots: np.ndarray, fixed: np.ndarray, walls: np.ndarray) -> FocalPla
 
 
 def _drive_numbers(drive: Drive) -> Floats:
-    limit = drive.acceleration_rad_s2
-    ramp = np.full((drive.n, 1), drive.ramp_s)
-    return np.hstack([ramp, np.where(np.isinf(limit), 0.0, limit), drive.uncertainty_rad])
+    limit, n = drive.acceleration_rad_s2, drive.n
+    columns = [
+        np.full((n, 1), drive.ramp_s),
+        np.where(np.isinf(limit), 0.0, limit),
+        drive.uncertainty_rad,
+        drive.lost_motion_rad,
+        drive.scale.reshape(n, 4),
+        np.full((n, 1), -1.0) if drive.supply is None else drive.supply[:, None],
+        np.full((n, 1), drive.motors_on),
+    ]
+    if drive.listed is not None:
+        numbers = drive.listed.numbers
+        columns.append(np.broadcast_to(numbers, (n, len(numbers))))
+    return np.hstack(columns)
 
 
 def _drive(robots: np.ndarray) -> Drive | None:
@@ -195,14 +209,28 @@ def _drive(robots: np.ndarray) -> Drive | None:
     if "drive" not in column_names(robots):
         return None
     numbers = robots["drive"]
-    if numbers.shape[1] != _DRIVE_NUMBERS:
-        why = f"numbers, expected {_DRIVE_NUMBERS}"
+    if numbers.shape[1] < _DRIVE_NUMBERS:
+        why = f"numbers, expected {_DRIVE_NUMBERS} or more"
         raise MessageError("layout", why, field="drive has", value=numbers.shape[1])
-    ramp = numbers[:, 0]
-    why = f"is not the {ramp[0]} of the other robots"
-    refuse(ramp != ramp[0], "layout", "drive", robots["id"], ramp, why)
-    limit = np.where(numbers[:, 1:3] == 0.0, np.inf, numbers[:, 1:3])
-    return Drive(len(robots), float(ramp[0]), limit, numbers[:, 3:5], "layout")
+    ramp, acceleration, uncertainty, lost, scale, supply, on, listed = np.split(
+        numbers, np.cumsum([1, 2, 2, 2, 4, 1, 1]), axis=1
+    )
+    for value in (ramp, on, *listed.T[:, :, None]):
+        why = f"is not the {value[0, 0]} of the other robots"
+        refuse(value[:, 0] != value[0, 0], "layout", "drive", robots["id"], value[:, 0], why)
+    of_bus = supply[:, 0] == -1.0
+    return Drive(
+        len(robots),
+        float(ramp[0, 0]),
+        np.where(acceleration == 0.0, np.inf, acceleration),
+        uncertainty,
+        "layout",
+        ListedSpeeds.of_numbers(listed[0]) if listed.shape[1] else None,
+        scale.reshape(-1, 2, 2),
+        lost,
+        None if of_bus.all() else supply[:, 0],
+        float(on[0, 0]),
+    )
 
 
 def _stacked(rows: np.ndarray, *names: str) -> Floats:

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from fiber_core.drive import Drive
+from fiber_core.drive import Drive, ListedSpeeds
 from fiber_core.errors import FiberError
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import MessageError, layout
@@ -181,6 +181,30 @@ def test_the_drive_travels_with_the_robots(plane, stamp):
     assert (got.acceleration_rad_s2 == limit).all()
     assert (got.uncertainty_rad == drive.uncertainty_rad).all()
     assert layout.decode(layout.encode(plane, WireUnits(), stamp))[0].drive.is_ideal
+
+
+def test_listed_speeds_gears_and_supplies_travel_with_the_robots(plane, stamp):
+    listed = ListedSpeeds(
+        [3.0, 0.05], [0.02, 0.0], [0.1, 0.0], 1e-4, (0.1, 0.2), (1.0, -1.0), 1, True
+    )
+    rng = np.random.default_rng(6)
+    drive = Drive(
+        plane.n,
+        name="layout",
+        listed=listed,
+        scale=rng.uniform(0.4, 1.0, (plane.n, 2, 2)),
+        lost_motion_rad=rng.uniform(0.0, 0.1, (plane.n, 2)),
+        supply=np.arange(plane.n) % 2,
+        motors_on=0.55,
+    )
+    message = layout.encode(replace(plane, drive=drive), UNITS, stamp)
+    assert layout.decode(message)[0].drive == drive
+    known = Drive(plane.n, name="layout", scale=drive.scale)  # of motors of any speed
+    message = layout.encode(replace(plane, drive=known), UNITS, stamp)
+    assert layout.decode(message)[0].drive == known
+    raw_rows(message)["drive"][1, 12] = 0.9
+    with pytest.raises(MessageError, match="is not the 1.0 of the other robots"):
+        layout.decode(message)
 
 
 def test_a_drive_that_no_robot_can_have_is_refused(plane, stamp):

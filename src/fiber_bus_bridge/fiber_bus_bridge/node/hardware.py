@@ -198,9 +198,10 @@ def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardwar
         )
     found = simulated_problem(config)
     plane, start = found.problem.plane, found.problem.start
-    if plane.drive.ramp_s > 0.0:
+    if plane.drive.has_curves:
+        ramp_s = plane.drive.longest_ramp_s
         raise BridgeError(
-            f"the drive {plane.drive.name!r} has a ramp of {plane.drive.ramp_s:.6g} s: CONFIG does "
+            f"the drive {plane.drive.name!r} has a ramp of {ramp_s:.6g} s: CONFIG does "
             "not carry it, so the robots on devices would not follow the certified curves"
         )
     numbers = np.unique(np.asarray(plane.bus)).tolist()

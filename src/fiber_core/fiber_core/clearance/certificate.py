@@ -14,6 +14,8 @@ from fiber_core.clearance.neighbours import neighbour_pairs
 from fiber_core.clearance.safety import Safety
 from fiber_core.drive.curves import CurveMotion, carried_out
 from fiber_core.drive.drive import Drive
+from fiber_core.drive.power import overloading
+from fiber_core.drive.rules import rules_broken
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -132,7 +134,9 @@ def certify(
         bodies, true_motion.curve_arrays, np.zeros(motion.n, dtype=bool), pairs, every,
         required, tolerance_mm, True, minima,
     )  # fmt: skip
-    return certificate_of(plane, true_motion, pairs, required, minima, tolerance_mm)
+    certificate = certificate_of(plane, true_motion, pairs, required, minima, tolerance_mm)
+    refused = orders_refused(plane, motion, true_motion)
+    return replace(certificate, limits_broken=certificate.limits_broken | refused)
 
 
 def certify_arms(
@@ -257,6 +261,23 @@ def limits_broken(plane: FocalPlane, motion: SegmentMotion | CurveMotion) -> Mas
     too_hard = motion.hardest > plane.drive.acceleration_rad_s2 * (1 + 1e-9)
     of_joints: Mask = np.any((motion.fastest > 0.0) & outside | too_fast | too_hard, axis=1)
     return of_joints | motors_broken(plane, motion)
+
+
+def orders_refused(
+    plane: FocalPlane, motion: SegmentMotion, true_motion: SegmentMotion | CurveMotion
+) -> Mask:
+    """Return the robots with orders that their motors or power supplies do not allow, (n,).
+
+    Args:
+        plane: the focal plane.
+        motion: joint profiles of all robots, as ordered.
+        true_motion: the curves that its drive makes of them.
+    """
+    refused = rules_broken(plane.drive, motion)
+    if plane.drive.motors_on < 1.0:
+        kept = true_motion.without(refused)
+        refused = refused | overloading(kept, plane.supply, plane.drive.motors_on)
+    return refused
 
 
 def moved_disabled(plane: FocalPlane, motion: SegmentMotion | CurveMotion) -> Mask:

@@ -11,6 +11,7 @@ from fiber_core.clearance.certificate import (
     certified_pairs,
     limits_broken,
     moved_disabled,
+    orders_refused,
     out_of_bounds,
 )
 from fiber_core.clearance.collision_bodies import bodies_of
@@ -33,12 +34,12 @@ def hold_until_safe(
 ) -> tuple[SegmentMotion, Mask, Certificate]:
     """Hold as few robots as a greedy choice finds, so that the rest of a motion is certified.
 
-    A held robot rests at its start for the whole motion. Robots that break a limit or
-    move although disabled are held first. Then, as long as pairs are unsafe, the moving
-    robot with the most unsafe pairs is held, the lowest row among equals, until every unsafe
-    pair has a held robot; the pairs of held robots are certified again. At the end, held
-    robots are released in order if their own pairs stay safe, until no more can be
-    released. Two resting robots that are too close stay so: the certificate shows it.
+    A held robot rests at its start for the whole motion. Robots that break a limit, have orders
+    that their motors or supplies do not allow, or move although disabled are held first. Then, as
+    long as pairs are unsafe, the moving robot with the most unsafe pairs is held, the lowest row
+    among equals, until every unsafe pair has a held robot; the pairs of held robots are certified
+    again. At the end, held robots are released in order if their own pairs stay safe, until no more
+    can be released. Two resting robots that are too close stay so: the certificate shows it.
 
     Args:
         plane: the focal plane.
@@ -62,6 +63,7 @@ def hold_until_safe(
         pairs = certified_pairs(plane, true_motion, safety)
     search = _Search(plane, true_motion, safety, pairs, tolerance_mm)
     faulty = limits_broken(plane, true_motion) | moved_disabled(plane, true_motion)
+    faulty |= orders_refused(plane, motion, true_motion)
     search.hold(faulty)
     search.hold_until_covered()
     if not search.unsafe.any():

@@ -3,6 +3,18 @@
 
 from fiber_core.drive.curves import CurveMotion, carried_out
 from fiber_core.drive.drive import Drive
-from fiber_core.drive.power import most_motors_on
+from fiber_core.drive.listed import ListedSpeeds
+from fiber_core.drive.power import most_motors_on, motors_allowed, overloading
+from fiber_core.drive.rules import rules_broken, why_broken
 
-__all__ = ["CurveMotion", "Drive", "carried_out", "most_motors_on"]
+__all__ = [
+    "CurveMotion",
+    "Drive",
+    "ListedSpeeds",
+    "carried_out",
+    "most_motors_on",
+    "motors_allowed",
+    "overloading",
+    "rules_broken",
+    "why_broken",
+]

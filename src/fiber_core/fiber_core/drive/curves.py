@@ -10,6 +10,7 @@ import numpy as np
 
 from fiber_core.array_types import Angles, Floats, Offsets, Times, Velocities
 from fiber_core.drive.drive import Drive
+from fiber_core.drive.rules import ramps_of
 from fiber_core.joint_segments import JointSegments
 from fiber_core.motion import CurveArrays, SegmentMotion
 from fiber_core.ragged import Parts
@@ -120,15 +121,20 @@ def carried_out(drive: Drive, motion: SegmentMotion) -> SegmentMotion | CurveMot
 
     With a ramp of T the velocity at t is the mean of the ordered one from t - T to t. So it is a
     straight line between the instants at which an ordered change begins, at t, or ends, at
-    t + T.
+    t + T. With listed speeds each segment is spread over the ramp of its speed, and the velocity
+    is the sum of all segments.
 
     Args:
         drive: how the motors carry out orders.
         motion: the ordered segments, decoded from the bytes.
     """
-    if drive.ramp_s == 0.0:
+    if not drive.has_curves:
         return motion
-    counts, duration, velocity, acceleration, angle = _filtered(*motion.arrays, drive.ramp_s)
+    if drive.listed is not None:
+        pieces = _superposed(*motion.arrays, ramps_of(drive, motion))
+    else:
+        pieces = _filtered(*motion.arrays, drive.ramp_s)
+    counts, duration, velocity, acceleration, angle = pieces
     parts = Parts.from_counts(counts)
     return CurveMotion(motion.start, parts.offsets, duration, velocity, acceleration, angle)
 
@@ -172,6 +178,62 @@ def _filtered(
             if lag_s <= end + _SAME_S:
                 lag += 1
                 lag_s = lag_s + duration_s[lag] if lag < last else np.inf
+        counts[profile] = used - before
+    return counts, duration[:used], velocity[:used], acceleration[:used], angle[:used]
+
+
+@nb.njit(cache=True)
+def _superposed(
+    start: Angles, offsets: Offsets, duration_s: Floats, velocity_rad_s: Floats, ramp_s: Floats
+) -> tuple[Offsets, Floats, Floats, Floats, Floats]:
+    # as _filtered, each segment k being spread over ramp_s[k]
+    profiles = len(offsets) - 1
+    most = 4 * len(duration_s)
+    counts = np.zeros(profiles, dtype=np.int64)
+    duration, velocity, acceleration = np.empty(most), np.empty(most), np.empty(most)
+    angle = np.empty(most)
+    used = 0
+    for profile in range(profiles):
+        first, last = offsets[profile], offsets[profile + 1]
+        segments = last - first
+        if segments == 0:
+            continue
+        begin, changes = np.empty(segments + 1), np.empty(2 * segments + 2)
+        begin[0] = 0.0
+        for k in range(segments):
+            begin[k + 1] = begin[k] + duration_s[first + k]
+        for k in range(segments + 1):
+            here = ramp_s[first + k] if k < segments else 0.0
+            ago = ramp_s[first + k - 1] if k > 0 else 0.0
+            # a change begins at a segment's begin, and ends a ramp of either segment later
+            changes[2 * k] = begin[k] + here
+            changes[2 * k + 1] = begin[k] + ago
+        instants = np.sort(np.concatenate((begin, changes)))
+        before, q, t = used, start[profile // 2, profile % 2], 0.0
+        for instant in instants:
+            step = instant - t
+            if step <= _SAME_S:
+                continue
+            w, a = 0.0, 0.0
+            for k in range(segments):
+                v, ramp = velocity_rad_s[first + k], ramp_s[first + k]
+                if v == 0.0 or begin[k] > t + 0.5 * step or begin[k + 1] + ramp <= t:
+                    continue
+                if ramp == 0.0:
+                    w += v
+                    continue
+                rising = min(max((t - begin[k]) / ramp, 0.0), 1.0)
+                falling = min(max((t - begin[k + 1]) / ramp, 0.0), 1.0)
+                w += v * (rising - falling)
+                middle = t + 0.5 * step
+                if middle < begin[k] + ramp:
+                    a += v / ramp
+                if begin[k + 1] < middle < begin[k + 1] + ramp:
+                    a -= v / ramp
+            duration[used], velocity[used], acceleration[used], angle[used] = step, w, a, q
+            used += 1
+            q += step * (w + 0.5 * a * step)
+            t = instant
         counts[profile] = used - before
     return counts, duration[:used], velocity[:used], acceleration[:used], angle[:used]
 

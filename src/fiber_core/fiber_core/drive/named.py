@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from fiber_core.drive.drive import Drive
+from fiber_core.drive.listed import ListedSpeeds
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
@@ -22,11 +23,26 @@ class DriveFigures:
     Args:
         acceleration_deg_s2: highest acceleration of both joints [deg/s2]; inf is unlimited.
         uncertainty_deg: largest error of the angle of theta and of phi [deg].
+        speeds_deg_s: speeds of motors that have only a few, falling [deg/s]; empty for any speed.
+        ramps_s: ramp of each of these speeds [s].
+        least_deg: least move of a motor at each of them [deg].
+        approach_deg: last move of a joint, in one direction at the lowest speed [deg].
+        approach_sign: its direction in theta and in phi.
+        returns: whether the same distance back comes before it.
+        robots_a_supply: robots that share a power supply, in the order of their ids; None for all
+            of a bus.
         note: origin of the figures.
     """
 
     acceleration_deg_s2: float = float("inf")
     uncertainty_deg: tuple[float, float] = (0.0, 0.0)
+    speeds_deg_s: tuple[float, ...] = ()
+    ramps_s: tuple[float, ...] = ()
+    least_deg: tuple[float, ...] = ()
+    approach_deg: float = 0.0
+    approach_sign: tuple[float, float] = (-1.0, 1.0)
+    returns: bool = False
+    robots_a_supply: int | None = None
     note: str = ""
 
 
@@ -38,6 +54,17 @@ DRIVES: Mapping[str, DriveFigures] = MappingProxyType(
             note="Any speed, reached at 2000 deg/s2 at most: the ramp is the time from rest to "
             "the highest speed of the plane.",
         ),
+        "desi": DriveFigures(
+            speeds_deg_s=(176.0, 2.67),
+            ramps_s=(0.022, 0.0),
+            least_deg=(4.53, 0.0),
+            approach_deg=3.0,
+            returns=True,
+            robots_a_supply=251,
+            note="Cruise and creep of plate control, calibration of March 2026; a move ends with "
+            "3 deg back and 3 deg forth in creep, theta falling and phi rising. DESI's ramp has 33 "
+            "steps and turns 2.0 deg; an even one of 22 ms turns 1.94 deg.",
+        ),
         "sdss_v": DriveFigures(
             uncertainty_deg=(1.5, 1.5),
             note="The error stack of the interface document: hysteresis 0.3, non-linearity 0.6, "
@@ -48,29 +75,56 @@ DRIVES: Mapping[str, DriveFigures] = MappingProxyType(
 )
 
 
-def with_drive(plane: FocalPlane, name: str) -> FocalPlane:
+def with_drive(plane: FocalPlane, name: str, motors_on: float | None = None) -> FocalPlane:
     """Return the same plane with another drive.
 
     A ramp lasts the whole number of ticks in which the fastest joint, starting from rest, reaches
-    its highest speed.
+    its highest speed. What the plane knows of each robot, scale, lost motion, uncertainty and
+    supply, stays.
 
     Args:
         plane: the focal plane.
         name: one of DRIVES.
+        motors_on: largest share of the motors of a supply that may turn at once; by default that
+            of the plane.
 
     Raises:
-        LayoutError: no drive has this name.
+        LayoutError: no drive has this name, or the share is out of range.
     """
     if name not in DRIVES:
         raise LayoutError(f"no drive is named {name!r}; there are {', '.join(DRIVES)}")
-    figures = DRIVES[name]
-    limit, tick_s = np.deg2rad(figures.acceleration_deg_s2), WireUnits.for_plane(plane).tick_s
+    figures, units = DRIVES[name], WireUnits.for_plane(plane)
+    limit, before = np.deg2rad(figures.acceleration_deg_s2), plane.drive
     rise_s = float((plane.speeds / limit).max(initial=0.0))
+    supply = before.supply
+    if supply is None and figures.robots_a_supply is not None:
+        supply = np.arange(plane.n) // figures.robots_a_supply
     drive = Drive(
         plane.n,
-        ramp_s=float(np.ceil(rise_s / tick_s - 1e-9)) * tick_s,
+        ramp_s=float(np.ceil(rise_s / units.tick_s - 1e-9)) * units.tick_s,
         acceleration_rad_s2=limit,
-        uncertainty_rad=np.deg2rad(figures.uncertainty_deg),
+        uncertainty_rad=np.maximum(np.deg2rad(figures.uncertainty_deg), before.uncertainty_rad),
         name=name,
+        listed=_listed(figures, units.velocity_rad_s),
+        scale=before.scale,
+        lost_motion_rad=before.lost_motion_rad,
+        supply=supply,
+        motors_on=before.motors_on if motors_on is None else motors_on,
     )
     return replace(plane, drive=drive)
+
+
+def _listed(figures: DriveFigures, unit_rad_s: float) -> ListedSpeeds | None:
+    # speeds of orders are whole numbers of a unit
+    if not figures.speeds_deg_s:
+        return None
+    return ListedSpeeds(
+        np.deg2rad(figures.speeds_deg_s),
+        np.array(figures.ramps_s),
+        np.deg2rad(figures.least_deg),
+        tolerance_rad_s=unit_rad_s,
+        approach_rad=np.deg2rad([figures.approach_deg] * 2),
+        approach_sign=np.array(figures.approach_sign),
+        approach_speed=len(figures.speeds_deg_s) - 1,
+        returns=figures.returns,
+    )

@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiber_core.array_types import Floats, Ints, Points
+from fiber_core.array_types import Bools, Floats, Ints, Points
 from fiber_core.convex_parts import convex_parts
+from fiber_core.drive.drive import Drive
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets.desi import DESI_OUTLINES, keepouts
 from fiber_core.presets.figures import Polygon, Preset, checked_number, plane_from
@@ -37,6 +38,8 @@ _SEED = 2026
 # Statistics of the calibration of 3 March 2026: shares of 5020 robots, and of the 4646 in use.
 _DISABLED, _LINEAR_THETA, _LINEAR_PHI = 374 / 5020, 295 / 4646, 204 / 4646
 _EXPANSION_DEG = 5.5  # of the keep-outs of linear motors
+_THETA_SCALE, _PHI_SCALE, _PHI_SCATTER = 0.75, 0.75, 0.12  # turn by that of a linear motor
+_SLOWEST, _DIRECTIONS = 0.44, 0.01  # least scale, and how it differs between directions
 _PETAL_SHIFT_MM, _SITE_SCATTER_MM = 0.06, 0.033
 _DEGREES = 3  # of freedom of a t distribution, which has the tails that the values have
 
@@ -120,7 +123,19 @@ def _plane(figures: Preset, robots: int | None, name: str) -> FocalPlane:
         bus=petal[rows],
         walls=petal_walls(np.unique(petal[rows])),
         name=name,
+        drive=Drive(n, scale=_scales(linear_theta, linear_phi)).of_robots(np.arange(n)[rows]),
     )
+
+
+def _scales(linear_theta: Bools, linear_phi: Bools) -> Floats:
+    # turn of each joint by that of its motor, shape (n, 2, 2): robot, joint, direction
+    n, rng = len(linear_theta), np.random.default_rng([_SEED, 1])
+    scale = np.ones((n, 2, 2))
+    scale[linear_theta, 0] = _THETA_SCALE
+    of_phi = _PHI_SCALE + _PHI_SCATTER * rng.standard_normal((n, 1))
+    of_phi = np.clip(of_phi + _DIRECTIONS * rng.standard_normal((n, 2)), _SLOWEST, 1.0)
+    scale[linear_phi, 1] = of_phi[linear_phi]
+    return scale
 
 
 def _centers(rng: np.random.Generator, petal: Ints) -> Points:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Floats
 from fiber_core.convex_parts import convex_hull
+from fiber_core.drive.drive import Drive
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.hexagonal_grid import hexagonal_centers
@@ -92,6 +93,7 @@ class PlaneColumns(TypedDict, total=False):
     spacing_mm: float
     envelope_mm: float | None
     name: str
+    drive: Drive
 
 
 def on_a_grid(figures: Preset, robots: int | None, name: str) -> FocalPlane:

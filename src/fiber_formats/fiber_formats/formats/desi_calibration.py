@@ -8,7 +8,7 @@ the published ones are used, outlines expanded as the columns tell.
 
 import numpy as np
 
-from fiber_core.array_types import Bools
+from fiber_core.array_types import Bools, Floats
 from fiber_core.presets.desi_petals import petal_walls
 from fiber_formats.columns import MOST_ID, Columns
 from fiber_formats.formats.desi_frame import linear_motors, motor_notices, petal_angle_deg
@@ -57,6 +57,7 @@ def layout(source: Source) -> LayoutColumns:
         notices += (f"{older} rows are older than another row of the same robot and not used",)
     arms = np.stack([found["arm_theta_mm"], found["arm_phi_mm"]], axis=1)
     outlines, more = expanded_outlines(columns, arms, _linear_phi(columns))
+    found |= _scales(columns)
     notices += motor_notices(columns) + more
     columns.check()
     notices += ("petal edges and GFAs are those published: the file has none",)
@@ -70,6 +71,23 @@ def _linear_phi(columns: Columns) -> Bools:
     if "zeno_motor_p" not in columns:
         return np.zeros(len(columns), dtype=bool)
     return linear_motors(columns, "zeno_motor_p")
+
+
+def _scales(columns: Columns) -> dict[str, Floats]:
+    # turn of each joint by that of its motor where that is linear: falling clockwise
+    found: dict[str, Floats] = {}
+    for joint, letter in (("theta", "t"), ("phi", "p")):
+        motor = f"zeno_motor_{letter}"
+        if motor not in columns:
+            continue
+        linear = linear_motors(columns, motor)
+        for way, side in (("falling", "cw"), ("rising", "ccw")):
+            name = f"sz_{side}_{letter}"
+            if name in columns:
+                scale = columns.numbers(name, missing=True)
+                columns.refuse_rows(linear & ~(scale > 0.0), name, "is no scale of a linear motor")
+                found[f"{joint}_scale_{way}"] = np.where(linear & (scale > 0.0), scale, 1.0)
+    return found
 
 
 def _newest_rows(table: Table) -> Bools:

@@ -31,5 +31,8 @@ def motor_notices(columns: Columns) -> tuple[str, ...]:
         if name in columns:
             linear = np.count_nonzero(linear_motors(columns, name))
             if linear:
-                notices += (f"{linear} robots have a linear motor ({name}): its speed is not used",)
+                use = "its speed is not used"
+                if f"SZ_CW_{name[-1]}" in columns:
+                    use = "drives with listed speeds use its scale"
+                notices += (f"{linear} robots have a linear motor ({name}): {use}",)
     return notices

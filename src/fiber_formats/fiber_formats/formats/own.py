@@ -37,10 +37,18 @@ NUMBERS = {
     "phi_speed_deg_s": "deg / s",
     "radius_mm": "mm",
     "spacing_mm": "mm",
+    "theta_uncertainty_deg": "deg",
+    "phi_uncertainty_deg": "deg",
+    "theta_lost_motion_deg": "deg",
+    "phi_lost_motion_deg": "deg",
+    "theta_scale_falling": "",
+    "theta_scale_rising": "",
+    "phi_scale_falling": "",
+    "phi_scale_rising": "",
 }
 _ENABLED, _DISABLED = ("enabled", "functional"), ("nonfunctional", "disabled")
 _IDS = ("id", "location")
-_WIRED = ("petal", "bus", "address")
+_WIRED = ("petal", "bus", "address", "supply")
 OUTLINES = ("theta_outline_mm", "phi_outline_mm")
 LAYOUT_COLUMNS = (
     *("id", "x_mm", "y_mm", *NUMBERS, *OUTLINES, "fibre_places_mm"),
@@ -82,8 +90,9 @@ def layout(source: Source) -> LayoutColumns:
         if name in columns:
             is_number = columns.is_number(name)
             found[name] = columns.whole(name) if is_number else columns.words(name)
-    if "address" in columns:
-        found["address"] = columns.whole("address")
+    for name in ("address", "supply"):
+        if name in columns:
+            found[name] = columns.whole(name)
     preset = _preset(columns)
     _refuse_near_names(columns, _LAYOUT_NAMES)
     columns.check()

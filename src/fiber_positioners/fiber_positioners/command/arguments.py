@@ -16,6 +16,7 @@ __all__ = [
     "names",
     "numbers",
     "positive",
+    "share",
     "whole_numbers",
 ]
 
@@ -73,6 +74,18 @@ def length(text: str) -> float:
     value = _number(text)
     if value < 0:
         raise argparse.ArgumentTypeError(f"{text!r} is less than 0")
+    return value
+
+
+def share(text: str) -> float:
+    """Read a share above 0, at most 1.
+
+    Raises:
+        argparse.ArgumentTypeError: the text is no such number; names it.
+    """
+    value = _number(text)
+    if not 0.0 < value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not above 0 and at most 1")
     return value
 
 

@@ -11,7 +11,7 @@ from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem
 from fiber_formats import FORMS, FormatError, kind_of, problem_from
 from fiber_planner import DEFAULT_PLANNER, planners
-from fiber_positioners.command.arguments import length, positive
+from fiber_positioners.command.arguments import length, positive, share
 from fiber_positioners.command.exit_codes import DONE
 from fiber_positioners.command.progress import ProgressLine
 from fiber_positioners.reconfiguration import reconfigure
@@ -36,6 +36,7 @@ examples:
   fiber-positioners plan --layout fp-20260219.ecsv --starts fp-20260219.ecsv
       --targets fiberassign-000001.fits.gz --results results.fits --form desi
   fiber-positioners plan --preset desi --drive accelerated
+  fiber-positioners plan --preset desi_petals --drive desi --motors-on 0.55
   fiber-positioners plan --preset moons --planner dnf --player out/moons.html
 """
 
@@ -51,6 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--spacing", type=length, metavar="MM", help="least distance between two targets")
     add("--robots", type=positive, help="number of robots of the preset; by default all")
     add("--drive", choices=sorted(DRIVES), help="motors of the robots; by default ideal ones")
+    add(
+        "--motors-on",
+        type=share,
+        metavar="SHARE",
+        help="most motors of a supply on at once, 0 to 1",
+    )
     add("--seed", type=int, default=0, help="seed of the random field and of the robots' clocks")
     add("--planner", choices=planners(), default=DEFAULT_PLANNER, help="planner")
     add("--capture", type=Path, help="folder for waveforms (VCD) and packets (pcap) of the buses")
@@ -76,6 +83,7 @@ def run(args: argparse.Namespace) -> int:
         args.targets,
         spacing_mm=args.spacing,
         drive=args.drive,
+        motors_on=args.motors_on,
     )
     problem = found.problem
     with ProgressLine() as progress:
