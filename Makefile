@@ -159,8 +159,9 @@ soak: build ## campaigns of faults (CAMPAIGNS= of each kind, MIXED=, LINES=file 
 
 RUNS ?= 90
 .PHONY: kill
-kill: build ## kill, pause and disturb the processes of a small plane (RUNS=, SEED=), into bench/results/kill.md
-	@$(INSTALLED) && $(PYTHON) bench/kill.py --runs $(RUNS) $(if $(SEED),--seed $(SEED)); failed=$$?; \
+kill: build ## kill, pause and disturb the processes of a small plane (RUNS=, SEED=, JOBS=), into bench/results/kill.md
+	@$(INSTALLED) && $(PYTHON) bench/kill.py --runs $(RUNS) $(if $(SEED),--seed $(SEED)) \
+	$(if $(JOBS),--jobs $(JOBS)); failed=$$?; \
 	$(PYTHON) bench/kill_table.py bench/results/kill.jsonl --out bench/results/kill.md; exit $$failed
 
 FAULTS_AT_ONCE ?= 2

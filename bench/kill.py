@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kill, pause and disturb the processes of a small plane at random moments; judge by the truth.
 
-Each run makes a plan with installed executables, and at a random moment of one of its stages one
+Each run makes a plan with the nodes as processes, and at a random moment of one of its stages one
 process (in some runs two) is killed and started again, or paused and woken. Other runs send
 messages of strangers on every topic while robots move, or call services from four clients. Then the
 next reconfiguration must come about without touching the other processes. The plant tells what the
@@ -23,10 +23,11 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from forked_processes import ForkedProcesses
+from kill_jobs import run_jobs
 from kill_others import OTHERS, SERVICES, Others
 from kill_table import commit_of_sources
 
-from fiber_bringup import Processes
 from fiber_bus_bridge.plant import PlantTruth, Truth, plant_socket, touching
 from fiber_client.client import PlaneClient
 from fiber_core.errors import FiberError
@@ -69,7 +70,7 @@ class Campaign:
     def __init__(self, folder: Path, robots: int, seed: int):
         self._folder, self._robots, self._seed = folder, robots, seed
         self._socket = plant_socket(f"kill.{os.getpid()}")
-        self._processes = Processes(folder)
+        self._processes = ForkedProcesses(folder)
         self._at: dict[str, Callable[[], None]] = {}  # what begins with a stage
         self._lasts_s = dict.fromkeys(STAGES, 0.1) | {"after": 0.5}
         self._back_s = np.inf
@@ -207,11 +208,11 @@ class Campaign:
 
     def _strike(self, line: _Line) -> None:
         time.sleep(line["moment"] * self._lasts_s[line["stage"]])
-        names = [_CLIENT if name == "client" else name for name in line["names"]]
-        names = [name for name in names if name not in self._processes.ended()]
+        ended, alias = self._processes.ended(), {"client": _CLIENT}
+        names = [name for each in line["names"] if (name := alias.get(each, each)) not in ended]
         if line["how"] in ("strangers", "services"):
-            others = self._others
-            others.attack() if line["how"] == "strangers" else others.call(line["services"])
+            others, services = self._others, line["services"]
+            others.attack() if line["how"] == "strangers" else others.call(services)
         elif line["how"] == "kill":
             for name in names:
                 self._processes.send(name, signal.SIGKILL)
@@ -360,11 +361,10 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--runs", type=int, default=90)
     parser.add_argument("--first", type=int, default=0, help="number of the first run")
+    parser.add_argument("--jobs", type=int, default=1, help="planes at the same time")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robots", type=int, default=37)
-    parser.add_argument(
-        "--lines", type=Path, default="bench/results/kill.jsonl", help="each run adds a line"
-    )
+    parser.add_argument("--lines", type=Path, default="bench/results/kill.jsonl", help="a run each")
     parser.add_argument("--logs", type=Path, help="folder for the logs of the processes")
     return parser.parse_args(argv)
 
@@ -372,6 +372,9 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 def main(argv: list[str] | None = None) -> int:
     """Run the command; return 1 when something happened that must not."""
     args = parse(argv)
+    if args.jobs > 1:
+        given = {"seed": args.seed, "robots": args.robots, "lines": args.lines}
+        return run_jobs(Path(__file__), args.jobs, args.first, args.runs, given, args.logs)
     for ends in (signal.SIGINT, signal.SIGTERM):  # the processes end with this one
         signal.signal(ends, signal.default_int_handler)
     use_loopback()

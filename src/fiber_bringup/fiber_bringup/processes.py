@@ -8,25 +8,45 @@ import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Protocol
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 from fiber_bringup.errors import ProcessError
 
-__all__ = ["Processes", "installed"]
+__all__ = ["Processes", "RunningProcess", "installed"]
 
 _GRACE_S = 10.0  # between one way to end a process and the next, harder one
 _TAIL_LINES = 15
 
 
-_Process: TypeAlias = subprocess.Popen[bytes]
+class RunningProcess(Protocol):
+    """What is used of a process, as `subprocess.Popen` has it."""
+
+    returncode: int | None
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        ...
+
+    def poll(self) -> int | None:
+        """Return its exit code, None while it runs."""
+        ...
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for its end [s]; raise TimeoutExpired if it does not come."""
+        ...
+
+    def send_signal(self, sig: int) -> None:
+        """Send a signal."""
+        ...
 
 
 @dataclass(frozen=True)
 class _Started:
     name: str
-    process: _Process
+    process: RunningProcess
     log: Path
     command: tuple[str, ...]
 
@@ -114,20 +134,38 @@ class Processes:
         before = self._started.get(executable)
         if before is not None and before.process.poll() is None:
             raise ProcessError(f"{executable} runs already, process {before.process.pid}")
-        command = [str(installed(package, executable)), *arguments]
+        command = [self.program(package, executable), *arguments]
         return self._run(executable, command, self._logs / f"{executable}.log", "wb").pid
 
-    def _run(self, name: str, command: Sequence[str], log: Path, mode: str) -> _Process:
+    def _run(self, name: str, command: Sequence[str], log: Path, mode: str) -> RunningProcess:
+        process = self.spawn(command, log, mode)
+        self._started[name] = _Started(name, process, log, tuple(command))
+        return process
+
+    def program(self, package: str, executable: str) -> str:
+        """Return what stands first in the command of an executable: its path.
+
+        Raises:
+            ProcessError: it is not installed.
+        """
+        return str(installed(package, executable))
+
+    def spawn(self, command: Sequence[str], log: Path, mode: str) -> RunningProcess:
+        """Start a process.
+
+        Args:
+            command: its program and arguments.
+            log: file for what it prints.
+            mode: how the file is opened: "wb" or "ab".
+        """
         with open(log, mode, opener=_private) as file:
-            process = subprocess.Popen(
+            return subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # this process passes on an interrupt from the terminal
             )
-        self._started[name] = _Started(name, process, log, tuple(command))
-        return process
 
     def send(self, executable: str, what: signal.Signals) -> None:
         """Send a signal to a process; a process that is killed is gone when this returns."""
@@ -179,5 +217,5 @@ class Processes:
                     continue
         return {started.name: started.process.returncode for started in self._started.values()}
 
-    def _running(self) -> Iterator[subprocess.Popen[bytes]]:
+    def _running(self) -> Iterator[RunningProcess]:
         return (each.process for each in self._started.values() if each.process.poll() is None)
