@@ -106,6 +106,7 @@ class Campaign:
         self._rng = np.random.default_rng([self._seed, 0])
 
     def _measure(self) -> None:
+        self._operate()  # robots of a first motion whose loops compiled have stopped
         client, lasts_s = self._client, self._lasts_s
         begin_s = time.monotonic()
         stamp = client.send_targets(*self._new_targets())

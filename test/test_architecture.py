@@ -90,7 +90,10 @@ ARROWS = {
         "fiber_positioners",
     },
     "bench.identification": {"bench", "closed_loop"},
-    "bench.kill": {"fiber_bringup", "kill_others", "kill_table"},
+    "bench.kill": {"fiber_bringup", "forked_processes", "kill_jobs", "kill_others", "kill_table"},
+    "bench.kill_jobs": {"fiber_node"},
+    "bench.forked_preload": {"bench", "forked_processes"},
+    "bench.forked_processes": {"fiber_bringup"},
     "bench.drive": {"bench", "drive_checker"},
     "bench.drive_checker": {"numpy", "scipy"},  # shares no code with what it judges
     "bench.kill_others": {"fiber_client"},

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from fiber_bringup import ProcessError, installed
 from fiber_core.outcomes import Outcome
 
 pytestmark = pytest.mark.timeout(900)
@@ -23,10 +22,6 @@ def load(name):
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory, new_domain):
-    try:
-        installed("fiber_bus_bridge", "plant")
-    except ProcessError as error:
-        pytest.skip(f"NOT TESTED, {error}")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(new_domain()))
         with load("kill").Campaign(tmp_path_factory.mktemp("kill"), 37, seed=1) as made:

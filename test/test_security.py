@@ -33,7 +33,8 @@ def test_the_policy_is_what_the_nodes_declare(new_domain):
 
 def test_orders_come_from_those_alone_that_make_them(root):
     clients = {"operator", "gateway", "console"}
-    assert holders(root, "publish", "focal_plane/targets") == {"bridge", *clients}
+    # the console shows a plane and passes on orders; targets come from observatories
+    assert holders(root, "publish", "focal_plane/targets") == {"bridge", "operator", "gateway"}
     assert holders(root, "publish", "focal_plane/trajectory") == {"planner"}
     assert holders(root, "publish", "focal_plane/segments") == {"discretizer"}
     for service in ("start", "stop", "home", "clear", "configure"):

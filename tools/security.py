@@ -63,9 +63,10 @@ def policy(domain: int) -> str:
             own["topics", "publish", "topic"].add(f"{name}/transition_event")
     topic = ("topics", "subscribe", "topic")
     rights["viewer"][topic].add(topics.JOINT_STATES.name)  # while it has subscribers itself
-    orders = hears | {
-        ("services", "request", "service"): _SERVICES | {f"bridge/{each}" for each in _PARAMETERS}
-    }
+    request, of_bridge = ("services", "request", "service"), {f"bridge/{p}" for p in _PARAMETERS}
+    orders = hears | {request: _SERVICES | of_bridge}
+    # the console has clients of the services, and asks for parameters only when a browser does
+    rights["console"][request] |= of_bridge
     gateway = {
         ("actions", "execute", "action"): {"focal_plane/reconfigure"},
         ("services", "reply", "service"): {
@@ -76,10 +77,7 @@ def policy(domain: int) -> str:
     root.append(ET.Comment(_ABOUT))
     enclaves = ET.SubElement(root, "enclaves")
     for name, own in sorted(rights.items()):
-        # the console sends orders for the people in front of it, by a client in its process
-        _enclave(
-            enclaves, name, {name: own} | ({"plane_client": orders} if name == "console" else {})
-        )
+        _enclave(enclaves, name, {name: own})
     _enclave(enclaves, "gateway", {"gateway": gateway, "plane_client": orders})
     _enclave(enclaves, "operator", {"plane_client": orders})
     _enclave(enclaves, "monitor", {"plane_client": {topic: hears[topic]}})

@@ -6,7 +6,8 @@ the ROS domain of the environment, and prints the address of the console: open i
 shows the plane as it moves, and has buttons for the orders of an operator. Targets come from
 another terminal, as from an observatory: `make reconfigure TARGETS=random:1`.
 
-A console that ends is started again. When another process ends, all end, and the exit code is 1.
+A console that ends is started again, three times in a minute at most. When it ends more often, or
+another process ends, all end, and the exit code is 1.
 """
 
 import argparse
@@ -14,7 +15,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fiber_bringup.processes import Processes
@@ -31,6 +32,7 @@ __all__ = ["main"]
 _LOOK_S = 0.2  # time between two looks at the processes
 _ADDRESS = "the console is at "
 _CONSOLE = "console"
+_RESTARTS, _WITHIN_S = 3, 60.0  # most restarts of the console, in the time before
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -96,14 +98,30 @@ def _run(options: argparse.Namespace) -> None:
         processes.start("fiber_console", _CONSOLE, console)
         print(f"{found.problem.plane.n} robots of {name}; logs and recordings in {options.out}")
         print(_address(processes, options.out / f"{_CONSOLE}.log"), flush=True)
-        while True:
-            time.sleep(_LOOK_S)
-            ended = processes.ended()
-            if ended == [_CONSOLE]:
-                print("the console has ended and is started again", file=sys.stderr)
-                processes.restart(_CONSOLE)
-            elif ended:
-                processes.check()
+        _watch(processes)
+
+
+def _watch(
+    processes: Processes,
+    clock: Callable[[], float] = time.monotonic,
+    pause: Callable[[float], None] = time.sleep,
+) -> None:
+    """Start the console again when it ends; raise when it ends often, or another process ends.
+
+    Raises:
+        ProcessError: a process has ended for good; shows the end of its log.
+    """
+    restarts: list[float] = []
+    while True:
+        pause(_LOOK_S)
+        ended, now_s = processes.ended(), clock()
+        restarts = [each for each in restarts if each > now_s - _WITHIN_S]
+        if ended == [_CONSOLE] and len(restarts) < _RESTARTS:
+            print("the console has ended and is started again", file=sys.stderr)
+            processes.restart(_CONSOLE)
+            restarts.append(now_s)
+        elif ended:
+            processes.check()
 
 
 def _address(processes: Processes, log: Path) -> str:

@@ -184,3 +184,9 @@ def test_bad_mechanics_are_refused_with_row_and_value(changes, message):
         Mechanics.ideal(2).with_(**changes)
     with pytest.raises(BridgeError, match="scale"):
         MechanicalErrors(scale=-1.0)
+
+
+def test_shares_of_different_robots_are_1_at_most_together():
+    MechanicalErrors(non_movers=0.7, stuck=0.2, slipping=0.1)
+    with pytest.raises(BridgeError, match=r"stuck 0\.3 and slipping 0\.1 .* got 1\.1"):
+        MechanicalErrors(non_movers=0.7, stuck=0.3, slipping=0.1)

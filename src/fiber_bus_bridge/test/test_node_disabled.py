@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operators disable and enable robots through the parameters of the bridge."""
 
+import threading
+
 import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from rest_of_graph import COUNTS, PLANE, Rest, problem_file, turning
 
+import fiber_bus_bridge.node.bridge
 from fiber_bus_bridge import BridgeError
 from fiber_bus_bridge.disabled_list import read_disabled, write_disabled
 from fiber_core.outcomes import Outcome, Reason
@@ -122,6 +125,30 @@ def test_the_list_cannot_change_while_robots_move(peer, path):
     assert rest.shown() == [1] and not rest.received[topics.OUTCOME.name]
     assert rest.call(topics.STOP).success
     assert rest.set(disabled=[1, 3]).successful
+
+
+def test_the_list_cannot_change_in_silence_while_the_bridge_is_configured(peer, path, monkeypatch):
+    rest, answers = Operator(peer, path, disabled=[1]), []
+    claim = fiber_bus_bridge.node.bridge.claim_plane
+
+    def claim_during_a_change(*given):
+        change = [Parameter("disabled", value=[3])]
+        operator = threading.Thread(
+            target=lambda: answers.extend(rest.bridge.set_parameters(change))
+        )
+        operator.start()
+        operator.join()
+        return claim(*given)
+
+    rest.bridge.trigger_deactivate()
+    rest.bridge.trigger_cleanup()
+    assert rest.bridge.set_parameters([Parameter("disabled", value=[2])])[0].successful
+    monkeypatch.setattr(fiber_bus_bridge.node.bridge, "claim_plane", claim_during_a_change)
+    rest.bridge.trigger_configure()
+    (answer,) = answers
+    assert not answer.successful and "while the bridge is configured" in answer.reason
+    rest.until(lambda: rest.enabled() == [True, True, False] + [True] * 4)
+    assert rest.shown() == [2]
 
 
 def test_a_list_that_cannot_be_read_ends_the_bridge(peer, path, tmp_path):

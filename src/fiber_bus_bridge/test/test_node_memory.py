@@ -99,6 +99,12 @@ def night(tmp_path, monkeypatch):
         yield made_night
 
 
+@pytest.fixture
+def peer_log(capfd):
+    """Returns what the nodes of this process have logged."""
+    return lambda: capfd.readouterr().err
+
+
 def test_before_a_go_the_file_says_that_the_robots_may_be_anywhere(night):
     night.ready(9, turning(ticks=300))
     assert not load_memory(night.path, PLANE, QUANTUM, 1).lost.any()
@@ -122,6 +128,26 @@ def test_without_a_place_on_disk_no_robot_is_started(night, monkeypatch):
     assert set(reason.tolist()) <= {Reason.STOPPED, Reason.OK}
     assert np.array_equal(night.counts(), COUNTS)
     night.until(lambda: "no space left on device" in night.status().text)
+
+
+def test_vouching_at_the_start_has_no_effect_and_is_named(peer_log, night):
+    night.path.write_text("{")
+    night.robots.power([0], False, 0.0)
+    night.given["vouched"] = [0]
+    night.restart()
+    night.until(lambda: "place unknown" in night.left_out().get("robot 0", ""))
+    assert "vouched is [0] at the start and has no effect" in peer_log()
+
+
+def test_all_robots_at_unknown_places_are_named_however_many(night, monkeypatch):
+    monkeypatch.setattr("fiber_bus_bridge.node.publishers._NAMED", 2)
+    night.path.write_text("{")
+    night.robots.power([0, 2, 3, 5], False, 0.0)
+    night.restart()
+    night.until(lambda: "place unknown" in night.left_out().get("robot 2", ""))
+    left_out = night.left_out()
+    assert "place unknown" in left_out["robot 0"] and "robot 3" not in left_out
+    assert left_out["further place unknown"] == "3 5"
 
 
 def test_an_operator_vouches_for_a_robot_whose_place_is_not_known(night):

@@ -4,6 +4,7 @@
 Robot 0 is stretched towards robot 4, which passes after robot 0 has folded.
 """
 
+import sys
 import threading
 
 import numpy as np
@@ -16,7 +17,7 @@ from fiber_core.outcomes import Outcome, Reason
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import FRAME_ID, PlanStamp, joint_states, layout, targets, topics
-from fiber_node import RosClient
+from fiber_node import BRIDGE, Claim, RosClient
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -122,6 +123,21 @@ def test_a_robot_held_because_of_another_is_replanned_and_arrives(scene):
     with_header = [m for some in rest.received.values() for m in some if hasattr(m, "header")]
     assert {m.header.frame_id for m in with_header} == {FRAME_ID}
     rest.until(lambda: rest.status().values.get("attempts") == "2")
+
+
+def test_no_robot_of_a_later_attempt_moves_once_an_earlier_bridge_is_there(scene, monkeypatch):
+    """A bridge that was paused comes back with the claim that it had before."""
+    rest = scene()
+    rest.first_attempt()
+    rest.second_targets()
+    monkeypatch.setattr(sys.modules[Claim.__module__], "new_session", lambda *_: "session_0")
+    Claim(rest.peer.node, BRIDGE)
+    rest.until(lambda: rest.bridge._claim.earlier())
+    rest.order(9, rest.second(), attempt=2)
+    result, _, _ = rest.end(9)
+    assert result[4] == Outcome.HELD and result[0] == Outcome.HELD
+    assert np.array_equal(rest.counts(), rest.second().start)
+    rest.until(lambda: "no robot is started: another bridge" in rest.status().text)
 
 
 def test_there_is_no_second_attempt_where_one_is_allowed(scene):

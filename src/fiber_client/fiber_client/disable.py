@@ -19,7 +19,7 @@ from fiber_node.ros_environment import use_loopback
 __all__ = ["DisabledRobots", "disable", "enable"]
 
 _BRIDGE = "bridge"
-_LEFT_OUT = "bridge: left out"
+_LEFT_OUT, _FURTHER = "bridge: left out", "further"
 _ABOUT = """
 Disabled robots are obstacles where they stand, and end every plan as held, with reason disabled.
 The bridge keeps the list over restarts in the file of its parameter disabled_file, if that is
@@ -82,8 +82,14 @@ class DisabledRobots:
             self._timeout_s,
             f"diagnostics {_LEFT_OUT!r}",
         )
-        values = self._client.statuses[_LEFT_OUT].values
-        return {int(name.removeprefix("robot ")): str(why) for name, why in values.items()}
+        found: dict[int, str] = {}
+        for name, text in self._client.statuses[_LEFT_OUT].values.items():
+            kind, _, rest = name.partition(" ")
+            if kind == "robot":
+                found[int(rest)] = str(text)
+            elif kind == _FURTHER:  # of many robots the last are not named one by one
+                found |= dict.fromkeys(map(int, str(text).split()), rest)
+        return found
 
     def _call(self, request: Callable[[], Future]) -> Any:
         wait_for = self._client.wait_for

@@ -27,7 +27,7 @@ from fiber_interfaces.action import Reconfigure  # pyright: ignore[reportMissing
 from fiber_interfaces.srv import Start  # pyright: ignore[reportMissingModuleSource]
 from fiber_msgs_py import PlanStamp, Progress, topics
 from fiber_msgs_py.stamps import ns_from_time
-from fiber_node import PlaneNode, ThreadExecutor
+from fiber_node import PlaneNode, ThreadExecutor, warn_of_sections
 from fiber_node.ros_environment import keep_memory_private, keep_private, use_loopback
 
 __all__ = ["RECONFIGURE", "START_PLAN", "GatewayNode", "main"]
@@ -200,10 +200,12 @@ def main(args: Sequence[str] | None = None) -> int:
     keep_private()
     # a context of its own: rclpy's handlers of signals would cut the client off before it can stop
     context = Context()
-    rclpy.init(args=list(sys.argv if args is None else args), context=context)
+    given = list(sys.argv if args is None else args)
+    rclpy.init(args=given, context=context)
     executor = ThreadExecutor(_THREADS, context)
     node = GatewayNode(context=context)
     keep_memory_private()
+    warn_of_sections(node, given)
     executor.add_node(node)
     loop = threading.Thread(target=executor.spin, name="gateway", daemon=True)
     loop.start()

@@ -38,7 +38,7 @@ from fiber_msgs_py import (
     targets,
     topics,
 )
-from fiber_node import PlaneNode, Reporter, SessionGate, ThreadExecutor
+from fiber_node import PlaneNode, Reporter, SessionGate, ThreadExecutor, warn_of_sections
 from fiber_node.ros_environment import keep_memory_private, keep_private, use_loopback
 
 __all__ = ["ConsoleConfig", "ConsoleNode", "main", "serve"]
@@ -191,13 +191,14 @@ def main(args: Sequence[str] | None = None) -> int:
     use_loopback()
     keep_private()
     # signals end the loop of asyncio, which ends the rest
-    given = None if args is None else list(args)
+    given = list(sys.argv if args is None else args)
     rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     code, executor, node = 0, ThreadExecutor(_THREADS), None
     thread = threading.Thread(target=executor.spin, name="console", daemon=True)
     try:
         node = ConsoleNode()
         keep_memory_private()
+        warn_of_sections(node, given)
         executor.add_node(node)
         thread.start()
         asyncio.run(_run(node))

@@ -5,6 +5,7 @@ from fiber_node.accepted_attempts import AcceptedAttempts
 from fiber_node.claims import BRIDGE, DISCRETIZER, PLANNER, Claim, claims
 from fiber_node.managed_node import ManagedNode
 from fiber_node.parameters import Declared, NodeParameters, ParameterError
+from fiber_node.params_files import warn_of_sections
 from fiber_node.plane_cache import PlaneCache
 from fiber_node.plane_node import PlaneNode
 from fiber_node.reporter import Reporter
@@ -35,4 +36,5 @@ __all__ = [
     "Worker",
     "claims",
     "run",
+    "warn_of_sections",
 ]

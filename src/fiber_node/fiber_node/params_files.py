@@ -7,14 +7,26 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from rclpy.node import Node
 
-__all__ = ["section_warnings"]
+__all__ = ["section_warnings", "warn_of_sections"]
 
 _OPTION = "--params-file"
 _NODES = (
     "bridge", "console", "discretizer", "gateway", "planner", "plant", "recorder", "viewer"
 )  # fmt: skip
 _PARAMETERS = "ros__parameters"
+
+
+def warn_of_sections(node: Node, arguments: Sequence[str]) -> None:
+    """Warn of sections of parameter files that do not apply to a node.
+
+    Args:
+        node: the node.
+        arguments: its command line.
+    """
+    for line in section_warnings(arguments, node.get_fully_qualified_name()):
+        node.get_logger().warning(line)
 
 
 def section_warnings(arguments: Sequence[str], node: str) -> list[str]:

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from fiber_bus_bridge.capture import Tap
-from fiber_bus_bridge.errors import BridgeError, SessionError
+from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.node.accepted_plans import AcceptedPlans
 from fiber_bus_bridge.node.attempts import Attempts
 from fiber_bus_bridge.node.declared_parameters import declare_bridge
@@ -32,6 +32,7 @@ from fiber_bus_bridge.node.vouched_parameter import follow_vouched_parameter
 from fiber_bus_bridge.protocol import Event, State
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.session_state import SessionState
+from fiber_core.errors import FiberError
 from fiber_core.outcomes import Reason
 from fiber_msgs_py import PlanStamp, Status, guarded, topics
 from fiber_node import BRIDGE, ManagedNode, run
@@ -62,9 +63,9 @@ class BridgeNode(ManagedNode):
         # transitions are served while a call is at work
         super().__init__("bridge", BRIDGE, MutuallyExclusiveCallbackGroup(), **options)
         self._parameters_given = declare_bridge(self, self.parameters)
-        self._to_start = self._parameters_given.start
         self._capture = self._parameters_given.execution.capture
-        follow_disabled_parameter(self, self._disable, self.reporter.refuse)
+        disabled = self._parameters_given.disabled
+        follow_disabled_parameter(disabled, self._disable, self.reporter.refuse)
         follow_vouched_parameter(self, self._vouch, self.reporter.refuse)
         self.begin()
 
@@ -84,10 +85,10 @@ class BridgeNode(ManagedNode):
         except Exception:
             hardware.close()
             raise
-        for line in hardware.lines:
-            self.get_logger().info(line)
         buses, found = len(self._session.transactions.buses), int(self._session.known.sum())
-        self.get_logger().info(f"{found} of {hardware.plane.n} robots found on {buses} buses")
+        known = f"{found} of {hardware.plane.n} robots found on {buses} buses"
+        for line in (*hardware.lines, known):
+            self.get_logger().info(line)
 
     def activate(self) -> None:
         """Accept targets."""
@@ -116,7 +117,7 @@ class BridgeNode(ManagedNode):
             self._session, self._availability, hardware, memory, self.reporter.refuse
         )
         self._operators = OperatorChanges(
-            self, self._lock, self._session, self._availability, self._attempts, self._outgoing,
+            self, self._session, self._availability, self._attempts, self._outgoing,
             self._remembered.save_or_warn,
         )  # fmt: skip
         self._subscribe()
@@ -151,10 +152,9 @@ class BridgeNode(ManagedNode):
         After a stop the service `clear` makes the next plan possible, as after any stop.
         """
         with self._stopping(), self._lock:
-            state = self._session.state
-            if state is SessionState.MOVING:
+            if self._session.state is SessionState.MOVING:
                 self._session.stop(self._now_s())
-            elif state is SessionState.READY:
+            elif self._session.state is SessionState.READY:
                 self._session.clear(self._now_s())
             self._publish_changes(last=True)
             self._attempts.end_all(Reason.STOPPED, "the bridge is deactivated")
@@ -166,8 +166,7 @@ class BridgeNode(ManagedNode):
             self._remembered.save_or_warn()
             self._calls.open = False
             self._hardware.close()
-        vouched = Parameter("vouched", Parameter.Type.INTEGER_ARRAY, [])
-        self.set_parameters([vouched])
+        self.set_parameters([Parameter("vouched", Parameter.Type.INTEGER_ARRAY, [])])
 
     def statuses(self) -> Iterable[Status]:
         """Return the diagnostics of every bus, and of the robots left out of plans."""
@@ -231,7 +230,7 @@ class BridgeNode(ManagedNode):
     # --- services ------------------------------------------------------------
 
     def _start(self) -> str:
-        plan = self._to_start.value.start_plan
+        plan = self._parameters_given.start.value.start_plan
         if plan:
             self.set_parameters([Parameter("start_plan", value="")])
         return self.start(plan)
@@ -274,8 +273,9 @@ class BridgeNode(ManagedNode):
 
     def _may_go(self) -> bool:
         try:
+            self._check_role()  # it may have changed since the first attempt, or in motion
             self._remembered.save(starting=True)
-        except BridgeError as error:
+        except FiberError as error:
             self.reporter.refuse(f"no robot is started: {error}")
             return False
         return not self._stop_requested.is_set()
@@ -334,16 +334,17 @@ class BridgeNode(ManagedNode):
         return f"{self._session.known.sum()} of {self._session.plane.n} robots configured"
 
     def _disable(self, ids: Sequence[int], reason: str) -> None:
-        disabled = self._parameters_given.disabled
-        if self._calls.open:  # else the plane is not known yet
-            self._operators.disable(ids, reason)
-        disabled.given, disabled.reason = list(ids), reason
+        with self._calls.soon("disabled or enabled"):
+            if self._calls.open:  # else the plane is not known yet
+                self._operators.disable(ids, reason)
+            self._parameters_given.disabled.keep(ids, reason)
 
     def _vouch(self, ids: Sequence[int]) -> None:
-        if self._calls.open:
-            self._operators.vouch(ids)
-        elif ids:
-            raise SessionError("robots cannot be vouched for before the bridge is configured")
+        with self._calls.soon("vouched for"):
+            if self._calls.open:
+                self._operators.vouch(ids)
+            elif ids:
+                raise SessionError("robots cannot be vouched for before the bridge is configured")
 
     # --- motion --------------------------------------------------------------
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameters by which operators disable and enable robots."""
 
+import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,12 +59,14 @@ class DisabledParameters:
         given: the list that operators gave last, None for none.
         reason: the reason that was given with it.
         file: the file of the list, empty without one.
+        shown_by: the thread that shows the list in the parameter, while it does; not a change.
     """
 
     node: Node
     given: Any
     reason: str
     file: str
+    shown_by: int | None = None
 
     def availability(self, plane: FocalPlane, memory: Path | None = None) -> Availability:
         """Return the availability of the robots, and show their list in the parameter.
@@ -84,9 +87,14 @@ class DisabledParameters:
         if not self.file and (self.given is not None or beside is None):
             availability.disable(ids_of(self.given, "disabled"), self.reason)
         ids = sorted(availability.disabled)
+        self.shown_by = threading.get_ident()
         self.node.set_parameters([Parameter("disabled", Parameter.Type.INTEGER_ARRAY, ids)])
-        self.given = ids
+        self.given, self.shown_by = ids, None
         return availability
+
+    def keep(self, ids: Iterable[int], reason: str) -> None:
+        """Keep the list that operators gave last, with its reason, for the next configuration."""
+        self.given, self.reason = list(ids), reason
 
 
 def declare_disabled(node: Node, parameters: NodeParameters) -> DisabledParameters:
@@ -103,20 +111,24 @@ def declare_disabled(node: Node, parameters: NodeParameters) -> DisabledParamete
 
 
 def follow_disabled_parameter(
-    node: Node, change: Callable[[list[int], str], None], refuse: Callable[[str], None]
+    declared: DisabledParameters,
+    change: Callable[[list[int], str], None],
+    refuse: Callable[[str], None],
 ) -> None:
     """Apply later changes of the parameter; a refused change leaves the parameter as it was.
 
     Args:
-        node: the node with the parameters.
+        declared: the parameters.
         change: called with the complete list and the reason of the robots that are new on the
             list; refuses by raising a FiberError.
         refuse: called with the text of a refusal.
     """
 
+    node = declared.node
+
     def on_set(parameters: Iterable[Parameter]) -> SetParametersResult:
         named = {parameter.name: parameter.value for parameter in parameters}
-        if "disabled" not in named:
+        if "disabled" not in named or declared.shown_by == threading.get_ident():
             return SetParametersResult(successful=True)
         reason = named.get("disabled_why", node.get_parameter("disabled_why").value)
         try:

@@ -2,7 +2,8 @@
 """Callbacks of the bridge that hold its lock, and its services."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 from std_srvs.srv import Trigger
@@ -13,6 +14,7 @@ from fiber_node import ManagedNode
 
 __all__ = ["LockedCalls"]
 
+_ANSWER_S = 0.25  # longest wait of a change of parameters for other work of the bridge
 _Response: TypeAlias = Trigger.Response
 
 
@@ -39,6 +41,24 @@ class LockedCalls:
                     call(*arguments)
 
         return run
+
+    @contextmanager
+    def soon(self, change: str) -> Iterator[None]:
+        """Hold the lock in a call that must be answered at once, also while unconfigured.
+
+        Args:
+            change: what the call does with robots, for the refusal.
+
+        Raises:
+            SessionError: another call is at work, such as a plan or the transition configure.
+        """
+        if not self._lock.acquire(timeout=_ANSWER_S):
+            doing = "a plan is under way" if self.open else "the bridge is configured"
+            raise SessionError(f"robots cannot be {change} while {doing}")
+        try:
+            yield
+        finally:
+            self._lock.release()
 
     def serving(self, name: str, call: Callable[[], str]) -> Callable[[Any, _Response], _Response]:
         """Return the callback of a Trigger service; a refusal of the core becomes the response.

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What operators change through parameters while the bridge is configured."""
 
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 from fiber_bus_bridge.availability import Availability
 from fiber_bus_bridge.errors import SessionError
@@ -15,15 +13,12 @@ from fiber_node import ManagedNode
 
 __all__ = ["OperatorChanges"]
 
-_ANSWER_S = 0.25  # longest wait of a change of parameters for other work of the bridge
-
 
 class OperatorChanges:
-    """Disables robots, and vouches for their places.
+    """Disables robots, and vouches for their places. A caller holds the lock of the bridge.
 
     Args:
         node: the node of the bridge.
-        lock: held while the session is used.
         session: the session with the robots.
         availability: the robots that can be commanded.
         attempts: the plan that is under way.
@@ -34,14 +29,13 @@ class OperatorChanges:
     def __init__(
         self,
         node: ManagedNode,
-        lock: threading.Lock,
         session: Session,
         availability: Availability,
         attempts: Attempts,
         outgoing: Publishers,
         save_memory: Callable[[], None],
     ):
-        self._node, self._lock, self._session = node, lock, session
+        self._node, self._session = node, session
         self._availability, self._attempts = availability, attempts
         self._outgoing, self._save_memory = outgoing, save_memory
 
@@ -56,15 +50,14 @@ class OperatorChanges:
             SessionError: a plan is under way.
             BridgeError: a robot does not exist, or the list cannot be written.
         """
-        with self._locked("disabled or enabled"):
-            changed = sorted(set(ids) ^ set(self._availability.disabled))
-            moving = self._session.state is SessionState.MOVING
-            if changed and (moving or self._attempts.awaited is not None):
-                verb = "disabled" if changed[0] in ids else "enabled"
-                raise SessionError(f"robot {changed[0]} cannot be {verb} while a plan is under way")
-            self._availability.disable(ids, reason)
-            self._session.enable(self._availability.enabled)
-            self._outgoing.publish_layout()
+        changed = sorted(set(ids) ^ set(self._availability.disabled))
+        moving = self._session.state is SessionState.MOVING
+        if changed and (moving or self._attempts.awaited is not None):
+            verb = "disabled" if changed[0] in ids else "enabled"
+            raise SessionError(f"robot {changed[0]} cannot be {verb} while a plan is under way")
+        self._availability.disable(ids, reason)
+        self._session.enable(self._availability.enabled)
+        self._outgoing.publish_layout()
         self._tell("disabled", ids)
 
     def vouch(self, ids: Sequence[int]) -> None:
@@ -73,19 +66,9 @@ class OperatorChanges:
         Raises:
             SessionError: a plan is under way.
         """
-        with self._locked("vouched for"):
-            self._session.vouch(ids)
-            self._save_memory()
+        self._session.vouch(ids)
+        self._save_memory()
         self._tell("vouched for", ids)
-
-    @contextmanager
-    def _locked(self, change: str) -> Iterator[None]:
-        if not self._lock.acquire(timeout=_ANSWER_S):
-            raise SessionError(f"robots cannot be {change} while a plan is under way")
-        try:
-            yield
-        finally:
-            self._lock.release()
 
     def _tell(self, change: str, ids: Sequence[int]) -> None:
         self._node.reporter.publish()

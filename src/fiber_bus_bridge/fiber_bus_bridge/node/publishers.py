@@ -27,7 +27,8 @@ from fiber_msgs_py import (
 
 __all__ = ["Publishers"]
 
-_NAMED = 20  # largest number of failed robots named in the diagnostics
+_NAMED = 20  # failed robots, and robots at unknown places, with a line each in the diagnostics
+_UNKNOWN = "place unknown"
 
 
 class Publishers:
@@ -130,12 +131,19 @@ class Publishers:
             f"{len(reasons)} disabled by operators, {unknown.sum()} not found, "
             f"{failed.sum()} failed, {lost.sum()} at unknown places"
         )
-        for row in np.flatnonzero(failed)[:_NAMED]:
+        rows, further = np.split(np.flatnonzero(failed), [_NAMED])
+        for row in rows:
             reasons[f"robot {ids[row]}"] = Reason(availability.failed[row]).name.lower()
+        for reason in np.unique(availability.failed[further]):
+            these = ids[further[availability.failed[further] == reason]]
+            reasons[f"further {Reason(reason).name.lower()}"] = " ".join(map(str, these))
         if self._session.state is not SessionState.MOVING:
-            for row in np.flatnonzero(lost)[:_NAMED]:
+            rows, further = np.split(np.flatnonzero(lost), [_NAMED])
+            for row in rows:
                 before = reasons.get(f"robot {ids[row]}")
                 why = f" ({before})" if before else ""
-                reasons[f"robot {ids[row]}"] = f"place unknown{why}: its neighbours rest"
+                reasons[f"robot {ids[row]}"] = f"{_UNKNOWN}{why}: its neighbours rest"
+            if len(further):
+                reasons[f"further {_UNKNOWN}"] = " ".join(map(str, ids[further]))
         level = Level.WARN if unknown.any() or failed.any() else Level.OK
         return Status("bridge: left out", level, text, reasons)

@@ -20,8 +20,16 @@ _ABOUT = (
 
 
 def declare_vouched(node: Node, parameters: NodeParameters) -> None:
-    """Declare the parameter `vouched`, at first without robots."""
-    parameters.take("vouched")
+    """Declare the parameter `vouched`, at first without robots.
+
+    A dump of a bridge can have robots of its time, for which nothing vouches now: they are refused.
+    """
+    given = parameters.take("vouched")
+    if given:
+        node.get_logger().warning(
+            f"vouched is {list(given)} at the start and has no effect: vouch for robots while the "
+            "bridge runs, when you have seen that they rest"
+        )
     # dynamic typing: an empty list has no element type
     about = ParameterDescriptor(description=_ABOUT, dynamic_typing=True)
     node.declare_parameter("vouched", None, about, ignore_override=True)

@@ -15,6 +15,7 @@ from fiber_core.validation import frozen_array
 __all__ = ["NEVER", "MechanicalErrors", "Mechanics", "draw_mechanics"]
 
 NEVER = 2**62  # number of a movement that no robot reaches
+_ROUNDING = 1e-9
 _WAVES = 3  # sines of the non-linearity that are drawn
 
 
@@ -142,7 +143,8 @@ class MechanicalErrors:
         slip: largest share of a movement that a slipping joint loses.
 
     Raises:
-        BridgeError: a value is out of range; names it.
+        BridgeError: a value is out of range; names it. The shares of non_movers, stuck and slipping
+            are of different robots, so that their sum is 1 at most.
     """
 
     RANGES: ClassVar = {
@@ -167,6 +169,12 @@ class MechanicalErrors:
 
     def __post_init__(self) -> None:
         bounds.check_ranges(self, self.RANGES, BridgeError)
+        shares = self.non_movers + self.stuck + self.slipping
+        if shares > 1.0 + _ROUNDING:
+            raise BridgeError(
+                f"non_movers {self.non_movers}, stuck {self.stuck} and slipping {self.slipping} "
+                f"are shares of different robots: their sum must be 1 at most, got {shares:g}"
+            )
 
 
 def draw_mechanics(n: int, errors: MechanicalErrors, rng: np.random.Generator) -> Mechanics:
