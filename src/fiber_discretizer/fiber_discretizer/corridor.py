@@ -20,6 +20,7 @@ FINEST_RAD = 2e-3  # a smaller step ends the approach
 _SEARCH_STEPS = 24  # largest number of steps to a bound in a search, which looks for any path
 _ALL_STEPS = 1 << 30  # each step is FINEST_RAD or more, so the approach ends by itself
 _OUT_RAD = 0.02  # least step out of a neighbour
+_FAR_MM = 1e-6  # far above the rounding of a gap
 
 
 @njit(cache=True, nogil=True)
@@ -181,11 +182,12 @@ def _move_out(scene, axis, angles, side):
     # Turn the joint until it is out of all neighbours, the deepest first; False where that is
     # impossible. The spare gaps at the new angle are left in the first row of `work`.
     table, i, bodies, required, poses, work = scene
-    joint, lever, bottom, top, _, _ = axis
+    joint, lever, bottom, top, reach, _ = axis
     spare, count = work[0], len(bodies)
+    far = lever * reach + _FAR_MM  # no turn uses up a gap this large
     least = np.inf
     for q in range(count):
-        spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q])
+        spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q], far)
         least = min(least, spare[q])
     while least < 0.0:
         if side == 0:
@@ -195,10 +197,10 @@ def _move_out(scene, axis, angles, side):
             if not bottom <= angles[joint] <= top:
                 return False
             angles[joint] += side * max(-spare[q] / lever, _OUT_RAD)
-            spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q])
+            spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q], far)
         least = np.inf
         for q in range(count):
-            spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q])
+            spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q], far)
             least = min(least, spare[q])
     return True
 
@@ -223,7 +225,8 @@ def _approach(scene, axis, angles, free, way):
             return turned
         steps += 1
         angles[joint] = free + way * turned
-        more = _spare_gap(table, i, bodies[q], angles, poses[q], required[q]) / lever
+        far = lever * (farthest - turned) + _FAR_MM
+        more = _spare_gap(table, i, bodies[q], angles, poses[q], required[q], far) / lever
         if more < FINEST_RAD:
             return turned
         bound[q] = turned + more
@@ -251,14 +254,14 @@ def _pose_bodies(motion, bodies, time, poses):
 
 
 @njit(cache=True)
-def _spare_gap(table, i, body, angles, pose, required):
-    # gap to a neighbour less the required gap
+def _spare_gap(table, i, body, angles, pose, required, far):
+    # gap to a neighbour less the required gap; a lower bound of it where that is above `far`
     both = angles[0] + angles[1]
     return (
         posed_gap(
             table, i, body,
             math.cos(angles[0]), math.sin(angles[0]), math.cos(both), math.sin(both),
-            pose[0], pose[1], pose[2], pose[3], np.inf,
+            pose[0], pose[1], pose[2], pose[3], required + far,
         )
         - required
     )  # fmt: skip

@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of the parts of the direct planner: sampling, collision cost, pieces, reachability."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fiber_core.clearance import neighbour_pairs, pair_gap
+from fiber_core.clearance import gaps, neighbour_pairs, pair_gap
 from fiber_core.fields import random_problem
 from fiber_core.motion import SampledMotion
 from fiber_core.presets import PRESETS, plane_from, preset
 from fiber_core.problem import Problem
 from fiber_planner.direct import DirectParameters, reachable, straight_pieces
-from fiber_planner.direct.certify_changed import shortfall_mm
+from fiber_planner.direct.certify_changed import require_more, shortfall_mm
 from fiber_planner.direct.collision_cost import _DEEPEST, collision_cost
 from fiber_planner.direct.compression import compress_profiles
 from fiber_planner.direct.initial_plan import choose_ends, straight_plan
@@ -278,7 +280,8 @@ def test_what_is_missing_is_the_same_whether_all_or_only_the_changed_are_looked_
     plan, tangled = straight_plan(problem, scene, parameters, ends, grid)
 
     def missing(plan):
-        return shortfall_mm(problem.plane, scene, parameters, plan, grid, tangled)
+        at_most = np.zeros(len(tangled), dtype=bool)
+        return shortfall_mm(problem.plane, scene, parameters, plan, grid, tangled, at_most)
 
     before = missing(plan)
     assert 0 < (before > 0.0).sum() < len(before)
@@ -291,6 +294,34 @@ def test_what_is_missing_is_the_same_whether_all_or_only_the_changed_are_looked_
         after = missing(plan)
         plan.changed[:] = True
         assert np.array_equal(missing(plan), after)
+
+
+def test_no_more_is_required_beside_a_static_body_than_the_gap_at_the_start():
+    parameters = DirectParameters()
+    problem = random_problem(preset("desi", 200), np.random.default_rng(3))
+    enabled = np.arange(200) % 3 > 0
+    problem = replace(problem, plane=problem.plane.with_enabled(enabled))
+    scene = scene_of(problem)
+    ends = choose_ends(problem, scene, parameters)
+    grid = time_grid(ends.alone_s, 1e-3, parameters.intervals)
+    plan, tangled = straight_plan(problem, scene, parameters, ends, grid)
+    at_start, before = gaps(problem.plane, scene.pairs, problem.start), plan.required.copy()
+    at_most, missing = np.zeros(len(tangled), dtype=bool), np.full(len(tangled), 0.4)
+    missing[::5] = 0.0
+    assert not tangled.any()
+    for _ in range(3):
+        require_more(problem.plane, scene, plan, missing, at_most)
+    static = ~scene.movable[scene.pairs].all(axis=1)
+    assert (plan.required[static] <= at_start[static]).all()
+    assert (plan.required[~static] - before[~static] >= 3 * missing[~static]).all()
+    assert at_most[static].any() and not at_most[~static].any()
+    assert (plan.required[at_most] == at_start[at_most] - 1e-6).all()
+    # then half of the allowance is not asked for, the certificate's own demand is
+    plan.changed[:] = True
+    loose = shortfall_mm(problem.plane, scene, parameters, plan, grid, tangled, at_most)
+    plan.changed[:] = True
+    strict = shortfall_mm(problem.plane, scene, parameters, plan, grid, tangled, ~at_most & False)
+    assert (loose <= strict).all() and (loose[at_most] > 0.0).any()
 
 
 @pytest.mark.parametrize("stretch", [1.3, 1.15, 1.0])

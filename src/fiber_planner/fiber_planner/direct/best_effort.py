@@ -4,10 +4,30 @@
 import numpy as np
 
 from fiber_core.array_types import Bools, Ints
+from fiber_core.outcomes import Reason
+from fiber_planner.direct.initial_plan import Ends
 from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.scene import Scene
 
-__all__ = ["hold_at_start", "release_worst", "worst_robots"]
+__all__ = [
+    "hold_at_start",
+    "hold_one_of_tangled",
+    "near_static_arms",
+    "release_worst",
+    "worst_robots",
+]
+
+
+def near_static_arms(scene: Scene, robots: int) -> Bools:
+    """Return the robots next to an arm that cannot move, (b,); a fixed body blocks only a passage.
+
+    Args:
+        scene: the robots and their surroundings.
+        robots: their number, n.
+    """
+    pairs, movable = scene.pairs, scene.movable
+    beside = pairs[((pairs < robots) & ~movable[pairs]).any(axis=1)]
+    return movable & np.isin(np.arange(len(movable)), beside)
 
 
 def worst_robots(scene: Scene, plan: PlanState, bad: Bools, among: Bools) -> Ints:
@@ -61,3 +81,26 @@ def hold_at_start(scene: Scene, plan: PlanState, rows: Ints) -> Ints:
     lost = rows[plan.choice[rows] >= 0]
     plan.choice[lost] = -1
     return lost
+
+
+def hold_one_of_tangled(scene: Scene, plan: PlanState, ends: Ends, tangled: Bools) -> None:
+    """Let one robot of each pair that starts too close rest, preferably one without a target.
+
+    Two that move could touch through timing errors.
+
+    Args:
+        scene: the robots and their surroundings; which robots are movable is written.
+        plan: the plan; profiles and choices are written.
+        ends: where robots should end; written.
+        tangled: pairs that start too close, shape (p,).
+    """
+    movable = scene.movable
+    for a, b in scene.pairs[tangled]:
+        if movable[a] and movable[b]:
+            row = a if ends.choice[a] < 0 <= ends.choice[b] else b
+            movable[row] = False
+            plan.q[row] = scene.start[row][:, None]
+            plan.choice[row] = ends.choice[row] = -1
+            ends.angles[row] = scene.start[row]
+            if ends.reason[row] == Reason.OK:
+                ends.reason[row] = Reason.TANGLED

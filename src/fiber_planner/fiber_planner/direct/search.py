@@ -11,8 +11,14 @@ from fiber_core.array_types import Angles, Bools, Codes, Floats, Pairs, Times
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
-from fiber_planner.direct.best_effort import hold_at_start, release_worst, worst_robots
-from fiber_planner.direct.certify_changed import shortfall_mm
+from fiber_planner.direct.best_effort import (
+    hold_at_start,
+    hold_one_of_tangled,
+    near_static_arms,
+    release_worst,
+    worst_robots,
+)
+from fiber_planner.direct.certify_changed import MORE_MM, require_more, shortfall_mm
 from fiber_planner.direct.compression import compress_profiles
 from fiber_planner.direct.initial_plan import choose_ends, straight_plan
 from fiber_planner.direct.local_search import fold_arms, raise_weights, restore, straighten, sweep
@@ -36,6 +42,7 @@ _RELEASE_FROM = (1.1, 1.5)  # stretch from which stuck robots near static arms a
 _FOLDING = 0.7  # share of moves that fold the arm, once arms are folded
 _DRAWS = (30, 100)  # moves of a robot in a sweep: not folding, folding
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
+_IN_VAIN = 8  # sweeps; what is in the way of robots beside static bodies will not move
 _VISITS = 100  # robots between two reports of progress, at least
 _PARTS = 50  # reports of progress in a sweep, at most
 _AT_ONE_MAKESPAN = 200  # moves per robot after which no more robots are folded anew
@@ -44,7 +51,6 @@ _CERTIFIED_AT_MOST = 8  # rounds of certificate and local search
 _RELEASE_ROUNDS = 12
 _LAST_EFFORT = 900  # moves per robot granted to each of the last of these rounds
 _RESTORE_DRAWS = 300
-_MORE_MM = 0.005  # added to the gap that the certificate found missing
 
 
 class SearchResult(NamedTuple):
@@ -98,10 +104,9 @@ class Search:
         self._at_one_makespan = _AT_ONE_MAKESPAN * self._effort_share
         self._refolded_at_most = _REFOLDED_AT_MOST
         self.crowded, self.dense, self.stretch, self.certified = False, False, 1.0, False
-        # robots next to an arm that cannot move; a fixed disc blocks only a passage
-        pairs, movable, robots = self._scene.pairs, self._scene.movable, problem.plane.n
-        near_static = pairs[((pairs < robots) & ~movable[pairs]).any(axis=1)]
-        self._near_static = movable & np.isin(np.arange(len(movable)), near_static)
+        self._near_static = near_static_arms(self._scene, problem.plane.n)
+        self._may_be_blocked = bool(self._near_static.any()) or len(problem.plane.walls) > 0
+        self._at_most = np.zeros(len(self._scene.pairs), dtype=bool)  # see require_more
 
     def run(self) -> SearchResult:
         """Search at longer and longer makespans, and return the motion that was found."""
@@ -194,22 +199,9 @@ class Search:
         self._plan, self._tangled = straight_plan(
             problem, self._scene, parameters, self._ends, self._grid
         )
-        self._hold_one_of_tangled()
+        hold_one_of_tangled(self._scene, self._plan, self._ends, self._tangled)
+        self._at_most[:] = False
         return measure_all(self._scene, self._plan)
-
-    def _hold_one_of_tangled(self) -> None:
-        # Of two robots that start too close one rests, preferably one without a target: two
-        # that move could touch through timing errors.
-        ends, movable = self._ends, self._scene.movable
-        for a, b in self._scene.pairs[self._tangled]:
-            if movable[a] and movable[b]:
-                row = a if ends.choice[a] < 0 <= ends.choice[b] else b
-                movable[row] = False
-                self._plan.q[row] = self._problem.start[row][:, None]
-                self._plan.choice[row] = ends.choice[row] = -1
-                ends.angles[row] = self._problem.start[row]
-                if self._reason[row] == Reason.OK:
-                    self._reason[row] = Reason.TANGLED
 
     def _lengthen(self, stretch: float) -> None:
         # More time at the end, in which all robots rest at first: no pair comes nearer.
@@ -280,10 +272,14 @@ class Search:
         # progress callback, on planes of any size
         n, folding = self._problem.plane.n, self._folding
         draws = _DRAWS[int(folding > 0.0)]
+        patience = _IN_VAIN if self._may_be_blocked and folding == 0.0 else sweeps
         visits = max(_VISITS, n // _PARTS)
+        least, in_vain = n * n, 0
         for _ in range(sweeps):
             conflicts = count_conflicts(self._plan)
-            if conflicts == 0 or self._exhausted:
+            in_vain = 0 if conflicts < least else in_vain + 1
+            least = min(least, conflicts)
+            if conflicts == 0 or self._exhausted or in_vain == patience:
                 break
             for first in range(0, n, visits):
                 self._report_progress(conflicts)
@@ -311,17 +307,17 @@ class Search:
             if not unconfirmed:
                 return 0
             measure_pairs(self._scene, self._plan, np.flatnonzero(short))
-            self._plan.cost[short] = np.maximum(self._plan.cost[short], _MORE_MM)
+            self._plan.cost[short] = np.maximum(self._plan.cost[short], MORE_MM)
         return unconfirmed
 
     def _unconfirmed_pairs(self) -> Bools:
-        # Pairs that the certificate does not confirm, (p,); more is required of them now.
+        # pairs that the certificate does not confirm, (p,); more is required of them now
+        plane, scene, plan, at_most = self._problem.plane, self._scene, self._plan, self._at_most
         missing = shortfall_mm(
-            self._problem.plane, self._scene, self._parameters,
-            self._plan, self._grid, self._tangled,
-        )  # fmt: skip
+            plane, scene, self._parameters, plan, self._grid, self._tangled, at_most
+        )
+        require_more(plane, scene, plan, missing, at_most)
         short = missing > 0.0
-        self._plan.required[short] += missing[short] + _MORE_MM
         self._slow_close_starts(short)
         return short
 
