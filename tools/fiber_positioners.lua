@@ -11,7 +11,7 @@ local fiber = Proto("fiber", "Fibre positioners over I2C")
 
 local OPCODES = {
   [1] = "LOAD", [2] = "GO", [3] = "STOP", [4] = "CLEAR", [5] = "RESET",
-  [6] = "CONFIG", [7] = "IDENTIFY", [8] = "HEARTBEAT", [9] = "ADDRESS",
+  [6] = "CONFIG", [7] = "IDENTIFY", [8] = "HEARTBEAT", [9] = "ADDRESS", [10] = "PLACE",
 }
 local STATES = {
   [1] = "UNCONFIGURED", [2] = "IDLE", [3] = "LOADED", [4] = "MOVING",
@@ -85,6 +85,7 @@ local COMMANDS = {
     { f.silence, 2 }, { f.slot, 2 }, { f.crc, 2 },
   },
   [9] = { { f.opcode, 1 }, { f.serial, 4 }, { f.new_address, 2 }, { f.crc, 2 } },
+  [10] = { { f.opcode, 1 }, { f.theta_position, 4 }, { f.phi_position, 4 }, { f.crc, 2 } },
 }
 local SHORT = { { f.opcode, 1 }, { f.pec, 1 } }
 local VERIFY = { { f.state, 0 }, { f.sequence, 1 }, { f.order_crc, 2 }, { f.boot, 1 }, { f.pec, 1 } }

@@ -12,6 +12,7 @@ from fiber_bus_bridge.bus import (
     bus_timing,
 )
 from fiber_bus_bridge.errors import BridgeError, SessionError, TopologyError, WireError
+from fiber_bus_bridge.measured_places import place_robots, widen_outlines
 from fiber_bus_bridge.plan_result import LoadedPlan, PlanResult
 from fiber_bus_bridge.replanning import Replanning
 from fiber_bus_bridge.session import Session
@@ -37,4 +38,6 @@ __all__ = [
     "WireError",
     "addresses_of",
     "bus_timing",
+    "place_robots",
+    "widen_outlines",
 ]

@@ -17,6 +17,7 @@ from fiber_bus_bridge.wire import (
     CALL_PREFIX,
     GO_FIELDS,
     IDENTITY_BYTES,
+    PLACE_FIELDS,
     ROLL_CALL_ADDRESS,
     STATUS_BYTES,
     VERIFY_BYTES,
@@ -36,6 +37,7 @@ from fiber_bus_bridge.wire import (
     encode_command,
     encode_config,
     encode_load,
+    encode_place,
     general_call,
     roll_call,
 )
@@ -87,6 +89,8 @@ def traffic():
         (encode_command(Opcode.STOP, CALLED), 0),
         (NOTHING, STATUS_BYTES),
         (encode_command(Opcode.CLEAR, TO), 0),
+        (encode_place(TO, np.full((4, 2), -70_001)), 0),
+        (NOTHING, STATUS_BYTES),
         (encode_address(TO, [11, 22, 33, 44], TO[::-1]), 0),
         (encode_command(Opcode.RESET, TO), 0),
     ):
@@ -134,6 +138,10 @@ def written(to, frame, payload):
         row = np.frombuffer(head, ADDRESS_FIELDS)[0]
         new = int(row["form_address"]) & 0x7FFF
         return fields | {"serial": int(row["serial"]), "new_address": new, "crc": int(row["crc"])}
+    if opcode == Opcode.PLACE:
+        row = np.frombuffer(head, PLACE_FIELDS)[0]
+        theta, phi = row["position"].tolist()
+        return fields | {"theta": theta, "phi": phi, "crc": int(row["crc"])}
     if opcode == Opcode.CONFIG:
         config = decode_config(payload, int(to.address[0]), bool(to.ten_bit[0]))
         units = config.units
@@ -208,7 +216,7 @@ def test_every_field_agrees_with_the_decoder(traffic, tmp_path):
     )
     assert descriptions >= {
         "identity", "address only", "CONFIG", "LOAD, 1 + 1 segments", "GO to all", "GO",
-        "HEARTBEAT to all", "STOP to all", "roll call", "CLEAR", "ADDRESS", "RESET",
+        "HEARTBEAT to all", "STOP to all", "roll call", "CLEAR", "ADDRESS", "PLACE", "RESET",
         "verify LOADED", "status IDLE", "status STOPPED",
     }  # fmt: skip
 

@@ -27,6 +27,7 @@ from fiber_bus_bridge.wire import (
     encode_config,
     encode_identity,
     encode_load,
+    encode_place,
     encode_status,
     general_call,
 )
@@ -50,6 +51,7 @@ GOLDEN = {
     "HEARTBEAT, general call": "f1 80 88",
     "ADDRESS": "90 00 00 12 67 81 2d 09 73",
     "ADDRESS, general call": "f1 90 00 00 12 67 81 2d bb fc",
+    "PLACE": "a0 ff fc 2f 70 00 1e 9f d8 9e 4a",
     "CONFIG": "63 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 1e a1 66 "
     "1f 5e 1f 5e 27 10 00 19 00 4d 7a f6",
     "VERIFY": "35 6c e1 07 e0",
@@ -102,6 +104,7 @@ def test_golden_writes():
         "HEARTBEAT, general call": encode_command(Opcode.HEARTBEAT, general_call([3])),
         "ADDRESS": encode_address(ROBOT, [4711], NEXT),
         "ADDRESS, general call": encode_address(general_call([3]), [4711], NEXT),
+        "PLACE": encode_place(ROBOT, [[-250_000, 2_007_000]]),
         "CONFIG": encode_config(CONFIG, ROBOT),
     }
     assert {name: frames.payload(0).hex(" ") for name, frames in written.items()} == {
@@ -199,7 +202,15 @@ def test_flipped_bits_of_an_order_are_refused(flips):
 
 
 def test_flipped_bits_of_commands_and_replies_are_refused():
-    for name in ("GO, general call", "STOP, general call", "STOP", "CLEAR", "CONFIG", "ADDRESS"):
+    for name in (
+        "GO, general call",
+        "STOP, general call",
+        "STOP",
+        "CLEAR",
+        "CONFIG",
+        "ADDRESS",
+        "PLACE",
+    ):
         good, address = golden(name), (0, False) if "call" in name else (300, True)
         decode_command(good, *address)
         for bit in range(8 * len(good)):
@@ -271,7 +282,7 @@ def test_values_that_do_not_fit_are_refused(arguments, words):
 
 
 def test_only_go_and_short_commands_are_encoded_as_such():
-    for opcode in (Opcode.LOAD, Opcode.CONFIG, Opcode.ADDRESS):
+    for opcode in (Opcode.LOAD, Opcode.CONFIG, Opcode.ADDRESS, Opcode.PLACE):
         with pytest.raises(WireError):
             encode_command(opcode, ROBOT)
     with pytest.raises(WireError):

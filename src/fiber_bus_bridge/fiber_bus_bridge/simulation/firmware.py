@@ -22,6 +22,8 @@ from fiber_bus_bridge.wire.commands import (
     CONFIG_FIELDS,
     GO_BYTES,
     GO_FIELDS,
+    PLACE_BYTES,
+    PLACE_FIELDS,
     command_fault,
 )
 from fiber_bus_bridge.wire.fields import Bytes, field_offset
@@ -39,6 +41,7 @@ _LOAD, _GO, _STOP = int(Opcode.LOAD), int(Opcode.GO), int(Opcode.STOP)
 _CLEAR, _RESET = int(Opcode.CLEAR), int(Opcode.RESET)
 _CONFIG, _IDENTIFY = int(Opcode.CONFIG), int(Opcode.IDENTIFY)
 _HEARTBEAT, _ADDRESS = int(Opcode.HEARTBEAT), int(Opcode.ADDRESS)
+_PLACE = int(Opcode.PLACE)
 
 _UNCONFIGURED, _IDLE = int(RobotState.UNCONFIGURED), int(RobotState.IDLE)
 _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
@@ -60,6 +63,7 @@ _SILENCE = field_offset(CONFIG_FIELDS, "silence_ms")
 _SLOT = field_offset(CONFIG_FIELDS, "slot")
 _COUNTDOWN = field_offset(GO_FIELDS, "countdown")
 _SERIAL = field_offset(ADDRESS_FIELDS, "serial")
+_POSITION = field_offset(PLACE_FIELDS, "position")
 _FORM_ADDRESS = field_offset(ADDRESS_FIELDS, "form_address")
 
 
@@ -97,6 +101,8 @@ def receive(
                 r.heartbeat_s = t
             elif opcode == _ADDRESS:
                 fault = _change_address(r, data, last - ADDRESS_BYTES)
+            elif opcode == _PLACE:
+                fault = _place(r, data, last - PLACE_BYTES)
             elif opcode == _CONFIG:
                 fault = _configure(r, low, data, last - CONFIG_BYTES)
     if fault != _NONE:
@@ -201,8 +207,7 @@ def _configure(r, version, data, at):
     r.velocity_bits, r.duration_bits = velocity_bits, duration_bits
     for joint in range(2):
         for end in range(2):
-            value = _number(data, at + _LIMITS + 8 * joint + 4 * end, 4)
-            r.limits[joint, end] = value - (value >> 31 << 32)
+            r.limits[joint, end] = _signed(data, at + _LIMITS + 8 * joint + 4 * end)
         r.speed[joint] = _number(data, at + _SPEED + 2 * joint, 2)
     r.watchdog_s = 1e-3 * _number(data, at + _WATCHDOG, 2)
     r.silence_s = 1e-3 * _number(data, at + _SILENCE, 2)
@@ -228,6 +233,24 @@ def _change_address(r, data, at):
         return _BAD_VALUE
     r.address, r.ten_bit = address, ten_bit
     return _NONE
+
+
+@njit(cache=True)
+def _place(r, data, at):
+    if r.state == _UNCONFIGURED:
+        return _NOT_CONFIGURED
+    if r.state not in (_IDLE, _DONE):
+        return _WRONG_STATE
+    for joint in range(2):
+        r.position[joint] = _signed(data, at + _POSITION + 4 * joint)
+    r.state = _IDLE  # where an order ended is not where the robot is told to be
+    return _NONE
+
+
+@njit(cache=True)
+def _signed(data, at):
+    value = _number(data, at, 4)
+    return value - (value >> 31 << 32)
 
 
 @njit(cache=True)

@@ -18,12 +18,15 @@ from fiber_bus_bridge.wire.commands import (
     CONFIG_FIELDS,
     GO_BYTES,
     GO_FIELDS,
+    PLACE_BYTES,
+    PLACE_FIELDS,
     Configuration,
     decode_command,
     decode_config,
     encode_address,
     encode_command,
     encode_config,
+    encode_place,
 )
 from fiber_bus_bridge.wire.fields import Bytes
 from fiber_bus_bridge.wire.frames import Addresses, Frames, general_call
@@ -62,6 +65,8 @@ __all__ = [
     "IDENTITY_FIELDS",
     "MAX_SEGMENTS",
     "NO_SLOT",
+    "PLACE_BYTES",
+    "PLACE_FIELDS",
     "ROLL_CALL_ADDRESS",
     "STATUS_BYTES",
     "STATUS_FIELDS",
@@ -88,6 +93,7 @@ __all__ = [
     "encode_config",
     "encode_identity",
     "encode_load",
+    "encode_place",
     "encode_status",
     "general_call",
     "roll_call",

@@ -33,6 +33,7 @@ class Opcode(IntEnum):
     IDENTIFY = 7  # the read that follows is answered with the identity
     HEARTBEAT = 8  # the controller is present: moving robots may go on
     ADDRESS = 9  # the robot of this serial number takes another address
+    PLACE = 10  # the joints are at these encoder readings
 
 
 class RobotState(IntEnum):

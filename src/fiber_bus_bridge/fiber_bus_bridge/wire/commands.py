@@ -25,6 +25,8 @@ __all__ = [
     "CONFIG_FIELDS",
     "GO_BYTES",
     "GO_FIELDS",
+    "PLACE_BYTES",
+    "PLACE_FIELDS",
     "Configuration",
     "command_fault",
     "decode_command",
@@ -32,9 +34,11 @@ __all__ = [
     "encode_address",
     "encode_command",
     "encode_config",
+    "encode_place",
 ]
 
 _GO, _CONFIG, _ADDRESS = int(Opcode.GO), int(Opcode.CONFIG), int(Opcode.ADDRESS)
+_PLACE = int(Opcode.PLACE)
 _SHORT = tuple(
     int(o) for o in (Opcode.STOP, Opcode.CLEAR, Opcode.RESET, Opcode.IDENTIFY, Opcode.HEARTBEAT)
 )
@@ -70,6 +74,8 @@ ADDRESS_FIELDS = np.dtype(
     ]
 )
 ADDRESS_BYTES = ADDRESS_FIELDS.itemsize
+PLACE_FIELDS = np.dtype([("opcode", "u1"), ("position", ">i4", (2,)), ("crc", ">u2")])
+PLACE_BYTES = PLACE_FIELDS.itemsize
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +145,21 @@ def encode_address(to: Addresses, serial: ArrayLike, new: Addresses) -> Frames:
     table = np.zeros(len(to), dtype=ADDRESS_FIELDS)
     form = new.ten_bit.astype(np.int64) << 15
     _fill(table, {"opcode": _ADDRESS << 4, "serial": serial, "form_address": form | new.address})
+    return _sealed(to, table)
+
+
+def encode_place(to: Addresses, position: ArrayLike) -> Frames:
+    """Encode PLACE, f rows: the encoders of each robot read these positions from now on.
+
+    Args:
+        to: the robots.
+        position: encoders theta, phi [quanta], shape (f, 2).
+
+    Raises:
+        WireError: a position does not fit its field.
+    """
+    table = np.zeros(len(to), dtype=PLACE_FIELDS)
+    _fill(table, {"opcode": _PLACE << 4, "position": position})
     return _sealed(to, table)
 
 
@@ -226,6 +247,8 @@ def command_fault(
         length = CONFIG_BYTES
     elif head >> 4 == _ADDRESS:
         length = ADDRESS_BYTES
+    elif head >> 4 == _PLACE:
+        length = PLACE_BYTES
     else:
         return _BAD_OPCODE, head
     if last - at != length:
@@ -233,7 +256,7 @@ def command_fault(
     crc = (np.int64(data[last - 2]) << 8) | np.int64(data[last - 1])
     if frame_crc(address, ten_bit, data, first, last - 2) != crc:
         return _BAD_CRC, head
-    if head >> 4 == _ADDRESS and head & 15 != 0:
+    if head >> 4 in (_ADDRESS, _PLACE) and head & 15 != 0:
         return _BAD_OPCODE, head
     return _NONE, head
 

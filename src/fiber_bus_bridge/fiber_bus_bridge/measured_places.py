@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What another instrument has measured of robots at rest: where they are, and how well."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fiber_bus_bridge.errors import SessionError
+from fiber_bus_bridge.protocol import State
+from fiber_bus_bridge.session import Session
+from fiber_bus_bridge.wire import encode_place
+from fiber_core.array_types import Mask
+from fiber_core.clearance import neighbour_pairs
+from fiber_core.focal_plane import FocalPlane
+
+__all__ = ["place_robots", "widen_outlines"]
+
+
+def place_robots(session: Session, counts: ArrayLike, chosen: ArrayLike, t: float) -> Mask:
+    """Tell robots where their joints are.
+
+    Args:
+        session: the session with the robots.
+        counts: what their encoders shall read [quanta], shape (n, 2).
+        chosen: robots that are told, shape (n,).
+        t: earliest time [s].
+
+    Returns:
+        The robots whose encoders read so now, shape (n,).
+
+    Raises:
+        SessionError: robots move, are stopped or have orders, or the shapes do not fit.
+    """
+    _require_rest(session, "be told where they are")
+    counts, chosen = np.asarray(counts, dtype=np.int64), np.asarray(chosen, dtype=bool)
+    if counts.shape != session.counts.shape or chosen.shape != (session.plane.n,):
+        raise SessionError(f"places of shape {counts.shape} for {session.plane.n} robots")
+    told = chosen & session.known & (counts != session.counts).any(axis=1)
+    rows = np.flatnonzero(told)
+    if len(rows):
+        transactions = session.transactions
+        transactions.send(rows, encode_place(transactions.addresses[rows], counts[rows]), t)
+        session.protocol.read(rows, t)
+    return session.known & (session.counts == counts).all(axis=1)
+
+
+def widen_outlines(
+    session: Session, exact: FocalPlane, theta_mm: ArrayLike, phi_mm: ArrayLike
+) -> None:
+    """Let the outlines of a session hold arms that are known within an interval only.
+
+    Args:
+        session: the session with the robots.
+        exact: the plane with outlines as they are.
+        theta_mm, phi_mm: how far points of each outline may be from where the angles put them [mm],
+            shape (n,) each.
+
+    Raises:
+        SessionError: robots move, are stopped or have orders, or a bound is negative or infinite.
+    """
+    _require_rest(session, "get wider outlines")
+    wider = np.stack(np.broadcast_arrays(theta_mm, phi_mm, np.zeros(exact.n)))[:2].astype(float)
+    wrong = ~(np.isfinite(wider) & (wider >= 0.0)).all(axis=0)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise SessionError(
+            f"robot {exact.ids[at]}: outlines cannot grow by {wider[:, at].tolist()} mm"
+        )
+    context = session.protocol
+    context.plane = replace(
+        context.plane,
+        theta_radius=exact.theta_radius + wider[0],
+        phi_radius=exact.phi_radius + wider[1],
+    )
+    context.pairs = neighbour_pairs(context.plane)
+
+
+def _require_rest(session: Session, what: str) -> None:
+    if session.protocol.state is not State.IDLE:
+        raise SessionError(
+            f"robots cannot {what} while {session.state.name}: {session.state.value}"
+        )
