@@ -37,12 +37,17 @@ NODES = {
     "fiber_discretizer.node",
     "fiber_bus_bridge.node",
     "fiber_recording.node",
+    "fiber_metrology.node",
+    "fiber_metrology.camera.node",
 }
 ROS = {"rclpy", "rcl_interfaces"}
 ARROWS = {
     "fiber_core": {"numpy", "numba", "scipy"},
     "fiber_formats": {"fiber_core", "numpy", "astropy"},
     "fiber_metrology": {"fiber_core"},
+    "fiber_metrology.node": {"fiber_metrology", "fiber_node"} | ROS,
+    "fiber_metrology.camera.node": {"fiber_metrology", "fiber_node", "fiber_bus_bridge.plant"}
+    | ROS,
     "fiber_msgs_py": {"fiber_core", "rclpy.qos"} | STOCK_MESSAGES,
     "fiber_node": {"fiber_core", "fiber_msgs_py", "ament_index_python", "yaml"} | ROS,
     "fiber_planner": {"fiber_core"},
@@ -104,6 +109,7 @@ SIMULATION_USERS = (
     "fiber_bus_bridge.simulation",
     "fiber_bus_bridge.plant",
     "fiber_bus_bridge.node.hardware",
+    "fiber_metrology.camera.node",
     "fiber_positioners",
     "fiber_bringup.demo",
     "bench",

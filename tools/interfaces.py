@@ -28,6 +28,8 @@ from rclpy.qos import DurabilityPolicy  # noqa: E402
 from fiber_bus_bridge.node import BridgeNode  # noqa: E402
 from fiber_console.node import ConsoleNode  # noqa: E402
 from fiber_discretizer.node import DiscretizerNode  # noqa: E402
+from fiber_metrology.camera.node import CameraNode  # noqa: E402
+from fiber_metrology.node import MetrologyNode  # noqa: E402
 from fiber_msgs_py import topics  # noqa: E402
 from fiber_msgs_py.topics import Service, Topic  # noqa: E402
 from fiber_node import PlaneNode  # noqa: E402
@@ -42,7 +44,10 @@ PAGE = ROOT / "docs" / "interfaces.md"
 BEGIN, END = "<!-- begin: tools/interfaces.py -->", "<!-- end: tools/interfaces.py -->"
 TYPED = ROOT / "src" / "fiber_interfaces"
 
-_NODES = (PlannerNode, DiscretizerNode, BridgeNode, RecorderNode, ViewerNode, ConsoleNode)
+_NODES = (
+    PlannerNode, DiscretizerNode, BridgeNode, RecorderNode, ViewerNode, ConsoleNode,
+    MetrologyNode, CameraNode,
+)  # fmt: skip
 _GIVEN = {"bridge": {"robots": 7}}  # as quick as possible
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 _TOPICS = [each for each in vars(topics).values() if isinstance(each, Topic)] + [WATCHED]

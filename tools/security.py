@@ -67,6 +67,7 @@ def policy(domain: int) -> str:
     orders = hears | {request: _SERVICES | of_bridge}
     # the console has clients of the services, and asks for parameters only when a browser does
     rights["console"][request] |= of_bridge
+    rights["metrology"][topic].add(topics.IMAGE.name)  # where it finds spots in pixels itself
     gateway = {
         ("actions", "execute", "action"): {"focal_plane/reconfigure"},
         ("services", "reply", "service"): {

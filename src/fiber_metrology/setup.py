@@ -18,4 +18,10 @@ setup(
     install_requires=["fiber_core", "numba", "numpy", "scipy"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
     zip_safe=False,  # compiled loops are cached in the folder of the package
+    entry_points={
+        "console_scripts": [
+            "metrology = fiber_metrology.node:main",
+            "camera = fiber_metrology.camera.node:main",
+        ]
+    },
 )

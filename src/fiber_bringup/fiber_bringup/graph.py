@@ -16,6 +16,8 @@ from rclpy.parameter import Parameter
 
 from fiber_bus_bridge.node import BridgeNode
 from fiber_discretizer.node import DiscretizerNode
+from fiber_metrology.camera.node import CameraNode
+from fiber_metrology.node import MetrologyNode
 from fiber_node import ThreadExecutor
 from fiber_node.ros_environment import use_loopback
 from fiber_planner.node import PlannerNode
@@ -43,6 +45,7 @@ class Graph:
         bridge: parameters of the bridge node.
         recorder: parameters of the recorder node; None for no recorder.
         viewer: parameters of the viewer node; None for no viewer.
+        metrology, camera: parameters of these nodes; None for none of them.
         domain: ROS domain; by default the domain of the environment.
         args: command line for ROS, such as ``["--ros-args", "-p", "bridge:robots:=61"]``.
     """
@@ -54,6 +57,8 @@ class Graph:
         bridge: _Parameters | None = None,
         recorder: _Parameters | None = None,
         viewer: _Parameters | None = None,
+        metrology: _Parameters | None = None,
+        camera: _Parameters | None = None,
         domain: int | None = None,
         args: Sequence[str] = (),
     ):
@@ -62,7 +67,10 @@ class Graph:
             (PlannerNode, planner or {}),
             (DiscretizerNode, discretizer or {}),
         ]
-        for node, parameters in ((RecorderNode, recorder), (ViewerNode, viewer)):
+        for node, parameters in (
+            (RecorderNode, recorder), (ViewerNode, viewer), (MetrologyNode, metrology),
+            (CameraNode, camera),
+        ):  # fmt: skip
             if parameters is not None:
                 self._parameters.append((node, parameters))
         self._domain, self._args = domain, list(args)

@@ -115,7 +115,11 @@ class PlaneClient(PlaneMonitor):
         self.wait_for(complete, timeout_s, lambda: ", ".join(missing()))
 
     def send_targets(
-        self, ids: ArrayLike, xy_mm: ArrayLike, fibre: ArrayLike | None = None
+        self,
+        ids: ArrayLike,
+        xy_mm: ArrayLike,
+        fibre: ArrayLike | None = None,
+        straight: bool = False,
     ) -> PlanStamp:
         """Send targets for the fibres of some robots; planning begins at once.
 
@@ -124,6 +128,8 @@ class PlaneClient(PlaneMonitor):
             xy_mm: targets in the focal plane [mm], shape (k, 2).
             fibre: number of the fibre that each target is for, -1 for any, shape (k,); by default
                 any.
+            straight: whether this is a correction: every robot goes straight to the elbow and turn
+                next to it, or is held.
 
         Returns:
             The stamp that names the plan.
@@ -134,7 +140,7 @@ class PlaneClient(PlaneMonitor):
         # a simulated clock may rest: two plans still need two stamps
         self._last_ns = max(self.now_ns(), self._last_ns + 1)
         now = PlanStamp(self._last_ns)
-        return self.send_message(targets.encode(ids, xy_mm, now, self.session, fibre))
+        return self.send_message(targets.encode(ids, xy_mm, now, self.session, fibre, straight))
 
     def send_message(self, message: PointCloud2) -> PlanStamp:
         """Send a targets message as it is; return its stamp, which names the plan.

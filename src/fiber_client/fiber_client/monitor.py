@@ -27,6 +27,7 @@ from fiber_msgs_py import (
     held,
     joint_states,
     layout,
+    measured,
     outcome,
     progress,
     session_of,
@@ -59,6 +60,7 @@ class PlaneMonitor:
     - `counts_before`: the encoders before the first frame of each attempt [quanta], shape (n, 2).
     - `held`: the robots that the stages hold, of each attempt: ids, Reason and Stage.
 
+    - `measured`: where the robots are after a plan, by its last image.
     - `refusals`: the refusals of each plan and attempt, by any node.
 
     `moving` tells whether any robot moves, `session` is the session of the layout, `node` is
@@ -86,6 +88,7 @@ class PlaneMonitor:
         self.frames: dict[PlanStamp, list[FrameLog]] = {}
         self.counts_before: dict[PlanStamp, Counts] = {}
         self.held: dict[PlanStamp, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
+        self.measured: dict[PlanStamp, measured.Measured] = {}
         self.moving = False
         self._layout: tuple[FocalPlane, WireUnits] | None = None
         self._states: tuple[Ids, Angles] | None = None
@@ -102,6 +105,7 @@ class PlaneMonitor:
             (topics.LAYOUT, self._on_layout),
             (topics.JOINT_STATES, self._on_joint_states),
             (topics.OUTCOME, self._on_outcome),
+            (topics.MEASURED, self._on_measured),
         ):
             gate.subscription(topic, self._refusing(topic.name, callback))
         for topic, callback in (
@@ -250,6 +254,11 @@ class PlaneMonitor:
         stamp = PlanStamp.of(message)
         _entry(self.outcomes, stamp, lambda: PlanOutcome(stamp.ns, *outcome.decode(message)))
         _entry(self.times, stamp, dict).setdefault("ended", self._clock())
+
+    def _on_measured(self, message: PointCloud2) -> None:
+        stamp, table = PlanStamp.of(message), measured.decode(message)
+        _entry(self.measured, stamp, lambda: table)
+        self.measured[stamp] = table
 
     def _on_progress_message(self, message: DiagnosticStatus) -> None:
         received = progress.decode(message)

@@ -6,6 +6,8 @@ problem.npz, or random[:SEED] for targets that all enabled robots can take at on
 plane that is running. Progress, rates and alerts go to stderr, the result to stdout: a table, or
 with --json one line with the outcomes, the time at which each stage was done, the traffic on the
 buses, and all alerts. --results writes all robots of the plane to a table.
+With --tolerance-um a camera decides: image, correction, image; outcome and error of each robot come
+from the last image.
 Exit code 0: the motion ran, and each robot with a target reached it or is held with a reason;
 anything else is 1.
 """
@@ -20,6 +22,7 @@ import numpy as np
 from rclpy.utilities import remove_ros_args
 
 from fiber_client.client import PlaneClient
+from fiber_client.closed_loop import CameraLoop, LoopEnd
 from fiber_client.errors import PlaneError
 from fiber_client.terminal import ProgressDisplay, table
 from fiber_core.array_types import Ids, Ints, Points
@@ -33,6 +36,7 @@ from fiber_node.ros_environment import use_loopback
 
 __all__ = ["count_outcomes", "main", "summary", "went_well"]
 
+_ITERATIONS = 1  # corrections
 _SHOWN = 5  # robots not reached that are named
 _NOT_RUN = (Reason.STOPPED, Reason.NOT_PLANNED)
 
@@ -69,6 +73,14 @@ def _parser() -> argparse.ArgumentParser:
         "--timeout", type=float, default=120.0, metavar="S", help="time-out of each wait [s], 120"
     )
     parser.add_argument(
+        "--tolerance-um", type=float, metavar="T",
+        help="take images and correct, until fibres are so close to their targets [um]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--iterations", type=int, metavar="N",
+        help=f"largest number of corrections, {_ITERATIONS}; needs --tolerance-um",
+    )  # fmt: skip
+    parser.add_argument(
         "--results", metavar="TABLE", help="write all robots: .csv, .ecsv or .fits, also with .gz"
     )
     parser.add_argument(
@@ -84,6 +96,7 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
     elif options.form is not None:
         raise PlaneError("--form tells columns of --results, which is not given")
     client.wait_for_graph(options.timeout)
+    loop = _camera_loop(client, options)
     if options.home_first:
         with client.stops_on_error(options.timeout):
             folded = client.home(options.timeout)
@@ -99,16 +112,51 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
     with client.stops_on_error(options.timeout):
         client.start(options.timeout)
         ended = client.wait_for_outcome(stamp, options.timeout)
+    seen: dict[str, object] = {}
+    if loop is not None:
+        closed = loop.run(ids, xy_mm, ended)
+        ended, seen = closed.outcome, _seen(closed, display)
     outcome = ended.of(ids)
     if options.results is not None:
         _write_results(client, options, ended, (ids, xy_mm, fibre))
     if options.json:
         made = client.attempts(stamp).index(client.last_attempt(stamp)) + 1
         statistics = _statistics(client.times[stamp], display)
-        print(json.dumps(_as_json(outcome) | {"attempts": made} | statistics))
+        print(json.dumps(_as_json(outcome) | {"attempts": made} | statistics | seen))
     else:
         print(summary(outcome))
-    return 0 if went_well(outcome) else 1
+    return 0 if went_well(outcome) and not seen.get("ended") else 1
+
+
+def _camera_loop(client: PlaneClient, options: argparse.Namespace) -> CameraLoop | None:
+    if options.tolerance_um is None:
+        if options.iterations is not None:
+            raise PlaneError("--iterations tells how often to correct, and needs --tolerance-um")
+        return None
+    if client.plane.fibres.shape[1]:
+        names = ", ".join(client.plane.fibre_names)
+        raise PlaneError(f"the camera sees one fibre at each tip, the plane has {names}")
+    iterations = _ITERATIONS if options.iterations is None else options.iterations
+    return CameraLoop(client, options.tolerance_um, iterations, options.timeout)
+
+
+def _seen(closed: LoopEnd, display: ProgressDisplay) -> dict[str, object]:
+    # what the images showed, for people and as JSON
+    for number, figures in enumerate(closed.images()):
+        after = "the motion" if number == 0 else f"correction {number}"
+        text = ", ".join(f"{name} {value}" for name, value in figures.items())
+        display.say(f"image after {after}: {text}")
+    for robot, verdict in list(closed.flagged.items())[:_SHOWN]:
+        display.say(f"robot {robot}: {verdict.name.lower()} when it was told to move")
+    if closed.ended:
+        display.say(f"the loop ended early: {closed.ended}")
+    flagged = {str(robot): verdict.name.lower() for robot, verdict in closed.flagged.items()}
+    return {
+        "images": closed.images(),
+        "corrected": closed.corrected,
+        "flagged": flagged,
+        "ended": closed.ended,
+    }
 
 
 def _write_results(

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from fiber_core.array_types import Codes, Floats, Ids, Mask
 from fiber_core.errors import FiberError
 
-__all__ = ["Outcome", "PlanOutcome", "Reason", "first_reason", "holds"]
+__all__ = ["Outcome", "PlanOutcome", "Reason", "Verdict", "first_reason", "holds"]
 
 
 class Outcome(IntEnum):
@@ -67,6 +67,24 @@ class Reason(IntEnum):
     # of a robot that is well
     OTHER_FAILED = 74  # another robot failed: all were stopped and did not resume
     PLACE_UNKNOWN = 75  # the place of the robot, or of one beside it, is not known
+
+    # the camera (fiber_metrology)
+    NOT_MOVED = 90  # an image shows that a joint did not turn when it was told to
+    NOT_SEEN = 91  # no light of the last image is surely that of its fibre
+
+
+class Verdict(IntEnum):
+    """What an image says about a robot."""
+
+    MEASURED = 0
+    DARK = 1  # no light, and none in an earlier image either
+    MISSING = 2  # no light in this image
+    AMBIGUOUS = 3  # a light that may be of another robot, or a stray one
+    MERGED = 4  # a light that may be two
+    NOT_MOVED = 5  # neither joint turned
+    THETA_NOT_MOVED = 6
+    PHI_NOT_MOVED = 7
+    OFF_MODEL = 8  # further from where it should be than its errors explain
 
 
 def holds(reason: ArrayLike) -> Mask:

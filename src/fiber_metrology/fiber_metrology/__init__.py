@@ -12,6 +12,7 @@ from fiber_metrology.correction import arms_within, correction_problem, follows,
 from fiber_metrology.errors import ImageError, MetrologyError
 from fiber_metrology.exposures import Lights, combine
 from fiber_metrology.identify import Identified, IdentifyConfig, identify
+from fiber_metrology.knowledge import DriveErrors, Knowledge
 from fiber_metrology.measure import Expected, MeasureConfig, Measurement, Verdict, measure
 from fiber_metrology.plate import Plate, PlateConfig, solve_plate
 from fiber_metrology.polynomials import PolynomialMap, fit_map
@@ -20,11 +21,13 @@ from fiber_metrology.spots import Spots, checked_spots
 __all__ = [
     "Calibration",
     "CentroidConfig",
+    "DriveErrors",
     "Expected",
     "GearVerdict",
     "Identified",
     "IdentifyConfig",
     "ImageError",
+    "Knowledge",
     "Lights",
     "MeasureConfig",
     "Measurement",

@@ -4,7 +4,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import ClassVar
 
 import numpy as np
@@ -14,29 +13,16 @@ from fiber_core import bounds, kinematics
 from fiber_core.array_types import Angles, Codes, Floats, Ints, Mask, Points
 from fiber_core.clearance import levers_of
 from fiber_core.focal_plane import FIXED_JOINT_RAD, FocalPlane
+from fiber_core.outcomes import Verdict
 from fiber_core.validation import frozen_array
 from fiber_metrology.angles import angles_of_places
-from fiber_metrology.errors import MetrologyError
+from fiber_metrology.errors import ImageError, MetrologyError
 from fiber_metrology.exposures import Lights, combine
 from fiber_metrology.identify import IdentifyConfig, identify
 from fiber_metrology.plate import PlateConfig
 from fiber_metrology.spots import Spots
 
 __all__ = ["Expected", "MeasureConfig", "Measurement", "Verdict", "measure"]
-
-
-class Verdict(IntEnum):
-    """What the image says about a robot."""
-
-    MEASURED = 0
-    DARK = 1  # no light, and none in an earlier image either
-    MISSING = 2  # no light in this image
-    AMBIGUOUS = 3  # a light that may be of another robot, or a stray one
-    MERGED = 4  # a light that may be two
-    NOT_MOVED = 5  # neither joint turned
-    THETA_NOT_MOVED = 6
-    PHI_NOT_MOVED = 7
-    OFF_MODEL = 8  # further from where it should be than its errors explain
 
 
 _STILL = np.array([Verdict.MEASURED, Verdict.NOT_MOVED, Verdict.THETA_NOT_MOVED,
@@ -52,6 +38,8 @@ class MeasureConfig:
         sigmas: errors at which an interval ends.
         moved_um: a robot whose joint should have moved its fibre less than this is not judged [um].
         blame: a joint did not turn if it is less likely than this that both did.
+        found: least share of the lights that must be of robots, in an image with a light for every
+            second robot or more; else it is not of this plane.
         off_model: distance from the expected place, in errors of that place, above which a robot is
             off its model.
         plate: what an image must have.
@@ -67,6 +55,7 @@ class MeasureConfig:
         "moved_um": bounds.Range(0.0, 1e5),
         "blame": bounds.Range(0.0, 0.5),
         "off_model": bounds.Range(1.0, 100.0),
+        "found": bounds.Range(0.0, 1.0),
     }
 
     error_um: float = 4.5
@@ -74,6 +63,7 @@ class MeasureConfig:
     moved_um: float = 300.0
     blame: float = 0.01
     off_model: float = 6.0
+    found: float = 0.5
     plate: PlateConfig = field(default_factory=PlateConfig)
     identify: IdentifyConfig = field(default_factory=IdentifyConfig)
 
@@ -200,6 +190,12 @@ def measure(
     found = identify(places, sigma, chance, lights.places, lights.seen, config.identify)
     has = found.light >= 0
     certain = has & (found.doubt <= config.identify.certain)
+    seen_lights = len(lights.places)
+    if seen_lights >= plane.n / 2 and certain.sum() < config.found * min(seen_lights, plane.n):
+        raise ImageError(
+            f"{certain.sum()} robots are at {seen_lights} lights: the image is of another plane, "
+            "turned, or the robots are not near where their counters say"
+        )
     merged = np.zeros(plane.n, dtype=bool)
     merged[has] = lights.merged[found.light[has]]
     sure = certain & ~merged

@@ -8,6 +8,9 @@ made the attempt necessary.
 
 A plane can have several fibres a robot. A table whose targets name theirs has a column `fibre` with
 its number, -1 where any of the robot may be on the target; without the column any may.
+
+Targets of a correction have a column `straight` that is not 0: every robot goes straight to the
+elbow and turn next to it, or is held.
 """
 
 import numpy as np
@@ -23,12 +26,21 @@ from fiber_msgs_py.ids import checked_ids, refuse
 from fiber_msgs_py.stamps import PlanStamp
 from fiber_msgs_py.table import decode_table, encode_table
 
-__all__ = ["decode", "decode_attempt", "decode_fibre", "encode", "encode_attempt", "plane_for"]
+__all__ = [
+    "decode",
+    "decode_attempt",
+    "decode_fibre",
+    "decode_straight",
+    "encode",
+    "encode_attempt",
+    "plane_for",
+]
 
 _COLUMNS = {"id": "<u4", "x": "<f8", "y": "<f8"}
 _ATTEMPT = {"attempt": "<u4", "plan_sec": "<u4", "plan_nanosec": "<u4"}
 _SINCE = {"since_sec": "<u4", "since_nanosec": "<u4"}
 _FIBRE = {"fibre": "<i1"}
+_STRAIGHT = {"straight": "<u1"}
 _SECOND = 1_000_000_000
 
 
@@ -38,6 +50,7 @@ def encode(
     stamp: PlanStamp,
     session: str | None = None,
     fibre: ArrayLike | None = None,
+    straight: bool = False,
 ) -> PointCloud2:
     """Return the targets of a new plan as a message.
 
@@ -47,12 +60,14 @@ def encode(
         stamp: names the plan.
         session: id of the session of the layout that the targets are for.
         fibre: number of the fibre that each target is for, -1 for any, shape (n,); by default any.
+        straight: whether this is a correction, on which no robot gives way.
 
     Raises:
         MessageError: an id is out of range or appears twice, a target is not finite, or
             shapes differ.
     """
-    return encode_table(_rows(ids, xy_mm, _COLUMNS, fibre), stamp, session)
+    columns = _COLUMNS | (_STRAIGHT if straight else {})
+    return encode_table(_rows(ids, xy_mm, columns, fibre), stamp, session)
 
 
 def encode_attempt(
@@ -61,6 +76,7 @@ def encode_attempt(
     attempt: Attempt,
     session: str | None = None,
     fibre: ArrayLike | None = None,
+    straight: bool = False,
 ) -> PointCloud2:
     """Return the targets of a later attempt of a plan as a message.
 
@@ -69,13 +85,14 @@ def encode_attempt(
         xy_mm: targets in the focal plane [mm], shape (n, 2).
         attempt: the attempt, with the time of the oldest layout and joint states to plan with.
         session: id of the session.
-        fibre: as for encode.
+        fibre, straight: as for encode.
 
     Raises:
         MessageError: as for encode, or there is no robot.
     """
     since = {} if attempt.since_ns is None else _SINCE
-    rows = _rows(ids, xy_mm, _COLUMNS | _ATTEMPT | since, fibre)
+    columns = _COLUMNS | _ATTEMPT | since | (_STRAIGHT if straight else {})
+    rows = _rows(ids, xy_mm, columns, fibre)
     if not len(rows):
         raise MessageError("targets", f"for attempt {attempt.number}", field="has", value="no rows")
     rows["attempt"] = attempt.number
@@ -102,6 +119,8 @@ def _rows(
         bad = (chosen < ANY_FIBRE) | (chosen >= MOST_FIBRES)
         refuse(bad, "targets", "fibre", ids, chosen, f"is not -1 to {MOST_FIBRES - 1}")
         rows["fibre"] = chosen
+    if "straight" in columns:
+        rows["straight"] = 1
     rows["id"] = ids
     rows["x"], rows["y"] = xy_mm.T / 1e3
     return rows
@@ -134,6 +153,17 @@ def decode_fibre(message: PointCloud2) -> Ints:
     bad = (rows["fibre"] < ANY_FIBRE) | (rows["fibre"] >= MOST_FIBRES)
     refuse(bad, "targets", "fibre", rows["id"], rows["fibre"], f"is not -1 to {MOST_FIBRES - 1}")
     return rows["fibre"].astype(np.int64)
+
+
+def decode_straight(message: PointCloud2) -> bool:
+    """Return whether a table of targets is that of a correction, on which no robot gives way.
+
+    Raises:
+        MessageError: malformed table.
+    """
+    if all(field.name != "straight" for field in message.fields):
+        return False
+    return bool(decode_table(message, "targets", _COLUMNS | _STRAIGHT)["straight"].any())
 
 
 def plane_for(plane: FocalPlane, message: PointCloud2) -> FocalPlane:

@@ -8,7 +8,7 @@ from typing import Any, Generic, Protocol, TypeVar, cast
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import Image, JointState, PointCloud2
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -17,20 +17,26 @@ from fiber_msgs_py.callback_guard import guarded, guarded_service
 from fiber_msgs_py.stamps import FRAME_ID
 
 __all__ = [
+    "CALIBRATION",
     "CLEAR",
     "CONFIGURE",
     "CORRIDORS",
     "DIAGNOSTICS",
+    "EXPOSE",
     "FRAMES",
     "HELD_BY_DISCRETIZER",
     "HELD_BY_PLANNER",
     "HOME",
+    "IMAGE",
     "JOINT_STATES",
     "LAYOUT",
+    "MEASURE",
+    "MEASURED",
     "NAMESPACE",
     "OUTCOME",
     "PROGRESS",
     "SEGMENTS",
+    "SPOTS",
     "START",
     "STOP",
     "STOPPED",
@@ -235,6 +241,24 @@ STOPPED = _topic(
     "stopped", Time, qos.EVENTS,
     "The bridge was told to stop: planning and discretizing of plans up to this stamp end.",
 )  # fmt: skip
+MEASURED = _topic(
+    "measured", PointCloud2, qos.RESULTS,
+    "Where the robots are after a plan, by images: verdict, place of the fibre, joint angles with "
+    "half their intervals, how far outlines may be off. The bridge tells it to the robots.",
+)  # fmt: skip
+SPOTS = _topic(
+    "camera/spots", PointCloud2, qos.EVENTS,
+    "U, v [px], flux and width of the points of light in one exposure, stamped with its time.",
+)  # fmt: skip
+IMAGE = _topic(
+    "camera/image", Image, qos.EVENTS,
+    "The pixels of one exposure, mono8 or mono16, stamped with its time; made for subscribers "
+    "alone. The metrology finds the spots in them if it is told to.",
+)  # fmt: skip
+CALIBRATION = _topic(
+    "camera/calibration", PointCloud2, qos.LATEST,
+    "X, y [m] and u, v [px] of the lights by which the camera was calibrated, and the fiducials.",
+)  # fmt: skip
 DIAGNOSTICS = Topic(
     "/diagnostics", DiagnosticArray, qos.STREAM,
     "Counters of each node and bus, of all planes of a domain; once a second.",
@@ -255,6 +279,11 @@ VIEW_ARMS = _topic("view/arms", PointCloud2, qos.LATEST, "Points along the arms,
 VIEW_PLANE = _topic("view/plane", PointCloud2, qos.LATEST, "Points at the centres of the robots.")
 VIEW_TARGETS = _topic("view/targets", PointCloud2, qos.LATEST, "Points at the targets.")
 
+EXPOSE = _service("camera/expose", "Takes the exposures of one image, at once.")
+MEASURE = _service(
+    "measure",
+    "Takes an image of the robots at rest, and publishes where they are as `measured`.",
+)
 START = _service("start", "Loads, verifies and starts the orders that are ready.")
 STOP = _service(
     "stop", "Stops robots that move, and ends planning and discretizing; answered at any time."

@@ -27,6 +27,7 @@ from fiber_planner.interface import (
 from fiber_planner.pair_bound import PairBound, pair_bound
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment, plan_targets
 from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
+from fiber_planner.straight import StraightPlanner
 
 __all__ = [
     "DEFAULT_PLANNER",
@@ -45,6 +46,7 @@ __all__ = [
     "PlannerError",
     "ProgressCallback",
     "SpacedPlanner",
+    "StraightPlanner",
     "choose_goals",
     "lower_bound_s",
     "make_planner",

@@ -35,6 +35,7 @@ from fiber_planner.errors import PlannerError
 from fiber_planner.interface import Planner, spacing_of
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment
 from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
+from fiber_planner.straight import StraightPlanner
 
 __all__ = ["PlannerNode", "main"]
 
@@ -64,7 +65,8 @@ class PlannerChoice:
 class PlannerNode(ManagedNode):
     """Plans each table of targets from the joint angles that the encoders report.
 
-    It plans the attempts that the bridge has accepted, and stays out while an earlier planner is
+    It plans the attempts that the bridge has accepted, corrections by the planner `straight`
+    whatever planner is chosen, and stays out while an earlier planner is
     in the graph. Configured it follows the plane; active it has the role of the planner and plans;
     deactivated it ends the planning under way, whose plan ends with an outcome of the bridge.
 
@@ -147,7 +149,8 @@ class PlannerNode(ManagedNode):
                 )
                 return
             plane = targets.plane_for(plane, message)
-            planner = self.planner()
+            straight = targets.decode_straight(message)
+            planner = StraightPlanner() if straight else self.planner()
             self.reporter.debug(f"plan {attempt}: {len(ids)} targets, planner {planner.name}")
             spacing_mm = spacing_of(planner, plane)
             assignment = assign(plane, start, ids, xy_mm, spacing_mm=spacing_mm)

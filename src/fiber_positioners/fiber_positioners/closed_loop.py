@@ -17,20 +17,20 @@ from fiber_core.errors import LayoutError
 from fiber_core.motion import SegmentMotion
 from fiber_core.problem import Problem
 from fiber_metrology import (
-    Expected,
+    DriveErrors,
+    Knowledge,
     MeasureConfig,
     Measurement,
     MetrologyError,
     correction_problem,
     find_spots,
-    follows,
     grown,
     measure,
 )
 from fiber_metrology.camera import Exposure, SimulatedCamera
+from fiber_planner import StraightPlanner
 from fiber_positioners.orders import Orders, make_orders
 from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
-from fiber_positioners.straight_planner import StraightPlanner
 
 __all__ = ["ClosedLoop", "LoopConfig", "Move", "closed_loop"]
 
@@ -175,16 +175,16 @@ def closed_loop(
     rng = np.random.default_rng(seed)
     lit = np.asarray(lit, dtype=bool)
     state = arms_at(mechanics, problem.start)
-    before, before_rad = np.asarray(problem.start), np.zeros((n, 2))
-    blind_rad = config.sigmas * config.blind_um * 1e-3 / plane.arms / np.sqrt(2.0)
+    drive = DriveErrors(config.blind_um, config.corrected_um, config.sigmas)
+    knowledge = Knowledge(plane, drive, np.zeros((n, 2)))
     if plane.fibres.shape[1]:
         names = ", ".join(plane.fibre_names)
         raise LayoutError(f"the closed loop sees one fibre at each tip, the plane has {names}")
-    never_seen, error_um = np.ones(n, dtype=bool), np.full(n, config.blind_um)
-    moved_plane = grown(plane, np.where(plane.enabled[:, None], blind_rad, 0.0))
+    moved_plane = grown(plane, np.where(plane.enabled[:, None], drive.interval_rad(plane), 0.0))
     now = Problem(moved_plane, problem.start, problem.targets)
     moves: list[Move] = []
     for number in range(corrections + 1):
+        knowledge.begin(now.start, straight=number > 0)
         begin, cpu = time.perf_counter(), time.process_time()
         orders = make_orders(now, planner=StraightPlanner() if number else None)
         plan = time.perf_counter() - begin, time.process_time() - cpu
@@ -195,8 +195,7 @@ def closed_loop(
         counters = orders.units.to_angles(run.counts)
         tips = kinematics.forward(plane, angles)[1]
         exposures, image_s = _expose(camera, tips, fiducials, lit, rng, config)
-        dark = never_seen & (number > 0)
-        expected = Expected(plane, counters, before, before_rad, error_um, dark)
+        expected = knowledge.expected(counters)
         spots = [exposure.spots for exposure in exposures]
         begin, cpu = time.perf_counter(), time.process_time()
         image = measure(expected, spots, fiducials, camera.calibrated, config.measure)
@@ -218,12 +217,7 @@ def closed_loop(
                 image_s,
             )
         )
-        seen = image.certain
-        never_seen &= image.light < 0
-        known = follows(image)
-        before = np.where(seen[:, None], image.angles, before)
-        before_rad = np.where(seen[:, None], image.interval_rad, before_rad)
-        error_um = np.where(known, config.corrected_um, np.where(seen, config.blind_um, error_um))
+        knowledge.learn(image)
         now = correction_problem(image, problem.targets, config.tolerance_um)
     return ClosedLoop(problem, moves, lit)
 

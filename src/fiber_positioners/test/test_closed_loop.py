@@ -12,8 +12,8 @@ from fiber_core.presets import preset
 from fiber_core.problem import Problem
 from fiber_metrology import ImageError, MetrologyError, Verdict
 from fiber_metrology.camera import CameraConfig, SimulatedCamera, fiducial_places
+from fiber_planner import StraightPlanner
 from fiber_positioners import LoopConfig, closed_loop
-from fiber_positioners.straight_planner import StraightPlanner
 
 N = 61
 DRIVE = MechanicalErrors(scale=0.005, backlash_deg=0.1, wave_deg=0.1)

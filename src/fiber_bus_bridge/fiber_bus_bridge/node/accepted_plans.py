@@ -101,6 +101,7 @@ class AcceptedPlans:
             self._inputs.check_stamp(stamp, self._outgoing.now_ns())
             goals = self._inputs.goals(message)
             fibre = self._inputs.chosen_fibre(message)
+            straight = targets.decode_straight(message)
             number = targets.decode_attempt(message).number
             if number != 1:
                 raise SessionError(f"attempt {number} was not made by this bridge")
@@ -108,7 +109,7 @@ class AcceptedPlans:
         except FiberError as error:
             self._refuse(Attempt.first(stamp), goals, f"targets {stamp} refused: {error}")
             return False
-        self._inputs.add(stamp, goals, fibre)
+        self._inputs.add(stamp, goals, fibre, straight)
         now_ns = self._outgoing.now_ns()
         attempt = Attempt(stamp, stamp, 1, now_ns, self._outgoing.layout_ns)
         self._open[stamp] = attempt

@@ -68,7 +68,7 @@ class Attempts:
     ):
         self._node, self._watch = node, watch
         self._session, self._session_id = session, session_id
-        self._accepted, self._inputs, self._availability = accepted, inputs, availability
+        self._accepted, self.inputs, self._availability = accepted, inputs, availability
         self._outgoing, self._reporter = outgoing, reporter
         self._config = config
         self._stopping, self._now_s, self._start = stopping, now_s, start
@@ -86,7 +86,7 @@ class Attempts:
     @property
     def newest(self) -> PlanStamp | None:
         """The newest stamp of plans that were accepted."""
-        return self._inputs.newest
+        return self.inputs.newest
 
     def _no_targets(self) -> np.ndarray:
         return np.full((self._session.plane.n, 2), np.nan)
@@ -101,7 +101,7 @@ class Attempts:
     def hear_held(self, message: Any) -> None:
         """Keep the robots that a stage holds."""
         try:
-            self._inputs.add_held(message)
+            self.inputs.add_held(message)
         except FiberError as error:
             self._reporter.refuse(f"held refused: {error}", "held")
 
@@ -123,7 +123,7 @@ class Attempts:
         attempt: Attempt | None = None
         try:
             stamp = PlanStamp.of(message)
-            self._inputs.check_session(message, "segments")
+            self.inputs.check_session(message, "segments")
             attempt = self._expected(stamp)
             if attempt is None:
                 self._reporter.drop(self._unexpected(stamp), "segments")
@@ -142,18 +142,18 @@ class Attempts:
         return self._accepted.awaits_orders(stamp)
 
     def _unexpected(self, stamp: PlanStamp) -> str:
-        if not self._inputs.knows(stamp):
+        if not self.inputs.knows(stamp):
             return f"segments {stamp} dropped: no targets with this stamp were accepted"
         if stamp in self._made:
             return f"segments {stamp} dropped: this attempt has ended"
         return f"segments {stamp} dropped: the plan has orders already, or has ended"
 
     def _accept_orders(self, attempt: Attempt, message: Any) -> None:
-        motion = self._inputs.motion(message, self._session.units, self._session.counts)
-        asked, is_awaited = self._inputs.targets(attempt.stamp), attempt == self.awaited
+        motion = self.inputs.motion(message, self._session.units, self._session.counts)
+        asked, is_awaited = self.inputs.targets(attempt.stamp), attempt == self.awaited
         if asked is None:
             raise BridgeError(f"the targets of plan {attempt} are not kept any more")
-        replaced = self._session.submit(motion, asked, self._inputs.fibre(attempt.stamp))
+        replaced = self._session.submit(motion, asked, self.inputs.fibre(attempt.stamp))
         if not is_awaited:
             self.give_up("there are new orders")
             self._accepted.take(attempt.stamp)
@@ -196,7 +196,7 @@ class Attempts:
 
     def forget_stamps(self) -> None:
         """Let the next plan have any stamp: the clock was changed, or a plan had a wrong one."""
-        self._inputs.forget()
+        self.inputs.forget()
 
     def forget_replaced(self) -> None:
         """Let the next start mean the orders that are ready then."""
@@ -212,14 +212,14 @@ class Attempts:
             result: its result.
             last: whether the plan gets no further attempt.
         """
-        result = result.explained_by(self._inputs.reasons(attempt.stamp))
+        result = result.explained_by(self.inputs.reasons(attempt.stamp))
         known = self._session.known
         self._availability.exclude_failed(result, known)
-        xy_mm = self._inputs.targets(attempt.stamp)
+        xy_mm = self.inputs.targets(attempt.stamp)
         asked = False if xy_mm is None else np.all(np.isfinite(xy_mm), axis=1)
         combined = self._replanning.add_attempt(self._availability.explain(result), asked)
         robots = self._replanning.next_robots(self._ordered, self._availability.commandable(known))
-        stamp = self._inputs.free_stamp_after(attempt.stamp)
+        stamp = self.inputs.free_stamp_after(attempt.stamp)
         self._reporter.debug(
             f"plan {attempt}: ended; {int(robots.sum())} robots could be tried again"
         )
@@ -237,15 +237,16 @@ class Attempts:
         self._session.clear(self._now_s())
         now_ns = self._outgoing.now_ns()
         attempt = self.awaited = last_attempt.next(stamp, since_ns=now_ns)
-        self._made = {made for made in self._made if self._inputs.knows(made)} | {stamp}
+        self._made = {made for made in self._made if self.inputs.knows(made)} | {stamp}
         self._watch.begin(stamp)
         self._awaited_until_s = time.monotonic() + self._config.value.attempt_timeout_s
         self._outgoing.publish_layout(always=True, now_ns=now_ns)
         ids, goals = self._session.plane.ids[robots], self._replanning.goals[robots]
-        fibre = self._inputs.fibre(attempt.plan)
-        self._inputs.add(stamp, np.where(robots[:, None], self._replanning.goals, np.nan), fibre)
+        fibre, straight = self.inputs.fibre(attempt.plan), self.inputs.straight(attempt.plan)
+        again = np.where(robots[:, None], self._replanning.goals, np.nan)
+        self.inputs.add(stamp, again, fibre, straight)
         self._targets.publish(
-            targets.encode_attempt(ids, goals, attempt, self._session_id, fibre[robots])
+            targets.encode_attempt(ids, goals, attempt, self._session_id, fibre[robots], straight)
         )
         held = int((robots & (result.outcome == Outcome.HELD)).sum())
         text = f"replanning: {held} robots were held because of robots that cannot be commanded"

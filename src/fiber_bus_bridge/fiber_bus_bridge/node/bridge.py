@@ -22,6 +22,7 @@ from fiber_bus_bridge.node.declared_parameters import declare_bridge
 from fiber_bus_bridge.node.disabled_parameter import follow_disabled_parameter
 from fiber_bus_bridge.node.hardware import Hardware, open_hardware
 from fiber_bus_bridge.node.locked_calls import LockedCalls
+from fiber_bus_bridge.node.measured_robots import MeasuredRobots
 from fiber_bus_bridge.node.operator_changes import OperatorChanges
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
 from fiber_bus_bridge.node.plane_claim import OtherBridges, claim_plane
@@ -110,8 +111,7 @@ class BridgeNode(ManagedNode):
         self._others = OtherBridges(self._claim)
         self._outgoing = Publishers(self, self._session, self._availability, self._claim.id)
         self.reporter.session = self._claim.id
-        self._attempts = self._make_attempts()
-        self._stopped = topics.STOPPED.publisher(self)
+        self._attempts, self._stopped = self._make_attempts(), topics.STOPPED.publisher(self)
         self._work_group = MutuallyExclusiveCallbackGroup()
         self._remembered = Remembered(
             self._session, self._availability, hardware, memory, self.reporter.refuse
@@ -119,6 +119,10 @@ class BridgeNode(ManagedNode):
         self._operators = OperatorChanges(
             self, self._session, self._availability, self._attempts, self._outgoing,
             self._remembered.save_or_warn,
+        )  # fmt: skip
+        self._measured = MeasuredRobots(
+            self._session, plane, self._availability, self._attempts, self._outgoing,
+            self.reporter, self._now_s, self._remembered.save_or_warn,
         )  # fmt: skip
         self._subscribe()
         self._make_timers(given.execution.time_scale)
@@ -193,13 +197,14 @@ class BridgeNode(ManagedNode):
             (topics.HELD_BY_DISCRETIZER, self._attempts.hear_held),
             (topics.PROGRESS, self._attempts.hear_progress),
             (topics.SEGMENTS, self._attempts.hear_segments),
+            (topics.MEASURED, self._measured.hear),
         ):
             topic.subscription(self, self._calls.locked(hear), callback_group=work)
         for service, call in (
             (topics.START, self._start),
             (topics.HOME, self._home),
             (topics.CLEAR, self._clear),
-            (topics.CONFIGURE, self._configure),
+            (topics.CONFIGURE, lambda: self._find_robots(restore=True)),
         ):
             service.server(self, self._calls.serving(service.name, call), callback_group=work)
         # stop is served while another call is at work
@@ -230,8 +235,7 @@ class BridgeNode(ManagedNode):
     # --- services ------------------------------------------------------------
 
     def _start(self) -> str:
-        plan = self._parameters_given.start.value.start_plan
-        if plan:
+        if plan := self._parameters_given.start.value.start_plan:
             self.set_parameters([Parameter("start_plan", value="")])
         return self.start(plan)
 
@@ -318,9 +322,6 @@ class BridgeNode(ManagedNode):
         self._attempts.forget_stamps()
         self._outgoing.publish_layout()
         return self._session.state.value
-
-    def _configure(self) -> str:
-        return self._find_robots(restore=True)
 
     def _find_robots(self, restore: bool = False) -> str:
         self._session.configure(self._now_s())

@@ -25,6 +25,7 @@ _AHEAD_S = 60.0  # clocks of two machines may differ by less
 class _Inputs:
     goals: Points
     fibre: Ints
+    straight: bool
     reasons: Codes = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
@@ -105,10 +106,10 @@ class PlanInputs:
         """
         return targets.plane_for(self._plane, message).fibre
 
-    def add(self, stamp: PlanStamp, goals: Points, fibre: Ints) -> None:
-        """Add an accepted plan, or a later attempt of one."""
+    def add(self, stamp: PlanStamp, goals: Points, fibre: Ints, straight: bool = False) -> None:
+        """Add an accepted plan, or a later attempt of one; `straight` for a correction."""
         none = np.full(self._plane.n, Reason.OK, dtype=np.int64)
-        self._kept[stamp] = _Inputs(goals, fibre, none)
+        self._kept[stamp] = _Inputs(goals, fibre, straight, none)
         for old in list(self._kept)[:-_KEPT]:
             del self._kept[old]
         self.newest = stamp if self.newest is None else max(stamp, self.newest)
@@ -126,6 +127,10 @@ class PlanInputs:
         if stamp in self._kept:
             return self._kept[stamp].fibre
         return np.full(self._plane.n, ANY_FIBRE)
+
+    def straight(self, stamp: PlanStamp) -> bool:
+        """Return whether a plan is a correction, on which no robot gives way; False if unknown."""
+        return stamp in self._kept and self._kept[stamp].straight
 
     def free_stamp_after(self, stamp: PlanStamp) -> PlanStamp | None:
         """Return the earliest stamp after another that no kept plan has, None at the end.

@@ -106,6 +106,7 @@ class Publishers:
         columns = result.outcome, result.reason, result.error_mm
         ids = self._session.plane.ids
         self._outcome.publish(outcome.encode(ids, *columns, stamp, self._session_id))
+        self.publish_encoders()  # tells nodes that have heard the outcome where the robots rest
 
     def statuses(self) -> Iterator[Status]:
         """Yield the diagnostics of every bus, and of the robots left out of plans."""

@@ -136,11 +136,15 @@ class SimulatedCamera:
         # the middle of a square image that holds the plane and its shifts
         reach_mm = 1.02 * radius_mm + config.shift_mm + 5.0
         self._middle = math.ceil(reach_mm / config.mm_per_px) + 4 * _HALF_PX
-        # the laboratory's map: a grid of lights, without air and without noise
-        line = np.linspace(-1.02, 1.02, 25) * radius_mm
+        lights_mm, seen_px = self.calibration_lights()
+        self.calibrated = fit_map(seen_px, lights_mm, _CALIBRATED_DEGREE)
+
+    def calibration_lights(self) -> tuple[Points, Floats]:
+        """Return a laboratory's grid of lights [mm], and where it saw them without air [px]."""
+        line = np.linspace(-1.02, 1.02, 25) * self.radius_mm
         grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-        grid = grid[np.hypot(*grid.T) <= 1.02 * radius_mm]
-        self.calibrated = fit_map(self._optics(grid), grid, _CALIBRATED_DEGREE)
+        grid = grid[np.hypot(*grid.T) <= 1.02 * self.radius_mm]
+        return grid, self._optics(grid)
 
     def expose(
         self,

@@ -7,7 +7,8 @@ from fiber_core import kinematics
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
-from fiber_planner import PlannedMotion, ProgressCallback, travel_s
+from fiber_planner.goal_selection import travel_s
+from fiber_planner.interface import PlannedMotion, ProgressCallback
 
 __all__ = ["StraightPlanner"]
 

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The loop in the graph: blind move, image, correction, image; and images that cannot be used."""
+
+import json
+import threading
+
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+
+from fiber_bringup.graph import Graph
+from fiber_bus_bridge.plant.plant import Plant
+from fiber_bus_bridge.plant.server import PlantServer, listen
+from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_problem
+from fiber_client.client import PlaneClient
+from fiber_client.closed_loop import CameraLoop
+from fiber_client.errors import PlaneRefusal
+from fiber_client.reconfigure import main as reconfigure
+from fiber_core.fields import random_field
+from fiber_core.outcomes import Outcome, Reason, Verdict
+from fiber_core.wire_units import WireUnits
+from fiber_metrology import ImageError
+from fiber_msgs_py import PlanStamp, spots, topics
+
+WAIT_S, COMPILE_S, ROBOTS = 60.0, 600.0, 61
+ARMS = {"scale": 0.004, "backlash_deg": 0.08, "wave_deg": 0.12, "non_movers": 0.04}
+
+
+class Night:
+    """A plant, the graph with a camera, and a client."""
+
+    def __init__(self, folder, domain):
+        self.domain, path = domain, folder / "plant"
+        config = SimulationConfig(preset="desi", robots=ROBOTS)
+        problem = simulated_problem(config).problem
+        units = WireUnits.for_plane(problem.plane)
+        buses = simulated_buses(problem.plane, units, problem.start, config)
+        plant = Plant(buses, units.quantum_rad, 0.0)
+        listener, self._lock = listen(path)
+        self._server = PlantServer(plant, problem.plane.ids, listener, lambda: 0.0)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(
+            target=self._server.serve, args=[self._ended.is_set], daemon=True
+        )
+        self._thread.start()
+        bridge = {"preset": "desi", "robots": ROBOTS, "plant": str(path), "time_scale": 0.0,
+                  "memory": "none"}  # fmt: skip
+        camera = {"plant": str(path), "seed": 3, "dark": 0.04}
+        camera |= {f"arms.{name}": value for name, value in ARMS.items()}
+        self.graph = Graph(
+            bridge=bridge, metrology={"timeout_s": 2.0}, camera=camera, domain=domain
+        )
+        self.graph.__enter__()
+        self.metrology, self.camera = self.graph.nodes[-2:]
+        self.client = PlaneClient(domain, args=[])
+        self.client.wait_for_graph(COMPILE_S)
+
+    def end(self):
+        self.client.close()
+        self.graph.__exit__(None, None, None)
+        self._ended.set()
+        self._thread.join(WAIT_S)
+        self._server.close(self._lock)
+
+    def field(self, seed):
+        rng = np.random.default_rng(seed)
+        plane = self.client.plane
+        drawn = random_field(plane, rng, 0.5, start=self.client.angles).problem
+        return plane.ids[drawn.asked], drawn.targets[drawn.asked]
+
+    def true_fibres(self):
+        return self.camera._true_fibres(self.client.plane)
+
+    def loop(self, tolerance_um=12.0, iterations=2):
+        return CameraLoop(self.client, tolerance_um, iterations, WAIT_S)
+
+
+@pytest.fixture(scope="module")
+def night(tmp_path_factory, new_domain):
+    made = Night(tmp_path_factory.mktemp("night"), new_domain())
+    yield made
+    made.end()
+
+
+@pytest.fixture(scope="module")
+def first(night):
+    """The first field: its robots, targets and end; some joints stick in this motion."""
+    ids, xy_mm = night.field(1)
+    blind = night.client.reconfigure(ids, xy_mm, COMPILE_S)
+    return ids, xy_mm, blind, night.loop().run(ids, xy_mm, blind)
+
+
+def test_corrections_bring_fibres_to_their_targets_by_what_the_camera_sees(night, first):
+    ids, xy_mm, blind, end = first
+    assert blind.of(ids).count(Outcome.REACHED) == len(ids)  # the counters see nothing
+    rms_um = [figures["rms_um"] for figures in end.images()]
+    assert rms_um[0] > 25.0 and rms_um[-1] < 8.0
+    assert len(end.errors_mm) == len(end.corrected) + 1 and not end.ended
+    # the judge knows where the arms are
+    ended = end.outcome.of(ids)
+    off_um = 1e3 * np.hypot(*(night.true_fibres()[night.client.plane.index_of(ids)] - xy_mm).T)
+    reached = ended.outcome == Outcome.REACHED
+    assert reached.sum() > 0.85 * len(ids) and off_um[reached].max() < 30.0
+    told = np.isfinite(ended.error_mm)
+    assert np.abs(1e3 * ended.error_mm - off_um)[told].max() < 20.0
+    assert (off_um[ended.reason == Reason.NOT_MOVED] > 300.0).all()
+
+
+def test_a_robot_that_sticks_is_flagged_and_an_obstacle_and_the_others_go_on(night, first):
+    ids, _, _, end = first
+    sticks = night.camera._mechanics.still_in == 0
+    stuck = night.client.plane.ids[sticks.any(axis=1)]
+    assert end.flagged and set(end.flagged) <= set(stuck.tolist())
+    for robot, verdict in end.flagged.items():
+        theta, phi = sticks[night.client.plane.index_of([robot])[0]]
+        assert (
+            verdict
+            == {
+                (True, True): Verdict.NOT_MOVED,
+                (True, False): Verdict.THETA_NOT_MOVED,
+                (False, True): Verdict.PHI_NOT_MOVED,
+            }[theta, phi]
+        )
+    flagged = np.isin(night.client.plane.ids, list(end.flagged))
+    assert not night.client.plane.enabled[flagged].any()
+    assert night.client.plane.enabled[~flagged].all()
+    ended = end.outcome.of(list(end.flagged))
+    assert set(ended.reason) == {Reason.NOT_MOVED} and set(ended.outcome) == {Outcome.FAILED}
+    again = night.field(2)
+    assert not np.isin(again[0], list(end.flagged)).any()
+    blind = night.client.reconfigure(*again, WAIT_S)
+    assert night.loop().run(*again, blind).images()[-1]["rms_um"] < 8.0
+
+
+def test_a_dark_fibre_is_told_and_its_outlines_are_wider(night, first):
+    ids, _, _, end = first
+    dark = ~night.camera._lit
+    assert dark.any()
+    ended = end.outcome.of(night.client.plane.ids[dark])
+    assert set(ended.reason) == {Reason.NOT_SEEN} and np.isnan(ended.error_mm).all()
+    exact = night.graph.nodes[0]._hardware.plane
+    wider_mm = night.client.plane.phi_radius - exact.phi_radius
+    assert wider_mm[dark].min() > 2.0 * np.median(wider_mm[~dark]) > 0.0
+
+
+def test_the_command_corrects_and_prints_what_the_images_show(night, first, monkeypatch, capfd):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(night.domain))
+    assert reconfigure(["random:4", "--tolerance-um", "12", "--iterations", "2", "--json"]) == 0
+    printed = json.loads(capfd.readouterr().out.splitlines()[-1])
+    assert printed["images"][-1]["rms_um"] < 8.0 < printed["images"][0]["rms_um"]
+    assert printed["reached"] + printed["held"] == printed["asked"] and not printed["ended"]
+    assert reconfigure(["random:4", "--iterations", "2"]) == 1
+
+
+class Shots:
+    """A camera of the test: it answers expose with the spots that it was given."""
+
+    def __init__(self, night):
+        self.night, self.node = night, night.client.node
+        self.spots = None  # None for a camera that stops
+        self.publisher = topics.SPOTS.publisher(self.node)
+        night.metrology.set_parameters([Parameter("expose", value=False)])
+
+    def image(self):
+        """Ask for an image while the given spots come; return the answer of the metrology."""
+        client = self.night.client
+        asks = topics.MEASURE.client(self.node)
+        client.wait_for(asks.service_is_ready, WAIT_S)
+        stale = self.night.metrology._exposures
+        stale[:] = [ImageError("of before the call")]
+        future = asks.call_async(topics.MEASURE.type.Request())
+        sent = 0
+
+        def done():
+            nonlocal sent
+            if self.spots is not None and sent < 3 and (not stale or sent):
+                self.publisher.publish(spots.encode(*self.spots, PlanStamp(1)))
+                sent += 1
+            return future.done()
+
+        client.wait_for(done, WAIT_S, "answer of measure")
+        return future.result()
+
+
+@pytest.fixture
+def shots(night, first):
+    made = Shots(night)
+    yield made
+    night.metrology.set_parameters([Parameter("expose", value=True)])
+
+
+def seen_by(night, shift_mm=0.0, plane=1.0):
+    """Spots of the plane as it is, shifted, or of another plane."""
+    tips = night.true_fibres()
+    places = (tips + shift_mm) * plane
+    fiducials = (night.camera._fiducials + shift_mm) * plane
+    return night.camera._camera.expose(
+        places, fiducials, night.camera._lit, night.camera._rng
+    ).spots
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda night: None, "gave 0 of 3 exposures in 2 s"),
+        (lambda night: (np.zeros((0, 2)), np.zeros(0), np.zeros(0)), "no light"),
+        (lambda night: seen_by(night, shift_mm=3.0), "is shifted by"),
+        (lambda night: seen_by(night, plane=-1.0), "another plane"),
+    ],
+    ids=["a camera that stops", "no light", "a shifted image", "another plane"],
+)
+def test_an_image_that_cannot_be_used_is_refused_and_nothing_is_learned(night, shots, make, reason):
+    session = night.graph.nodes[0]._session
+    before, outlines = session.counts.copy(), session.plane.phi_radius.copy()
+    learned = night.metrology._knowledge._images
+    shots.spots = make(night)
+    answer = shots.image()
+    assert not answer.success and reason in answer.message
+    assert night.metrology._knowledge._images == learned
+    assert np.array_equal(session.counts, before)
+    assert np.array_equal(session.plane.phi_radius, outlines)
+
+
+def test_without_a_camera_the_loop_ends_with_its_reason_and_its_results(night, first):
+    ids, xy_mm = night.field(7)
+    blind = night.client.reconfigure(ids, xy_mm, WAIT_S)
+    night.camera.trigger_deactivate()
+    end = night.loop().run(ids, xy_mm, blind)
+    night.camera.trigger_activate()
+    assert "the camera is inactive" in end.ended and end.errors_mm == []
+    ended = end.outcome.of(ids)
+    assert set(ended.reason) == {Reason.NOT_SEEN} and set(ended.outcome) == {Outcome.HELD}
+    # nothing was lost: the next image finds the robots
+    end = night.loop().run(ids, xy_mm, blind)
+    assert end.images()[-1]["rms_um"] < 8.0 and not end.ended
+
+
+def test_no_image_is_taken_while_a_plan_waits(night, first):
+    stamp = night.client.send_targets(*night.field(8))
+    night.client.wait_until_ready(stamp, WAIT_S)
+    with pytest.raises(PlaneRefusal, match="has not ended: start it, or clear"):
+        night.loop().take_image()
+    night.client.call_service(topics.CLEAR, WAIT_S)
+    night.client.wait_for_outcome(stamp, WAIT_S)
+    night.loop().take_image()
+
+
+def test_impossible_loops_are_refused(night):
+    for tolerance_um, iterations in ((0.0, 1), (np.nan, 1), (5.0, -1)):
+        with pytest.raises(Exception, match="tolerance|iterations"):
+            night.loop(tolerance_um, iterations)

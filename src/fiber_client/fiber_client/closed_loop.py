@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Corrections after a motion: image, correction, image, as often as asked for.
+
+Outcome and error of each robot come from the last image. A robot that does not follow is flagged
+and stays; robots whose light is not found stay where they are. An image that cannot be used is
+taken once more; then the loop ends, and what is known is told.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fiber_client.client import PlaneClient
+from fiber_client.errors import PlaneError, PlaneRefusal
+from fiber_core.array_types import Floats, Ids, Mask, Points
+from fiber_core.outcomes import Outcome, PlanOutcome, Reason, Verdict
+from fiber_msgs_py import PlanStamp, topics
+from fiber_msgs_py.measured import Measured
+from fiber_node import BRIDGE
+
+__all__ = ["CameraLoop", "LoopEnd"]
+
+_STILL = (Verdict.NOT_MOVED, Verdict.THETA_NOT_MOVED, Verdict.PHI_NOT_MOVED)
+_TRIES = 2  # of an image
+
+
+@dataclass(frozen=True, eq=False)
+class LoopEnd:
+    """How a closed loop ended.
+
+    Args:
+        outcome: outcome of every robot of the plane by the last image; nan errors for robots that
+            it does not show.
+        errors_mm: distance of each fibre from its target in each image [mm], shape (images, n),
+            nan where there is no target or no place.
+        corrected: number of robots with a target in each correction.
+        flagged: robots that did not move when they were told to, with their Verdict, by id.
+        ended: why the loop ended early, empty if it did not.
+    """
+
+    outcome: PlanOutcome
+    errors_mm: list[Floats]
+    corrected: list[int]
+    flagged: dict[int, Verdict]
+    ended: str = ""
+
+    def images(self) -> list[dict[str, Any]]:
+        """Return figures of each image, of the robots that follow.
+
+        Robots measured; rms, 99th percentile and largest of their errors [um].
+        """
+        figures, follow = [], ~np.isin(self.outcome.ids, list(self.flagged))
+        for errors in self.errors_mm:
+            um = 1e3 * errors[np.isfinite(errors) & follow]
+            row: dict[str, Any] = {"measured": len(um)}
+            if len(um):
+                row |= {
+                    "rms_um": round(float(np.sqrt(np.mean(um**2))), 2),
+                    "p99_um": round(float(np.percentile(um, 99)), 2),
+                    "most_um": round(float(um.max()), 2),
+                }
+            figures.append(row)
+        return figures
+
+
+@dataclass(eq=False)
+class CameraLoop:
+    """Takes images and corrects, with a client of the graph.
+
+    Args:
+        client: the client, in a graph with a metrology and a camera.
+        tolerance_um: a fibre that is so close to its target has reached it, and is left there [um].
+        iterations: largest number of corrections.
+        timeout_s: time-out of each wait [s].
+    """
+
+    client: PlaneClient
+    tolerance_um: float
+    iterations: int
+    timeout_s: float
+    _flagged: dict[int, Verdict] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.tolerance_um) and self.tolerance_um > 0.0):
+            raise PlaneError(f"the tolerance {self.tolerance_um} um is not a positive number")
+        if self.iterations < 0:
+            raise PlaneError(f"{self.iterations} iterations: 0 or more are possible")
+        self._measure = topics.MEASURE.client(self.client.node)
+
+    def take_image(self) -> Measured:
+        """Let the metrology measure, and wait until the bridge knows what it found.
+
+        Raises:
+            PlaneRefusal: the image cannot be used, or the bridge refuses it; gives the reason.
+            NodeLost, WaitError: as in the calls of the client.
+        """
+        client = self.client
+        old = {id(each) for each in self._refusals()}
+        before, known = self._taken_over(), dict(client.measured)
+        self._call_measure()
+
+        def taken() -> bool:
+            for refusal in self._refusals():
+                if refusal.stage == BRIDGE and id(refusal) not in old:
+                    raise refusal
+            return self._taken_over() != before and self._newest(known) is not None
+
+        client.wait_for(taken, self.timeout_s, "the bridge to take over what was measured")
+        newest = self._newest(known)
+        assert newest is not None
+        return newest
+
+    def _refusals(self) -> list[PlaneRefusal]:
+        return [each for refused in self.client.refusals.values() for each in refused]
+
+    def _call_measure(self) -> None:
+        client, service = self.client, self._measure
+        client.wait_for(service.service_is_ready, self.timeout_s, "service measure of a metrology")
+        future = service.call_async(topics.MEASURE.type.Request())
+        client.wait_for(future.done, self.timeout_s, "answer of measure")
+        answer = future.result()
+        if answer is None or not answer.success:
+            raise PlaneRefusal("metrology", answer.message if answer else "no answer")
+
+    def _newest(self, known: dict[PlanStamp, Measured]) -> Measured | None:
+        new = [
+            stamp for stamp, table in self.client.measured.items() if table is not known.get(stamp)
+        ]
+        return self.client.measured[max(new)] if new else None
+
+    def _taken_over(self) -> object:
+        status = self.client.statuses.get(BRIDGE)
+        return None if status is None else status.values.get("images")
+
+    def run(self, ids: Ids, xy_mm: Points, blind: PlanOutcome) -> LoopEnd:
+        """Correct robots after a motion.
+
+        Args:
+            ids: robots with a target, shape (k,).
+            xy_mm: targets of their fibres [mm], shape (k, 2).
+            blind: the outcome of the motion by the counters.
+        """
+        plane = self.client.plane
+        rows = plane.index_of(ids)
+        wanted = np.full((plane.n, 2), np.nan)
+        wanted[rows[rows >= 0]] = np.asarray(xy_mm)[rows >= 0]
+        base = blind.of(plane.ids)
+        errors_mm: list[Floats] = []
+        corrected: list[int] = []
+        last: Measured | None = None
+        ended = ""
+        reason = np.array(base.reason)
+        for number in range(self.iterations + 1):
+            try:
+                last = self._usable_image()
+            except PlaneRefusal as refusal:
+                ended = str(refusal)
+                break
+            errors_mm.append(self._errors_mm(last, wanted))
+            todo = self._to_correct(last, errors_mm[-1], base)
+            if number == self.iterations or not todo.any():
+                break
+            corrected.append(int(todo.sum()))
+            moved = self._correct(plane.ids[todo], wanted[todo]).of(plane.ids)
+            reason = np.where(todo, moved.reason, reason)
+        outcome = self._outcome(base, reason, wanted, last, errors_mm)
+        return LoopEnd(outcome, errors_mm, corrected, dict(self._flagged), ended)
+
+    def _usable_image(self) -> Measured:
+        for tried in range(1, _TRIES + 1):
+            try:
+                image = self.take_image()
+                break
+            except PlaneRefusal as refusal:
+                if tried == _TRIES:
+                    raise
+                self.client.node.get_logger().warning(f"{refusal}; another image is taken")
+        for robot, code in zip(image.ids.tolist(), image.verdict.tolist()):
+            if code in _STILL:
+                self._flagged.setdefault(robot, Verdict(code))
+        return image
+
+    def _errors_mm(self, image: Measured, wanted: Points) -> Floats:
+        places = np.full(wanted.shape, np.nan)
+        places[self.client.plane.index_of(image.ids)] = image.places
+        return np.hypot(*(places - wanted).T)
+
+    def _to_correct(self, image: Measured, errors_mm: Floats, base: PlanOutcome) -> Mask:
+        still = np.isin(self.client.plane.ids, list(self._flagged))
+        # a robot that the blind motion was not planned for stays as it is
+        on_the_way = np.isin(base.reason, (Reason.OK, Reason.OFF_TARGET))
+        with np.errstate(invalid="ignore"):
+            off = errors_mm > 1e-3 * self.tolerance_um
+        return off & ~still & on_the_way & self.client.plane.enabled
+
+    def _correct(self, ids: Ids, xy_mm: Points) -> PlanOutcome:
+        client = self.client
+        stamp = client.send_targets(ids, xy_mm, straight=True)
+        client.wait_until_ready(stamp, self.timeout_s)
+        with client.stops_on_error(self.timeout_s):
+            client.start(self.timeout_s)
+            return client.wait_for_outcome(stamp, self.timeout_s)
+
+    def _outcome(
+        self,
+        base: PlanOutcome,
+        reason: np.ndarray,
+        wanted: Points,
+        last: Measured | None,
+        errors_mm: list[Floats],
+    ) -> PlanOutcome:
+        """The outcome of every robot, as the last image shows it."""
+        n = len(base.ids)
+        asked = np.isfinite(wanted).all(axis=1)
+        error = errors_mm[-1] if errors_mm else np.full(n, np.nan)
+        seen = np.isfinite(error)
+        with np.errstate(invalid="ignore"):
+            reached = asked & seen & (error <= 1e-3 * self.tolerance_um)
+        still = np.isin(base.ids, list(self._flagged))
+        outcome, why = np.array(base.outcome), np.array(reason)
+        by_counter = asked & np.isin(base.outcome, (Outcome.REACHED,))
+        # what the counters call reached is that no more
+        missed = by_counter & ~reached
+        outcome[missed] = Outcome.HELD
+        fine = np.isin(why, (Reason.OK, Reason.NO_TARGET))
+        why[missed & fine] = Reason.OFF_TARGET
+        why[by_counter & ~seen] = Reason.NOT_SEEN
+        outcome[still & asked], why[still & asked] = Outcome.FAILED, Reason.NOT_MOVED
+        outcome[reached], why[reached] = Outcome.REACHED, Reason.OK
+        return PlanOutcome(base.stamp_ns, base.ids, outcome, why, error)

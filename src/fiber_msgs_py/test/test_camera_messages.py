@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a camera and the metrology send comes back unchanged, or is refused by robot and value."""
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import Image
+
+from fiber_msgs_py import MessageError, PlanStamp, images, measured, spots, targets
+
+
+def table(n=3):
+    nan = np.array([[0.1, 0.2], [np.nan, np.nan], [1e3, -4.0]])[:n]
+    return measured.Measured(
+        np.arange(n) + 7, np.array([0, 2, 5])[:n], nan, np.ones((n, 2)), np.full((n, 2), 1e-3),
+        np.where(np.isnan(nan[:, 0]), np.nan, 0.01), np.zeros(n), np.full((n, 2), 0.2),
+    )  # fmt: skip
+
+
+def test_measured_comes_back():
+    sent = table()
+    got = measured.decode(measured.encode(sent, PlanStamp(5)))
+    for name in sent._fields:
+        np.testing.assert_allclose(getattr(got, name), getattr(sent, name), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"verdict": np.array([0, 9, 5])}, "robot 8.*verdict"),
+        ({"angles": np.full((3, 2), np.nan)}, "robot 7.*theta"),
+        ({"wider_mm": np.full((3, 2), -1.0)}, "robot 7.*theta_wider"),
+        ({"error_mm": np.zeros(3)}, "robot 8.*error.*does not fit x"),
+        ({"places": np.full((3, 2), np.inf)}, "robot 7"),
+        ({"half_rad": np.zeros((2, 2))}, "shape"),
+        ({"ids": np.array([7, 7, 8])}, "twice"),
+    ],
+)
+def test_what_no_metrology_measures_is_refused(change, words):
+    with pytest.raises(MessageError, match=words):
+        measured.encode(table()._replace(**change), PlanStamp(5))
+
+
+def test_spots_and_calibration_come_back():
+    px = np.array([[1.5, 2.5], [3.0, 4.0]])
+    got = spots.decode(spots.encode(px, [1.0, 2.0], [0.5, 0.6], PlanStamp(5)))
+    assert np.array_equal(got[0], px) and got[1].tolist() == [1.0, 2.0]
+    seen = np.array([[5.0, 6.0], [np.nan, np.nan]])
+    plane, place, fiducial = spots.decode_calibration(
+        spots.encode_calibration(px, seen, [False, True], PlanStamp(5))
+    )
+    np.testing.assert_allclose(plane, px)
+    np.testing.assert_array_equal(place, seen)
+    assert fiducial.tolist() == [False, True]
+    with pytest.raises(MessageError, match="flux"):
+        spots.encode(px, [1.0], [0.5, 0.6], PlanStamp(5))
+    with pytest.raises(MessageError, match="row 1 is not finite"):
+        spots.encode_calibration(seen, px, [0, 0], PlanStamp(5))
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_images_of_both_byte_orders_and_with_longer_rows_come_back(big):
+    pixels = np.arange(12, dtype=np.uint16).reshape(3, 4) * 1000
+    message = images.encode(pixels, PlanStamp(5))
+    assert np.array_equal(images.decode(message), pixels)
+    rows = pixels.astype(">u2" if big else "<u2").view(np.uint8).reshape(3, 8)
+    data = np.concatenate([rows, np.zeros((3, 2), np.uint8)], axis=1)
+    message = Image(
+        height=3, width=4, encoding="mono16", is_bigendian=int(big), step=10, data=data.tobytes()
+    )
+    assert np.array_equal(images.decode(message), pixels)
+
+
+def test_what_is_no_image_is_refused():
+    with pytest.raises(MessageError, match="encoding"):
+        images.decode(Image(encoding="rgb8"))
+    with pytest.raises(MessageError, match="too few"):
+        images.decode(Image(height=3, width=4, encoding="mono16", step=8, data=bytes(9)))
+
+
+def test_targets_of_a_correction_say_so():
+    for straight in (False, True):
+        message = targets.encode([4], [[0.0, 1.0]], PlanStamp(5), straight=straight)
+        assert targets.decode_straight(message) is straight
+        assert targets.decode(message)[0].tolist() == [4]
