@@ -48,7 +48,7 @@ class Night:
         camera = {"plant": str(path), "seed": 3, "dark": 0.04}
         camera |= {f"arms.{name}": value for name, value in ARMS.items()}
         self.graph = Graph(
-            bridge=bridge, metrology={"timeout_s": 2.0}, camera=camera, domain=domain
+            bridge=bridge, metrology={"timeout_s": COMPILE_S}, camera=camera, domain=domain
         )
         self.graph.__enter__()
         self.metrology, self.camera = self.graph.nodes[-2:]
@@ -72,7 +72,7 @@ class Night:
         return self.camera._true_fibres(self.client.plane)
 
     def loop(self, tolerance_um=12.0, iterations=2):
-        return CameraLoop(self.client, tolerance_um, iterations, WAIT_S)
+        return CameraLoop(self.client, tolerance_um, iterations, COMPILE_S)
 
 
 @pytest.fixture(scope="module")
@@ -202,7 +202,7 @@ def seen_by(night, shift_mm=0.0, plane=1.0):
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
-        (lambda night: None, "gave 0 of 3 exposures in 2 s"),
+        (lambda night: None, "gave 0 of 3 exposures in 1 s"),
         (lambda night: (np.zeros((0, 2)), np.zeros(0), np.zeros(0)), "no light"),
         (lambda night: seen_by(night, shift_mm=3.0), "is shifted by"),
         (lambda night: seen_by(night, plane=-1.0), "another plane"),
@@ -214,6 +214,8 @@ def test_an_image_that_cannot_be_used_is_refused_and_nothing_is_learned(night, s
     before, outlines = session.counts.copy(), session.plane.phi_radius.copy()
     learned = night.metrology._knowledge._images
     shots.spots = make(night)
+    most_s = WAIT_S if shots.spots is not None else 1.0
+    night.metrology.set_parameters([Parameter("timeout_s", value=most_s)])
     answer = shots.image()
     assert not answer.success and reason in answer.message
     assert night.metrology._knowledge._images == learned
