@@ -200,7 +200,8 @@ def _judge_motion(campaign: Campaign, setup: _Setup, t: float) -> None:
     _judge_movements(campaign, moves, setup.phases)
     campaign.apart_ms = 1e3 * _apart_s(moves, setup.phases, setup.orders.units.tick_s)
     motion = setup.truth.motion(t)
-    truth = certify_arms(plane, motion, Safety(0.0, 0.0, 0.0, 0.0), neighbour_pairs(plane))
+    exact = Safety(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    truth = certify_arms(plane, motion, exact, neighbour_pairs(plane))
     campaign.gap_mm = truth.min_gap_mm
     if truth.unsafe.any():
         at = int(np.argmin(truth.gap_mm))

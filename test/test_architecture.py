@@ -59,7 +59,7 @@ ARROWS = {
     "fiber_bus_bridge.plant": {"fiber_bus_bridge.simulation"},
     "fiber_bus_bridge.node": {"fiber_bus_bridge.node.hardware"},
     "fiber_bus_bridge.node.hardware": {"fiber_bus_bridge.plant", "fiber_node"} | ROS,
-    "fiber_sectors": {"fiber_core"},
+    "fiber_sectors": {"fiber_bus_bridge"},
     "fiber_client": {"fiber_node", "fiber_formats", "rich"} | ROS,
     "fiber_client.gateway": {"fiber_client", "fiber_interfaces"},
     "fiber_recording": {"fiber_bus_bridge"},

@@ -15,7 +15,7 @@ setup(
         ("share/fiber_sectors", ["package.xml"]),
     ],
     # package.xml names the ROS packages as well
-    install_requires=["fiber_core", "numpy"],
+    install_requires=["fiber_bus_bridge", "fiber_core", "numpy"],
     extras_require={"test": ["pytest"]},  # colcon looks for pytest here
     zip_safe=True,
 )

@@ -75,6 +75,8 @@ class FocalPlane:
             joint speeds allow. The joint speeds hold as well.
         motor_limits: ranges of coupled motors [rad], shape (n, k, 2); by default what the joint
             ranges allow. The joint ranges hold as well.
+        sector: number of the part of the plane, with a host of its own, to which each robot
+            belongs, shape (n,); by default one sector, 0.
 
     Raises:
         LayoutError: a shape does not fit or a value is out of range; names the robot.
@@ -104,6 +106,7 @@ class FocalPlane:
     coupling: Floats
     motor_speeds: Floats
     motor_limits: Floats
+    sector: Ints
 
     def __init__(
         self,
@@ -131,13 +134,15 @@ class FocalPlane:
         coupling: ArrayLike | None = None,
         motor_speeds: ArrayLike | None = None,
         motor_limits: ArrayLike | None = None,
+        sector: ArrayLike | None = None,
     ):
         n = np.size(ids)
         bounds.check_number(n, "number of robots", 0, bounds.MAX_ROBOTS, LayoutError)
         bus = np.arange(n) // _ROBOTS_PER_BUS if bus is None else bus
         address = addresses_on(bus) if address is None else address
         obstacles = np.zeros((0, 3)) if obstacles is None else obstacles
-        for field, value in (("ids", ids), ("bus", bus), ("address", address)):
+        sector = np.zeros(n, dtype=np.int64) if sector is None else sector
+        for field, value in (("ids", ids), ("bus", bus), ("address", address), ("sector", sector)):
             self._set(field, frozen_array(value, np.int64, (n,), field, LayoutError))
         for field, value, shape in (
             ("centers", centers, (n, 2)),
@@ -181,7 +186,8 @@ class FocalPlane:
         if not rises.all():
             at = int(np.argmin(rises))
             raise LayoutError(f"robot ids must increase: {self.ids[at + 1]} follows {self.ids[at]}")
-        for name, value in (("id", self.ids), ("bus", self.bus), ("address", self.address)):
+        numbers = {"id": self.ids, "bus": self.bus, "address": self.address, "sector": self.sector}
+        for name, value in numbers.items():
             bad = (value < 0) | (value > bounds.MAX_NUMBER)
             self._refuse(bad, name, value, f"must be 0 to {bounds.MAX_NUMBER}")
 

@@ -131,3 +131,34 @@ def test_one_of_a_pair_that_starts_too_close_may_leave_but_not_come_closer(gap_m
     assert not turned(0.0, 0.0).ok
     beyond = np.array([[0.1, 0.0], [np.pi, 0.0]])
     assert not turned(-0.1, 0.0, beyond).ok  # through the other robot
+
+
+def test_only_pairs_across_a_border_pay_for_its_skews():
+    plane = preset("desi", 60)
+    halves = replace(plane, sector=(plane.centers[:, 0] > np.median(plane.centers[:, 0])) * 3)
+    pairs, safety = neighbour_pairs(plane), Safety(0.05, 0.0, 0.0, 4e-3, 2e-3, 36e-3)
+    lasting = np.arange(121), np.full(120, 2.0)
+    motion = SegmentMotion(np.zeros((60, 2)), *lasting, plane.speeds.ravel())
+    one, two = safety.required_mm(plane, motion, pairs), safety.required_mm(halves, motion, pairs)
+    border = halves.sector[pairs[:, 0]] != halves.sector[pairs[:, 1]]
+    assert 0 < border.sum() < len(pairs) / 3
+    np.testing.assert_array_equal(one[~border], two[~border])
+    slower = point_speeds(levers_of(plane), plane.speeds)[pairs].min(axis=1)
+    np.testing.assert_allclose(two[border], (0.038 * slower)[border])
+    # the certificate examines all pairs that the border makes doubtful, and finds these
+    certificate = certify(halves, motion, safety)
+    assert certificate.required_mm.max() == pytest.approx(two.max())
+    assert len(certificate.pairs) >= len(certify(plane, motion, safety).pairs)
+    worst = safety.anywhere(halves).required_mm(plane, motion, pairs)
+    np.testing.assert_allclose(worst.max(), two.max())
+    assert safety.anywhere(plane) is safety
+
+
+def test_obstacles_belong_to_no_sector():
+    plane = preset("desi", 20)
+    disc = np.array([[*plane.centers[0] + [9.0, 0.0], 1.0]])
+    plane = replace(plane, obstacles=disc, sector=np.arange(20) % 2)
+    pairs = np.stack([np.arange(20), np.full(20, 20)], axis=1)
+    speeds = point_speeds(levers_of(plane), plane.speeds)
+    required = Safety().required_at(speeds, 1.0, pairs, sector=plane.sector)
+    np.testing.assert_array_equal(required, Safety().required_at(speeds, 1.0, pairs))

@@ -38,10 +38,14 @@ _OUTLINES = {"phi_outline": "<f8", "theta_outline": "<f8", "wall": "<f8", "fibre
 # of the bus, the share of motors that may be on, and the numbers of the list of speeds, if any
 _DRIVE = {"drive": "<f8"}
 _DRIVE_NUMBERS = 13
+# a plane of one sector has no such column
+_SECTOR = {"sector": "<u2"}
 # the names of the fibres in UTF-8, a line each, the same in every row
 _NAMES = {"fibre_names": "<u1"}
 # of robots with coupled joints: the rows of the matrix, the speeds [rad/s], and low, high [rad]
 _MOTORS = {"coupling": "<f8", "motor_speed": "<f8", "motor_range": "<f8"}
+
+_LISTS = _OUTLINES | _DRIVE | _MOTORS | _NAMES | _SECTOR
 
 
 def encode(
@@ -62,12 +66,7 @@ def encode(
     if plane.n == 0:
         raise MessageError("layout", "robots, expected at least 1", field="has", value=0)
     ids = checked_ids(plane.ids, "layout")
-    n, discs = plane.n, plane.obstacles
-    vertices = {
-        "phi_outline": plane.phi_vertices,
-        "theta_outline": plane.theta_vertices,
-        "fibres": plane.fibres,
-    }
+    n, discs, vertices = plane.n, plane.obstacles, _vertices_of(plane)
     outlines = [(name, "<f8", (2 * v.shape[1],)) for name, v in vertices.items() if v.shape[1]]
     corners = [("wall", "<f8", (2 * plane.walls.shape[1],))] if len(plane.walls) else []
     drive = None if plane.drive.is_plain else _drive_numbers(plane.drive)
@@ -80,11 +79,14 @@ def encode(
     gears = [(name, "<f8", (v[0].size,)) for name, v in motors.items() if v.shape[1]]
     names = np.frombuffer("\n".join(plane.fibre_names).encode(), np.uint8)
     named = [("fibre_names", "<u1", (len(names),))] if len(names) else []
+    numbers = {"id": ids, "bus": plane.bus, "address": plane.address}
+    if plane.sector.any():
+        numbers["sector"], named = plane.sector, [*named, *_SECTOR.items()]
     dtype = [*_COLUMNS.items(), *outlines, *corners, *drives, *gears, *named]
     rows = np.zeros(n + plane.fixtures, dtype=dtype)
     robots, fixed, walls = np.split(rows, [n, n + len(discs)])
     robots["kind"], robots["enabled"] = _ROBOT, plane.enabled
-    for name, values in {"id": ids, "bus": plane.bus, "address": plane.address}.items():
+    for name, values in numbers.items():
         robots[name] = values
         refuse(robots[name] != values, "layout", name, ids, values, "does not fit 16 bits")
     for name, values in {
@@ -121,6 +123,14 @@ def encode(
     return encode_table(rows, stamp, session)
 
 
+def _vertices_of(plane: FocalPlane) -> dict[str, Floats]:
+    return {
+        "phi_outline": plane.phi_vertices,
+        "theta_outline": plane.theta_vertices,
+        "fibres": plane.fibres,
+    }
+
+
 def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
     """Return the focal plane and the wire units of a message.
 
@@ -129,7 +139,7 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
             a value that differs between rows and must not, or a value that is not possible for a
             robot; names robot and value.
     """
-    rows = decode_table(message, "layout", _COLUMNS, lists=_OUTLINES | _DRIVE | _MOTORS | _NAMES)
+    rows = decode_table(message, "layout", _COLUMNS, lists=_LISTS)
     kind, ids = rows["kind"], rows["id"]
     why = "is neither 0 (robot), 1 (disc) nor 2 (wall)"
     refuse(kind > _WALL, "layout", "kind", ids, kind, why)
@@ -184,7 +194,19 @@ def _plane(robots: np.ndarray, fixed: np.ndarray, walls: np.ndarray) -> FocalPla
         coupling=_of_motors(robots, "coupling", 2),
         motor_speeds=_of_motors(robots, "motor_speed", 1),
         motor_limits=_of_motors(robots, "motor_range", 2),
+        sector=_sector(robots),
     )
+
+
+def _sector(robots: np.ndarray) -> np.ndarray | None:
+    if "sector" not in column_names(robots):
+        return None
+    values = robots["sector"]
+    if values.shape[1] != 1:
+        raise MessageError(
+            "layout", "numbers, expected 1", field="sector has", value=values.shape[1]
+        )
+    return values[:, 0]
 
 
 def _drive_numbers(drive: Drive) -> Floats:

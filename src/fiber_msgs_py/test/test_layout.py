@@ -54,6 +54,19 @@ def test_round_trip(plane, stamp, outlined, discs):
         np.testing.assert_allclose(theirs, ours, rtol=1e-12, atol=0, err_msg=field.name)
 
 
+def test_sectors_travel_where_there_are_any(plane, stamp):
+    assert "sector" not in [f.name for f in layout.encode(plane, UNITS, stamp).fields]
+    sector = np.arange(plane.n) % 3
+    message = layout.encode(replace(plane, sector=sector), UNITS, stamp)
+    np.testing.assert_array_equal(layout.decode(message)[0].sector, sector)
+    with pytest.raises(MessageError, match="sector"):
+        layout.encode(replace(plane, sector=sector + 2**16), UNITS, stamp)
+    field = next(f for f in message.fields if f.name == "sector")
+    field.count, field.offset = 2, 0
+    with pytest.raises(MessageError, match="sector has 2"):
+        layout.decode(message)
+
+
 def test_lengths_travel_in_metres_and_angles_in_radians(plane, stamp):
     message = layout.encode(plane, UNITS, stamp)
     rows = raw_rows(message)

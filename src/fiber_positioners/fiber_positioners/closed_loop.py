@@ -35,7 +35,7 @@ from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
 __all__ = ["ClosedLoop", "LoopConfig", "Move", "closed_loop"]
 
 _OWN_PX = 3.0  # between a spot and the light that a judge takes it for
-_TOUCH = Safety(0.0, 0.0, 0.0, 0.0)  # outlines as they are, clocks as they ran
+_TOUCH = Safety(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # outlines as they are, clocks as they ran
 
 
 @dataclass(frozen=True)

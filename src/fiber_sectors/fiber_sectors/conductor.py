@@ -66,6 +66,7 @@ class Conductor:
         self._heard_s = [now_s] * self._n
         self._answered_s = [-math.inf] * self._n
         self._counts_s = [math.inf] * self._n  # when each sector was known to count down
+        self._given_up: set[int] = set()
         self._jumps = [clock.jumps for clock in self.clocks]
         self._began_s = self._now_s = now_s
         self._start_s, self._ahead_s = math.nan, 0.0
@@ -119,6 +120,26 @@ class Conductor:
         stages = [self.stage(k) for k in self._part]
         loaded = all(stage in (Stage.READY, Stage.ENDED) for stage in stages)
         return self.step is Step.LOADING and loaded
+
+    @property
+    def part(self) -> tuple[int, ...]:
+        """The sectors that take part in the run."""
+        return self._part
+
+    def unanswered(self, sent_s: float) -> list[int]:
+        """Return the sectors, not at rest, that have not answered the beat of a time [s]."""
+        waiting = []
+        for k in self._part:
+            report = self._reports[k]
+            beat_s = math.nan if report is None else report.beat_s
+            if self.stage(k) not in _AT_REST and not beat_s >= sent_s and k not in self._given_up:
+                waiting.append(k)
+        return waiting
+
+    def give_up(self, sector: int) -> None:
+        """Wait no longer for a sector."""
+        self._given_up.add(sector)
+        self._heard_s[sector] = -math.inf
 
     @property
     def lost(self) -> tuple[int, ...]:

@@ -126,6 +126,11 @@ class Member:
             return Decision.MOVE
         return Decision.WAIT
 
+    def answered(self, sent_s: float) -> bool:
+        """Whether the newest beat answers the report that was sent at a time [s], or a later."""
+        beat = self._newest
+        return beat is not None and beat.answers_s[self._sector] >= sent_s
+
     @property
     def lease_s(self) -> float:
         """Time at which the lease ends [s]; -inf without a lease."""

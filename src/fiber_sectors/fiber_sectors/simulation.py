@@ -31,7 +31,7 @@ _STEP_S = 2.5e-3  # between two decisions of a sector
 _AHEAD_S = 10e-3  # before the start: after it a STOP may come too late
 _SILENCE_S = 5e-3  # robots without heartbeats stop by themselves
 _POLL_S = 15e-3  # in which a sector polls its robots after the GO
-_ROOM_S = 40e-3  # of a countdown, for the exchange of confirmations
+_EXTRA_S = 40e-3  # of a countdown, for the exchange of confirmations
 COORDINATOR = -1
 
 
@@ -237,7 +237,7 @@ class _World:
             return
         if conductor.ready:
             try:
-                conductor.go(now_s + _POLL_S + _AHEAD_S + _ROOM_S, _AHEAD_S, now_s)
+                conductor.go(now_s + _POLL_S + _AHEAD_S + _EXTRA_S, _AHEAD_S, now_s)
             except SectorError:
                 pass  # the clocks are not known yet
         beat = encode_beat(conductor.beat(now_s))

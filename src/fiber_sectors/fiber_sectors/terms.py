@@ -47,7 +47,7 @@ class Terms:
     period_s: float = 5e-3
     lease_s: float = 17.5e-3
     fresh_s: float = 12.5e-3
-    notice_s: float = 2e-3
+    notice_s: float = 1.5e-3
     start_error_s: float = 1e-3
     drift_ppm: float = 100.0
     spare: int = 2

@@ -17,7 +17,7 @@ __all__ = ["PlantTruth", "Truth", "touching"]
 
 _ANSWER_S = 10.0
 _BEFORE_S = 1e-3  # of the begin of a motion before its first movement
-_EXACT = Safety(0.0, 0.0, 0.0, 0.0)  # outlines as they are, clocks as they ran
+_EXACT = Safety(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # outlines as they are, clocks as they ran
 
 
 class Truth(NamedTuple):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the steps of the protocol share: the tables, the plan, and the phase under way."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
@@ -119,6 +119,9 @@ class Context:
         certify: returns the motion with unsafe robots held, the held robots and the certificate.
         robots: a row for each robot; the encoders are assumed until they are read.
         buses: a row for each bus.
+        steps: the function of each state, where it is another than that of `machine.STEPS`.
+        start_at_s: instant at which the robots begin to move [s], as agreed with other
+            controllers by the time `may_go` returns; None for as early as possible.
     """
 
     plane: FocalPlane
@@ -129,6 +132,8 @@ class Context:
     certify: Certifier
     robots: Robots
     buses: Buses
+    steps: Mapping[State, Callable[["Context"], Event]] = field(default_factory=dict)
+    start_at_s: float | None = None
     state: State = State.UNCONFIGURED
     was_stopped: bool = False  # an earlier session left the robots stopped; nothing cleared them
     log: list[Transition] = field(default_factory=list)

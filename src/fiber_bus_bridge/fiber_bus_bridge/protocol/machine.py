@@ -62,7 +62,7 @@ def handle(c: Context, event: Event) -> None:
 def run_one(c: Context) -> None:
     """Run the function of the present state, and enter the state that follows."""
     try:
-        event = STEPS[c.state](c)
+        event = (c.steps.get(c.state) or STEPS[c.state])(c)
     except BaseException:
         handle(c, Event.ERROR)
         raise

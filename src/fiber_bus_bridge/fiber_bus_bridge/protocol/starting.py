@@ -10,7 +10,13 @@ A robot that cannot be told to stop also gets no heartbeat, so it does not start
 import numpy as np
 
 from fiber_bus_bridge.protocol.context import Context, Phase, Watch
-from fiber_bus_bridge.protocol.decisions import countdown_s, failing, own_fault, unresponsive
+from fiber_bus_bridge.protocol.decisions import (
+    LONGEST_COUNTDOWN_S,
+    countdown_s,
+    failing,
+    own_fault,
+    unresponsive,
+)
 from fiber_bus_bridge.protocol.loading import commit
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.stopping import stop_all
@@ -37,6 +43,11 @@ def go(c: Context, phase: Phase) -> Event:
         return Event.NONE_LEFT
     buses = np.unique(c.bus[rows])
     lasts_s = countdown_s(phase.verify_s, c.silence_s, c.config.heartbeat_period_s)
+    if c.start_at_s is not None:
+        if c.start_at_s < t + lasts_s:
+            return Event.REFUSED
+        lasts_s = min(c.start_at_s - t, LONGEST_COUNTDOWN_S)
+        t = c.start_at_s - lasts_s
     units = round(lasts_s / COUNTDOWN_S)
     sequence = c.buses["sequence"][buses]
     calls = encode_command(Opcode.GO, general_call(transactions.buses[buses]), sequence, units)

@@ -15,7 +15,7 @@ from fiber_bus_bridge.wire import Alert, Opcode, RobotState, Statuses, encode_co
 from fiber_core.array_types import Codes, Mask, Rows
 from fiber_core.outcomes import Reason
 
-__all__ = ["halt", "resume", "stop", "stop_all"]
+__all__ = ["halt", "judge_stopped", "resume", "resume_cleared", "stop", "stop_all"]
 
 _AT_REST = (RobotState.UNCONFIGURED, RobotState.STOPPED, RobotState.FAULT)
 _CALLS = 3  # repetitions of the general call STOP
@@ -59,6 +59,18 @@ def stop(c: Context, phase: Phase, watch: Watch) -> Event:
     status = stop_all(c, rows, phase.stopped_at_s)
     booted = np.zeros(len(robots), dtype=bool)
     booted[rows] = status.ok & (status.boot != robots["boot"][rows])
+    return judge_stopped(c, moved, booted)
+
+
+def judge_stopped(c: Context, moved: Mask, booted: Mask) -> Event:
+    """Find the robots that may resume, of robots that were stopped and read.
+
+    Args:
+        c: the controller.
+        moved: robots that were moving, shape (n,).
+        booted: robots that have booted since, shape (n,).
+    """
+    robots = c.robots
     robots["able"] = able_to_resume(robots, c.bus, moved) & ~booted
     failed = moved & ~robots["able"]
     robots["cause"][failed] = _cause(c, booted)[failed]
@@ -82,10 +94,15 @@ def _cause(c: Context, booted: Mask) -> Codes:
 
 def resume(c: Context, phase: Phase) -> Event:
     """Make orders for the remaining motion of the robots that may resume."""
+    able = np.flatnonzero(c.robots["known"] & c.robots["able"])
+    c.transactions.command(Opcode.CLEAR, able, c.transactions.now_s)
+    return resume_cleared(c, phase)
+
+
+def resume_cleared(c: Context, phase: Phase) -> Event:
+    """Make orders for the remaining motion of robots whose orders are deleted."""
     before, plan, robots = c.loaded_plan, c.plan, c.robots
     assert before is not None and plan is not None  # robots were moving
-    able = np.flatnonzero(robots["known"] & robots["able"])
-    c.transactions.command(Opcode.CLEAR, able, c.transactions.now_s)
     moved = running(robots)
     resuming = moved & robots["able"]
     elapsed_s = phase.stopped_at_s - before.start_s

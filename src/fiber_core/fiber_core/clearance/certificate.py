@@ -219,7 +219,7 @@ def certified_pairs(
 ) -> Pairs:
     """Return every pair that must be examined to certify a motion, shape (p, 2)."""
     with_itself = np.repeat(np.arange(plane.n)[:, None], 2, axis=1)
-    most = safety.required_mm(plane, motion, with_itself).max(initial=0.0)
+    most = safety.anywhere(plane).required_mm(plane, motion, with_itself).max(initial=0.0)
     return neighbour_pairs(plane, max(1.0, most))
 
 

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Safety: the clearance that is asked for, timing errors included."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import bounds
-from fiber_core.array_types import Floats, Gaps
+from fiber_core.array_types import Floats, Gaps, Rows
 from fiber_core.clearance.distance import gaps
 from fiber_core.drive.curves import CurveMotion
 from fiber_core.errors import MotionError
@@ -33,6 +33,8 @@ class Safety:
         stop_skew_s: worst difference between the instants at which two positioners stop
             when one of them fails on its way [s]. Then the margin may be used up, and
             outlines must not touch.
+        border_start_skew_s: start_skew_s of two positioners of different sectors [s].
+        border_stop_skew_s: stop_skew_s of two positioners of different sectors [s].
 
     Raises:
         MotionError: a value is not a number, negative or out of bounds; names it.
@@ -43,12 +45,16 @@ class Safety:
         "clock_ppm": bounds.Range(0.0, bounds.MAX_CLOCK_PPM),
         "start_skew_s": bounds.Range(0.0, bounds.MAX_SKEW_S),
         "stop_skew_s": bounds.Range(0.0, bounds.MAX_SKEW_S),
+        "border_start_skew_s": bounds.Range(0.0, bounds.MAX_SKEW_S),
+        "border_stop_skew_s": bounds.Range(0.0, bounds.MAX_SKEW_S),
     }
 
     margin_mm: float = 0.05
     clock_ppm: float = 50.0
     start_skew_s: float = 200e-6
     stop_skew_s: float = 4e-3
+    border_start_skew_s: float = 2.2e-3
+    border_stop_skew_s: float = 36e-3
 
     def __post_init__(self) -> None:
         bounds.check_ranges(self, self.RANGES, MotionError)
@@ -64,7 +70,8 @@ class Safety:
         link, with the highest speeds of this motion. Seen from the instant t_a only b is
         elsewhere, by at most V_b |t_a - t_b|, and from t_b only a: a pair needs
         margin + min(V_a, V_b) (2 e T + s). Robots that stop up to h apart must not touch: a pair
-        needs min(V_a, V_b) (2 e T + s + h).
+        needs min(V_a, V_b) (2 e T + s + h). Two robots of different sectors of the plane are driven
+        by different hosts: for them s and h are those of the border.
 
         From a pair that starts closer than that, only one robot may move, the other being
         at rest, and it may not come closer: the pair must keep the gap with which it starts.
@@ -101,7 +108,7 @@ class Safety:
         at_start = np.full(len(pairs), np.inf)
         if len(one_moves):
             at_start[one_moves] = gaps(plane, pairs[one_moves], start_rad)
-        return self.required_at(speeds, makespan_s, pairs, at_start)
+        return self.required_at(speeds, makespan_s, pairs, at_start, plane.sector)
 
     def required_at(
         self,
@@ -109,6 +116,7 @@ class Safety:
         makespan_s: float,
         pairs: ArrayLike,
         at_start_mm: ArrayLike = np.inf,
+        sector: ArrayLike | None = None,
     ) -> Gaps:
         """Return required_mm of robots with points that move no faster than given speeds.
 
@@ -117,18 +125,46 @@ class Safety:
             makespan_s: longest duration of the motion [s].
             pairs: rows a, b as from neighbour_pairs, shape (p, 2).
             at_start_mm: gaps with which the pairs start [mm], shape (p,).
+            sector: sector of each robot, shape (n,); by default all are of one.
         """
         a, b = np.asarray(pairs).reshape(-1, 2).T
         n = np.size(speeds_mm_s)
         at_start_mm = np.asarray(at_start_mm)
         speed = np.append(speeds_mm_s, 0.0)  # obstacles stand still
         first, second = speed[np.minimum(a, n)], speed[np.minimum(b, n)]
-        skew_s = 2e-6 * self.clock_ppm * makespan_s + self.start_skew_s
+        start_s, stop_s = self._skews(a, b, n, sector)
+        skew_s = 2e-6 * self.clock_ppm * makespan_s + start_s
         going = self.margin_mm + skew_s * np.minimum(first, second)
-        stopping = (skew_s + self.stop_skew_s) * np.minimum(first, second)
+        stopping = (skew_s + stop_s) * np.minimum(first, second)
         required = np.maximum(going, stopping)
         one_moves = (first > 0.0) != (second > 0.0)
         return np.where(one_moves, np.minimum(required, at_start_mm - _MEASURED_MM), required)
+
+    def _skews(
+        self, a: Rows, b: Rows, n: int, sector: ArrayLike | None
+    ) -> tuple[Floats | float, Floats | float]:
+        """Start and stop skew of pairs [s]."""
+        of = np.zeros(n, dtype=np.int64) if sector is None else np.asarray(sector)
+        if len(of) == 0 or (of == of[0]).all():
+            return self.start_skew_s, self.stop_skew_s
+        # an obstacle stands still: timing does not matter beside it
+        border = (a < n) & (b < n) & (of[np.minimum(a, n - 1)] != of[np.minimum(b, n - 1)])
+        start_s = np.where(border, self.border_start_skew_s, self.start_skew_s)
+        return start_s, np.where(border, self.border_stop_skew_s, self.stop_skew_s)
+
+    def anywhere(self, plane: FocalPlane) -> "Safety":
+        """Return the safety that asks of every pair what it asks of the pair that needs most.
+
+        Args:
+            plane: the focal plane, with its sectors.
+        """
+        if plane.n == 0 or (plane.sector == plane.sector[0]).all():
+            return self
+        return replace(
+            self,
+            start_skew_s=max(self.start_skew_s, self.border_start_skew_s),
+            stop_skew_s=max(self.stop_skew_s, self.border_stop_skew_s),
+        )
 
 
 def levers_of(plane: FocalPlane) -> Floats:

@@ -190,6 +190,6 @@ def _requirements(
         offsets = np.arange(2 * plane.n + 1)
         motion = SegmentMotion(trajectory.start, offsets, durations, fastest.ravel())
     with_itself = np.repeat(np.arange(plane.n)[:, None], 2, axis=1)
-    most = safety.required_mm(plane, motion, with_itself).max(initial=0.0)
+    most = safety.anywhere(plane).required_mm(plane, motion, with_itself).max(initial=0.0)
     pairs = neighbour_pairs(plane, max(1.0, most))
     return pairs, safety.required_mm(plane, motion, pairs)

@@ -69,11 +69,11 @@ class SegmentPlan:
         self.levers_mm = levers_of(plane)
         speeds = point_speeds(self.levers_mm, plane.speeds * plane.enabled[:, None])
         two = np.repeat(np.argsort(speeds)[-1:], 2)  # the fastest robot, twice
-        most = safety.required_at(speeds, self._makespan_s, two).max(initial=0.0)
+        most = safety.anywhere(plane).required_at(speeds, self._makespan_s, two).max(initial=0.0)
         self.pairs = neighbour_pairs(plane, max(1.0, most))
         self._at_start_mm = gaps(plane, self.pairs, self.motion.start)
         self.most_required_mm = safety.required_at(
-            speeds, self._makespan_s, self.pairs, self._at_start_mm
+            speeds, self._makespan_s, self.pairs, self._at_start_mm, plane.sector
         )
         self.bodies, self.neighbours = bodies_of(plane), neighbours_of(plane.n, self.pairs)
         self.is_rounded = np.ones(plane.n, dtype=bool)
@@ -117,7 +117,11 @@ class SegmentPlan:
             true_motion = self._with_robots(rows, changed)
         speeds = point_speeds(self.levers_mm, true_motion.fastest)
         required = self._safety.required_at(
-            speeds, self._makespan_s, self.pairs[pairs], self._at_start_mm[pairs]
+            speeds,
+            self._makespan_s,
+            self.pairs[pairs],
+            self._at_start_mm[pairs],
+            self.plane.sector,
         )
         unsafe = unproven(self.bodies, true_motion, self.pairs[pairs], required)
         drive = self.plane.drive

@@ -215,4 +215,5 @@ def _least_mm(
 ) -> Gaps:
     # the gap that Safety requires of each pair at some joint speeds, if no pair is tangled
     speeds = point_speeds(levers_of(plane), speed_rad_s * scene.movable[: plane.n, None])
-    return parameters.safety.required_at(speeds, makespan_s, scene.pairs)
+    pairs, sector = scene.pairs, plane.sector
+    return parameters.safety.required_at(speeds, makespan_s, pairs, sector=sector)

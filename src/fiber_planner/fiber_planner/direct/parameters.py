@@ -22,6 +22,9 @@ class DirectParameters:
         clock_ppm: largest error of a positioner's clock, fast or slow [1e-6].
         start_skew_s: largest difference between the starts of two positioners [s].
         stop_skew_s: largest difference between their stops when one must stop early [s].
+        border_start_skew_s: largest difference between starts of two positioners of different
+            sectors [s].
+        border_stop_skew_s: largest difference between their stops [s].
         allowance_mm: gap that is planned beyond the one that safety requires [mm];
             discretization and rounding may use it up.
         intervals: approximate number of intervals of the common time grid; every breakpoint
@@ -56,6 +59,8 @@ class DirectParameters:
     clock_ppm: float = 50.0
     start_skew_s: float = 200e-6
     stop_skew_s: float = Safety.stop_skew_s
+    border_start_skew_s: float = Safety.border_start_skew_s
+    border_stop_skew_s: float = Safety.border_stop_skew_s
     allowance_mm: float = 0.03
     intervals: int = 48
     stretch: float = 2.2
@@ -70,7 +75,10 @@ class DirectParameters:
     @property
     def safety(self) -> Safety:
         """The clearance that the certificate requires."""
-        return Safety(self.margin_mm, self.clock_ppm, self.start_skew_s, self.stop_skew_s)
+        return Safety(
+            self.margin_mm, self.clock_ppm, self.start_skew_s, self.stop_skew_s,
+            self.border_start_skew_s, self.border_stop_skew_s,
+        )  # fmt: skip
 
 
 def effort_share(robots: int) -> int:

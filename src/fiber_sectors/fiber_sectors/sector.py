@@ -1,0 +1,305 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sector at work: its session with its robots, on the orders of the coordinator.
+
+All of it runs in one thread, which takes messages from a queue. While a run is under way the
+steps of the motion and the messages alternate.
+
+The time of simulated buses stands still while a sector waits for a beat: a motion goes on when all
+sectors have come to the same instant, however slow their machines are. Buses of this machine follow
+its clock, and nothing waits.
+"""
+
+import queue
+import time
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+
+from fiber_bus_bridge import Session, SessionState
+from fiber_bus_bridge.protocol.decisions import countdown_s
+from fiber_core.clearance import Certificate, Safety
+from fiber_core.errors import FiberError
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.motion import SegmentMotion
+from fiber_sectors.calls import CALL, Call, Columns, Kind, decode_call, encode_call
+from fiber_sectors.errors import SectorError
+from fiber_sectors.member import Decision, Member
+from fiber_sectors.messages import decode_beat, encode_report
+from fiber_sectors.tables import motion_of, table_of
+from fiber_sectors.terms import Terms
+
+__all__ = ["Sector", "certified_elsewhere"]
+
+_TABLE_S = 0.1  # between two tables while robots move
+_INSTANT_S = 1e-8
+_IDLE_S = 0.2  # between two looks at whether to end
+
+
+def certified_elsewhere(
+    plane: FocalPlane, motion: SegmentMotion, safety: Safety
+) -> tuple[SegmentMotion, np.ndarray, Certificate]:
+    """Hold no robot: the coordinator certifies what the sectors hold, all together."""
+    nothing, none = np.zeros(0), np.zeros(plane.n, dtype=bool)
+    pairs = np.zeros((0, 2), dtype=np.int64)
+    certificate = Certificate(pairs, nothing, nothing, nothing, np.zeros(0, dtype=bool), none, none)
+    return motion, none, certificate
+
+
+class Sector:
+    """One sector of a plane.
+
+    Args:
+        number: number of the sector.
+        session: the session with its robots, which certifies nothing and never resumes by itself.
+        terms: the times on which all sectors agree.
+        boot: names this process.
+        send: sends bytes to the coordinator.
+        clock: time of the buses [s]; None for simulated ones, whose time goes on with beats.
+        patience_s: longest wait for a beat while the time of simulated buses stands still [s].
+        wall: time of the machine [s].
+    """
+
+    def __init__(
+        self,
+        number: int,
+        session: Session,
+        terms: Terms,
+        boot: int,
+        send: Callable[[bytes], None],
+        clock: Callable[[], float] | None = None,
+        patience_s: float = 5.0,
+        wall: Callable[[], float] = time.monotonic,
+    ):
+        self._number, self._session, self._terms = number, session, terms
+        self._send, self._clock, self._wall = send, clock, wall
+        self._patience_s = patience_s
+        self.member = Member(number, boot, terms)
+        self.inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._at_s = 0.0
+        self._call: Call | None = None  # that is answered, or was last
+        self._answered: bytes | None = None
+        self._later: list[bytes] = []  # calls that came during a run
+        self._asked = self._alone = False
+        self._tabled_s = self._sent_s = 0.0
+
+    def serve(self, ended: Callable[[], bool]) -> None:
+        """Serve calls and beats until `ended` says so."""
+        while not ended():
+            later, self._later = self._later, []
+            for data in [*later, *self._take(0.0 if later else _IDLE_S)]:
+                self._handle(data)
+
+    def stop(self) -> None:
+        """Stop robots that move: this process ends."""
+        if self._session.state is SessionState.MOVING:
+            self._session.stop(self._now_s())
+
+    # --- messages ------------------------------------------------------------
+
+    def _take(self, wait_s: float) -> list[bytes]:
+        """Return the messages that have come, or wait for one."""
+        taken: list[bytes] = []
+        try:
+            taken.append(self.inbox.get(timeout=max(wait_s, 1e-6)))
+            while True:
+                taken.append(self.inbox.get_nowait())
+        except queue.Empty:
+            return taken
+
+    def _handle(self, data: bytes) -> None:
+        if data[:4] != CALL:
+            self._hear(data)
+            return
+        try:
+            call = decode_call(data)
+        except SectorError:
+            return  # is sent again
+        if self._call is not None and call.number <= self._call.number:
+            if call.number == self._call.number and self._answered is not None:
+                self._send(self._answered)
+            return
+        self._call, self._answered = call, None
+        try:
+            columns = self._serve(call)
+            if self._answered is None:
+                self._answer(columns)
+        except FiberError as error:
+            text = np.frombuffer(str(error).encode(), dtype=np.uint8)
+            self._answer({"text": text}, Kind.REFUSED)
+
+    def _answer(self, columns: Columns, kind: Kind | None = None) -> None:
+        call = self._call
+        assert call is not None  # a call is being served
+        self._answered = encode_call(self._number, kind or call.kind, call.number, columns)
+        self._send(self._answered)
+
+    def _hear(self, data: bytes) -> None:
+        self._take_beat(data)
+        self._report()
+
+    def _take_beat(self, data: bytes) -> None:
+        try:
+            beat = decode_beat(data)
+        except SectorError:
+            return  # another one comes
+        if beat.run == self.member.run and self._clock is None:
+            self._at_s = max(self._at_s, beat.sent_s)
+        self.member.hear(beat, self._now_s())
+
+    def _report(self) -> None:
+        self._now_s()
+        self._at_s += _INSTANT_S  # no two reports have one time
+        report = self.member.report(self._at_s)
+        self._sent_s = report.sent_s
+        self._send(encode_report(report))
+
+    def _now_s(self) -> float:
+        if self._clock is not None:
+            self._at_s = self._clock()
+        else:
+            self._at_s = max(self._at_s, self._session.transactions.now_s)
+        return self._at_s
+
+    # --- calls ---------------------------------------------------------------
+
+    def _serve(self, call: Call) -> Columns:
+        session = self._session
+        if call.kind is Kind.PREPARE:
+            self._run(call)
+        elif call.kind is Kind.CONFIGURE and session.state is not SessionState.STOPPED:
+            session.configure(self._now_s())
+        elif call.kind is Kind.CLEAR and session.state is not SessionState.UNCONFIGURED:
+            session.clear(self._now_s())
+        elif call.kind is Kind.STOP:
+            session.stop(self._now_s())
+        return table_of(session)
+
+    def _run(self, call: Call) -> None:
+        """Carry out a run: load, wait for the others, count down, move."""
+        session, run = self._session, int(call.columns["run"])
+        motion = motion_of(session.units, call.columns)
+        if session.state in (SessionState.STOPPED, SessionState.READY):
+            session.clear(self._now_s())  # the coordinator has decided that
+        if not self.member.begin(run, self._now_s()):
+            raise SectorError(f"run {run} does not follow run {self.member.run}")
+        self._asked = self._alone = False
+        complete = False
+        try:
+            session.submit(motion)
+            session.start(self._now_s(), self._may_go)
+            complete = session.state is SessionState.IDLE and not session.robots["started"].any()
+            if session.state is SessionState.MOVING:
+                self._move()
+                complete = session.state is SessionState.IDLE
+        finally:
+            if session.state is SessionState.MOVING:
+                session.stop(self._now_s())
+            if complete and not self.member.why:
+                self.member.ended()
+            else:
+                self.member.stopped("robots have failed, or did not confirm the countdown")
+            self._report()
+        if self._answered is None:  # no order could be verified
+            self._answer(self._loaded())
+
+    def _loaded(self) -> Columns:
+        """What was loaded and verified, and the time that its countdown takes."""
+        session, phase = self._session, self._session.protocol.phase
+        c, config = session.protocol, session.config
+        frames = None if phase is None else phase.frames
+        data = b"" if frames is None else frames.data.tobytes()
+        verify_s = 0.0 if phase is None else phase.verify_s
+        lasts_s = countdown_s(verify_s, c.silence_s, config.heartbeat_period_s)
+        return table_of(session) | {
+            "crc": np.array(zlib.crc32(data)),
+            "lasts_s": np.array(lasts_s),
+            "ahead_s": np.array(self._ahead_s),
+        }
+
+    @property
+    def _ahead_s(self) -> float:
+        """Time before the start after which a STOP may come too late for some robots [s]."""
+        c = self._session.protocol
+        return c.silence_s + 2.0 * self._session.config.heartbeat_period_s
+
+    # --- a run ---------------------------------------------------------------
+
+    def _may_go(self) -> bool:
+        """Tell what was verified; wait until all sectors have, and for the start."""
+        if self._asked:
+            self.member.stopped("a robot has not confirmed the countdown")
+            return False  # the coordinator begins a new run
+        self._asked = True
+        self._answer(self._loaded())
+        if not self._session.robots["verified"].any():
+            return True  # nothing to start
+        self.member.ready()
+        while True:
+            decision = self.member.decide(self._now_s())
+            if decision is Decision.GO:
+                self._session.protocol.start_at_s = self.member.start_s
+                return True
+            if decision is Decision.STOP:
+                return False
+            self._listen(self._terms.ready_s if self._clock is None else self._terms.period_s)
+
+    def _listen(self, wait_s: float) -> None:
+        """Hear the beats that have come, or wait for one; keep calls for later."""
+        taken = self._take(wait_s)
+        for data in taken:
+            if data[:4] == CALL:
+                self._later.append(data)
+            else:
+                self._hear(data)
+        if not taken and self._clock is None:
+            # the time that nothing was heard for passes on the buses as well
+            self._alone = True
+            self._at_s += wait_s
+
+    def _move(self) -> None:
+        session, member, period_s = self._session, self.member, self._terms.period_s
+        phase = session.protocol.phase
+        assert phase is not None  # robots count down
+        deadline_s = phase.start_s - self._ahead_s
+        member.confirmed(phase.start_s, deadline_s, self._now_s())
+        self._report()
+        while session.state is SessionState.MOVING:
+            if self._clock is None and not self._alone:
+                self._wait_for_answer()
+            now_s = self._now_s()
+            decision = member.decide(now_s)
+            if decision is Decision.STOP:
+                session.stop(now_s)
+                return
+            limit_s = member.lease_s if decision is Decision.MOVE else deadline_s
+            until_s = min(now_s + (period_s if self._clock is None else 0.0), limit_s)
+            session.advance(until_s)
+            if self._clock is None:
+                self._at_s = max(self._at_s, until_s)
+            else:
+                self._listen(period_s / 4)
+            self._tell_table(now_s)
+            if session.state is SessionState.MOVING:
+                self._report()
+
+    def _wait_for_answer(self) -> None:
+        """Wait for a beat that answers the last report; the time of the buses stands still."""
+        until_s = self._wall() + self._patience_s
+        while not self.member.answered(self._sent_s) and not self.member.why:
+            left_s = until_s - self._wall()
+            if left_s <= 0.0:
+                self._alone = True  # the motion goes on to the end of the lease
+                return
+            for data in self._take(left_s):
+                if data[:4] == CALL:
+                    self._later.append(data)
+                else:
+                    self._take_beat(data)
+                    if not self.member.answered(self._sent_s):
+                        self._report()
+
+    def _tell_table(self, now_s: float) -> None:
+        if now_s >= self._tabled_s + _TABLE_S or now_s < self._tabled_s:
+            self._tabled_s = now_s
+            self._send(encode_call(self._number, Kind.TABLE, 0, table_of(self._session)))

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session with a plane of three sectors: one start, one stop, one outcome for each robot."""
+
+import numpy as np
+import pytest
+from plane_of_sectors import PlaneOfSectors, turning
+
+from fiber_bus_bridge import SessionConfig, SessionState
+from fiber_bus_bridge.simulation import EVENT, Event, Faults
+from fiber_core.clearance import Safety
+from fiber_core.outcomes import Outcome, Reason
+from fiber_sectors import SectorError, Terms
+from fiber_sectors.calls import CALL
+from fiber_sectors.sectored_session import SectoredSession
+
+pytestmark = pytest.mark.timeout(600)  # the first motion compiles
+
+
+@pytest.fixture
+def plane_of():
+    made = []
+
+    def make(**options):
+        made.append(PlaneOfSectors(**options))
+        made[-1].session.configure(0.0)
+        assert made[-1].session.known.all()
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def starts_s(plane):
+    return [each._session.loaded_plan.start_s for each in plane.sectors]
+
+
+def test_sectors_start_together_and_reach_the_ends_of_their_orders(plane_of):
+    plane = plane_of()
+    session, orders = plane.session, turning(plane.session)
+    session.submit(orders)
+    session.start(0.0)
+    assert session.state is SessionState.MOVING and session.loaded_plan.started.all()
+    bound_s = session.sectors.conductor.start_skew_bound_s
+    assert np.ptp(starts_s(plane)) <= bound_s <= Terms().start_skew_s
+    assert abs(starts_s(plane)[0] - session.loaded_plan.start_s) <= bound_s
+    plane.until_rest()
+    assert (session.result.outcome == Outcome.REACHED).all()
+    np.testing.assert_array_equal(session.counts, orders.end)
+    positions = np.concatenate([b.positioners.memory["position"] for b in plane.buses])
+    np.testing.assert_array_equal(positions, orders.end)
+    frames = session.transactions.counters.table()
+    assert all(figures["frames"] > 0 for figures in frames.values()) and len(frames) == 6
+
+
+def jammed(t):
+    return Faults(events=np.array([(3, t, int(Event.JAM_THETA), 0)], dtype=EVENT))
+
+
+def test_a_fault_in_one_sector_stops_all_and_the_others_resume(plane_of):
+    plane = plane_of(faults={1: jammed(0.25)})
+    session, orders = plane.session, turning(plane.session)
+    session.submit(orders)
+    session.start(0.0)
+    plane.until_rest()
+    assert session.sectors.why == "" or "sector 1" in session.sectors.why
+    failed = int(np.flatnonzero(plane.plane.sector == 1)[3])
+    result = session.result
+    assert (result.outcome[failed], result.reason[failed]) == (Outcome.FAILED, Reason.STALLED)
+    others = np.arange(plane.plane.n) != failed
+    assert (result.outcome[others] == Outcome.REACHED).all()
+    assert len(session.loaded_plans) == 2
+    np.testing.assert_array_equal(session.counts[others], orders.end[others])
+
+
+def test_a_lost_sector_stops_by_itself_and_the_others_go_on(plane_of):
+    plane = plane_of()
+    session, orders = plane.session, turning(plane.session)
+    session.submit(orders)
+    session.start(0.0)
+    session.advance(session.transactions.now_s + 0.05)
+    assert session.state is SessionState.MOVING
+    plane.kill(1)
+    plane.until_rest()
+    lost = plane.plane.sector == 1
+    result = session.result
+    assert (result.outcome[lost] == Outcome.FAILED).all()
+    assert set(result.reason[lost]) <= {Reason.BUS_FAILED, Reason.NO_REPLY}
+    # its robots are where they stopped, or on their way there: whatever is beside them rests
+    assert session.robots["lost"][lost].all() and not session.known[lost].any()
+    beside = np.zeros(plane.plane.n, dtype=bool)
+    pairs = session.protocol.pairs
+    beside[pairs[lost[pairs].any(axis=1)].ravel()] = True
+    away = ~lost & ~beside
+    assert away.any() and (result.outcome[away] == Outcome.REACHED).all()
+    assert (result.reason[~lost & beside] == Reason.PLACE_UNKNOWN).all()
+    plane.join(1)
+    ended = plane.sectors[1]
+    ended_s = ended._session.transactions.now_s
+    assert ended._session.state is SessionState.STOPPED
+    assert ended_s <= ended.member.lease_s + Terms().notice_s + 5e-3
+    # the next plan leaves them out
+    session.clear(session.transactions.now_s)
+    session.submit(turning(session, np.flatnonzero(away), velocity=-600))
+    session.start(session.transactions.now_s)
+    plane.until_rest()
+    assert (session.result.outcome[away] == Outcome.REACHED).all()
+
+
+def test_lost_calls_beats_and_reports_come_again(plane_of):
+    rng = np.random.default_rng(1)
+    plane = plane_of(lossy=lambda _, data: data[:4] != CALL and rng.random() < 0.02)
+    session = plane.session
+    session.submit(turning(session, ticks=20))
+    session.start(0.0)
+    plane.until_rest()
+    assert (session.result.outcome == Outcome.REACHED).all()
+
+
+def test_an_order_that_the_border_makes_unsafe_is_held(plane_of):
+    plane = plane_of()
+    held = int(np.flatnonzero(plane.plane.sector == 2)[0])
+    certify = plane.session.protocol.certify
+    seen = []
+
+    def unsafe(focal_plane, motion, safety):
+        motion, mask, certificate = certify(focal_plane, motion, safety)
+        seen.append(motion.moves.copy())
+        return motion, mask | ((np.arange(focal_plane.n) == held) & motion.moves), certificate
+
+    plane.session.protocol.certify = unsafe
+    plane.session.submit(turning(plane.session))
+    plane.session.start(0.0)
+    plane.until_rest()
+    result = plane.session.result
+    assert (result.outcome[held], result.reason[held]) == (Outcome.HELD, Reason.UNSAFE_AS_LOADED)
+    assert np.count_nonzero(result.outcome == Outcome.REACHED) == plane.plane.n - 1
+    start = plane.units.encoder_counts(plane.plane, plane.start)
+    np.testing.assert_array_equal(plane.session.counts[held], start[held])
+    assert seen[0][held] and not seen[-1][held]
+
+
+def test_a_stop_by_an_operator_stops_all_sectors(plane_of):
+    plane = plane_of()
+    session = plane.session
+    session.submit(turning(session))
+    session.start(0.0)
+    session.advance(session.transactions.now_s + 0.05)
+    session.stop(session.transactions.now_s)
+    assert session.state is SessionState.STOPPED
+    assert all(each._session.state is SessionState.STOPPED for each in plane.sectors)
+    assert (session.result.reason == Reason.STOPPED).all()
+    session.clear(session.transactions.now_s)
+    assert session.state is SessionState.IDLE
+
+
+def test_a_certificate_that_does_not_contain_the_terms_is_refused(plane_of):
+    plane = plane_of()
+    safety = Safety(border_stop_skew_s=20e-3)
+    with pytest.raises(SectorError, match=r"border_stop_skew_s is 0\.02 s"):
+        SectoredSession(
+            plane.plane, plane.units, safety, plane.start, SessionConfig(), Terms(), plane
+        )
