@@ -94,10 +94,10 @@ def _stall_s(r):
 def advance_robot(r: Robot, t: float) -> None:
     """Advance a robot to time t [s]: motions end or are broken off, unstarted orders lapse."""
     if r.state == _MOVING:
-        ticks = max(_length(r, 0), _length(r, 1))
-        done = r.started_s + ticks * r.tick_us / (1e6 + r.clock_ppm)
+        done = r.done_s
         silent = r.heartbeat_s + r.silence_s if r.silence_s > 0.0 else np.inf
-        stall = _stall_s(r)
+        jammed = r.jam_s[0] < np.inf or r.jam_s[1] < np.inf
+        stall = _stall_s(r) if jammed else np.inf
         # the earliest of the three events ends the motion
         if done <= min(t, silent, stall):
             # exactly the end of the order: no time is rounded
@@ -179,6 +179,9 @@ def start_order(r: Robot, t: float, countdown_s: float) -> None:
             r.ticks[joint, k], r.velocity[joint, k] = ticks, velocity
             at += size
     r.started_s = t + countdown_s * 1e6 / (1e6 + r.clock_ppm) + r.start_skew_s
+    # the end is known now: it would be looked for in all segments at each heartbeat
+    ticks = max(_length(r, 0), _length(r, 1))
+    r.done_s = r.started_s + ticks * r.tick_us / (1e6 + r.clock_ppm)
     r.heartbeat_s = t
     r.executed = r.sequence
     r.state = _MOVING

@@ -38,8 +38,11 @@ MEMORY = np.dtype(
         # kept without power
         ("position", "i8", (2,)),  # encoders at rest, or where the motion began [quanta]
         ("boot", "i8"),
-        # lost without power
+        # lost without power; what every frame looks at comes first
         ("state", "i8"),
+        ("done_s", "f8"),  # end of the motion unless it is broken off [s]
+        ("heartbeat_s", "f8"),  # time of the last heartbeat [s]
+        ("silence_s", "f8"),  # longest time between two heartbeats while moving, 0 = no limit [s]
         ("fault", "i8"),
         ("alerts", "i8"),
         ("alert_s", "f8"),  # pulls the alert line from this time on, until read or cleared [s]
@@ -50,16 +53,14 @@ MEMORY = np.dtype(
         ("limits", "i8", (2, 2)),  # [quanta]
         ("speed", "i8", (2,)),  # [velocity units]
         ("watchdog_s", "f8"),
-        ("silence_s", "f8"),  # longest time between two heartbeats while moving, 0 = no limit [s]
         ("slot", "i8"),  # in the roll call of its bus
         ("sequence", "i8"),
         ("executed", "i8"),  # sequence number of the order started last, or NOTHING
-        ("order", "u1", (ORDER_BYTES,)),
         ("order_length", "i8"),
         ("loaded_s", "f8"),  # time at which the order was stored [s]
         ("started_s", "f8"),  # start of the motion, at the end of the countdown [s]
-        ("heartbeat_s", "f8"),  # time of the last heartbeat [s]
         ("halted_s", "f8"),  # end of the last motion [s]
+        ("order", "u1", (ORDER_BYTES,)),
         ("counts", "i8", (2,)),  # segments of the running order
         ("ticks", "i8", (2, MAX_SEGMENTS)),
         ("velocity", "i8", (2, MAX_SEGMENTS)),
@@ -86,6 +87,9 @@ class Robot(Protocol):
     position: Ints
     boot: int
     state: int
+    done_s: float
+    heartbeat_s: float
+    silence_s: float
     fault: int
     alerts: int
     alert_s: float
@@ -96,16 +100,14 @@ class Robot(Protocol):
     limits: Ints
     speed: Ints
     watchdog_s: float
-    silence_s: float
     slot: Whole
     sequence: Whole
     executed: Whole
-    order: Bytes
     order_length: Whole
     loaded_s: float
     started_s: float
-    heartbeat_s: float
     halted_s: float
+    order: Bytes
     counts: Ints
     ticks: Ints
     velocity: Ints

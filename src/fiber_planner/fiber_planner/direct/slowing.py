@@ -43,7 +43,7 @@ def slow_close_starts(
         return np.zeros(0, dtype=np.int64)
     which, at_start = which[close], at_start[close]
     straight = _straight_speeds(scene, plan, makespan_s)
-    can_slow = (straight < _SLOWER * scene.speed).all(axis=1)
+    can_slow = np.asarray((straight < _SLOWER * scene.speed).all(axis=1))
     pairs = scene.pairs[which]
     helped = can_slow[pairs].any(axis=1)
     pairs, which, at_start = pairs[helped], which[helped], at_start[helped]
