@@ -47,7 +47,7 @@ OPTIONS = $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) 
 .PHONY: help
 help: ## list the targets
 	@grep -hE '^[a-z -]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /|/' | column -t -s '|'
-	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file STARTS=file TARGETS=file SPACING=mm OUT=folder; demo FAULTS=stall:2,reset FORM=desi"
+	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file STARTS=file TARGETS=file SPACING=mm OUT=folder; demo FAULTS=stall:2,reset FORM=desi TOLERANCE_UM=10"
 	@echo "the commands of a running plane take ARGS= for more options, such as ARGS=--help"
 
 .PHONY: venv
@@ -99,7 +99,8 @@ inputs:
 .PHONY: demo
 demo: inputs build ## take 5000 simulated robots through one reconfiguration, into out/demo
 	@$(INSTALLED) && install/fiber_bringup/lib/fiber_bringup/demo $(OPTIONS) \
-		$(if $(FAULTS),--faults $(FAULTS)) $(if $(FORM),--form $(FORM)) --out $(OUT)
+		$(if $(FAULTS),--faults $(FAULTS)) $(if $(FORM),--form $(FORM)) \
+		$(if $(TOLERANCE_UM),--tolerance-um $(TOLERANCE_UM)) --out $(OUT)
 
 .PHONY: console
 console: inputs build ## a simulated plane in a browser until Ctrl-C, into out/live (PORT=, PRESET=, ROBOTS=, FAULTS=)

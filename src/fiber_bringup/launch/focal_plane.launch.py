@@ -46,6 +46,7 @@ _ARGUMENTS = {
     ),
     "faults": ("", "simulated faults, as stall:2,scl_stuck"),
     "folder": ("recordings", "folder of the recordings"),
+    "camera": ("false", "start metrology and a simulated camera, for reconfigure --tolerance-um"),
     "console": ("false", "serve the console for a browser"),
     "port": ("8137", "port of the console, on loopback"),
     "namespace": ("", "namespace of all nodes, as north"),
@@ -63,6 +64,7 @@ def generate_launch_description() -> LaunchDescription:
         SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
         _plant(),
         *_control(),
+        *_camera(),
         *_observers(),
     ]
     return LaunchDescription([*_arguments(), GroupAction(scope)])
@@ -171,6 +173,15 @@ def _control() -> list[Node]:
         _node("fiber_bus_bridge", "bridge", of_bridge),
         _node("fiber_planner", "planner", {"planner": str}),
         _node("fiber_discretizer", "discretizer"),
+    ]
+
+
+def _camera() -> list[Node]:
+    """Return the nodes that see the robots."""
+    wanted = IfCondition(LaunchConfiguration("camera"))
+    return [
+        _node("fiber_metrology", "metrology", condition=wanted),
+        _node("fiber_metrology", "camera", {"plant": str, "seed": int}, condition=wanted),
     ]
 
 

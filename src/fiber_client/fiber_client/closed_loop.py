@@ -6,6 +6,7 @@ and stays; robots whose light is not found stay where they are. An image that ca
 taken once more; then the loop ends, and what is known is told.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,10 +20,11 @@ from fiber_msgs_py import PlanStamp, topics
 from fiber_msgs_py.measured import Measured
 from fiber_node import BRIDGE
 
-__all__ = ["CameraLoop", "LoopEnd"]
+__all__ = ["CameraLoop", "LoopEnd", "show_images"]
 
 _STILL = (Verdict.NOT_MOVED, Verdict.THETA_NOT_MOVED, Verdict.PHI_NOT_MOVED)
 _TRIES = 2  # of an image
+_SHOWN = 5  # flagged robots that are named
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,3 +231,27 @@ class CameraLoop:
         outcome[still & asked], why[still & asked] = Outcome.FAILED, Reason.NOT_MOVED
         outcome[reached], why[reached] = Outcome.REACHED, Reason.OK
         return PlanOutcome(base.stamp_ns, base.ids, outcome, why, error)
+
+
+def show_images(closed: LoopEnd, say: Callable[[str], None]) -> dict[str, object]:
+    """Tell what the images of a loop showed, for people, and return it for a report.
+
+    Args:
+        closed: the end of the loop.
+        say: called with each line.
+    """
+    for number, figures in enumerate(closed.images()):
+        after = "the motion" if number == 0 else f"correction {number}"
+        text = ", ".join(f"{name} {value}" for name, value in figures.items())
+        say(f"image after {after}: {text}")
+    for robot, verdict in list(closed.flagged.items())[:_SHOWN]:
+        say(f"robot {robot}: {verdict.name.lower()} when it was told to move")
+    if closed.ended:
+        say(f"the loop ended early: {closed.ended}")
+    flagged = {str(robot): verdict.name.lower() for robot, verdict in closed.flagged.items()}
+    return {
+        "images": closed.images(),
+        "corrected": closed.corrected,
+        "flagged": flagged,
+        "ended": closed.ended,
+    }

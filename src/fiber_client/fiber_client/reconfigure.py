@@ -22,7 +22,7 @@ import numpy as np
 from rclpy.utilities import remove_ros_args
 
 from fiber_client.client import PlaneClient
-from fiber_client.closed_loop import CameraLoop, LoopEnd
+from fiber_client.closed_loop import CameraLoop, show_images
 from fiber_client.errors import PlaneError
 from fiber_client.terminal import ProgressDisplay, table
 from fiber_core.array_types import Ids, Ints, Points
@@ -115,7 +115,7 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
     seen: dict[str, object] = {}
     if loop is not None:
         closed = loop.run(ids, xy_mm, ended)
-        ended, seen = closed.outcome, _seen(closed, display)
+        ended, seen = closed.outcome, show_images(closed, display.say)
     outcome = ended.of(ids)
     if options.results is not None:
         _write_results(client, options, ended, (ids, xy_mm, fibre))
@@ -138,25 +138,6 @@ def _camera_loop(client: PlaneClient, options: argparse.Namespace) -> CameraLoop
         raise PlaneError(f"the camera sees one fibre at each tip, the plane has {names}")
     iterations = _ITERATIONS if options.iterations is None else options.iterations
     return CameraLoop(client, options.tolerance_um, iterations, options.timeout)
-
-
-def _seen(closed: LoopEnd, display: ProgressDisplay) -> dict[str, object]:
-    # what the images showed, for people and as JSON
-    for number, figures in enumerate(closed.images()):
-        after = "the motion" if number == 0 else f"correction {number}"
-        text = ", ".join(f"{name} {value}" for name, value in figures.items())
-        display.say(f"image after {after}: {text}")
-    for robot, verdict in list(closed.flagged.items())[:_SHOWN]:
-        display.say(f"robot {robot}: {verdict.name.lower()} when it was told to move")
-    if closed.ended:
-        display.say(f"the loop ended early: {closed.ended}")
-    flagged = {str(robot): verdict.name.lower() for robot, verdict in closed.flagged.items()}
-    return {
-        "images": closed.images(),
-        "corrected": closed.corrected,
-        "flagged": flagged,
-        "ended": closed.ended,
-    }
 
 
 def _write_results(
