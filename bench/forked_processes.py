@@ -6,9 +6,11 @@ compiled loops. Forked, the same `main` begins at once, in a process of its own:
 paused and restarted as any other, and nothing of ROS is there before the fork.
 """
 
+import faulthandler
 import importlib
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -121,5 +123,6 @@ def run_forked(command: Sequence[str], log: str, mode: str, environment: dict[st
     file = os.open(log, os.O_WRONLY | os.O_CREAT | how, 0o600)
     for each in (1, 2):
         os.dup2(file, each)
+    faulthandler.register(signal.SIGUSR1)  # a process that hangs tells where, in its log
     sys.argv = list(command)
     sys.exit(importlib.import_module(command[0]).main())

@@ -19,6 +19,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -42,7 +43,6 @@ __all__ = ["Campaign", "main"]
 
 PROCESSES = ("plant", "bridge", "planner", "discretizer", "recorder", "viewer", "client")
 STAGES = ("planning", "discretizing", "loading", "countdown", "moving", "after")
-_SHOWN = ("number", "how", "names", "stage", "counted")
 _Line: TypeAlias = dict[str, Any]
 
 _SCALE, _PATIENCE_S = 2.0, 0.3
@@ -74,6 +74,7 @@ class Campaign:
         self._at: dict[str, Callable[[], None]] = {}  # what begins with a stage
         self._lasts_s = dict.fromkeys(STAGES, 0.1) | {"after": 0.5}
         self._back_s = np.inf
+        self._newest: PlanStamp | None = None  # of the plans that stages tell of
 
     def __enter__(self) -> "Campaign":
         self._start_processes()
@@ -150,8 +151,8 @@ class Campaign:
         self._at = {line["stage"]: strike.start}
         outcome, line["ended"] = self._plan(line)
         self._at = {}
-        if strike.ident is None:
-            line["missed"] = True  # its stage never came
+        if strike.ident is None:  # its stage never came
+            line["missed"] = True
             strike.start()
         strike.join()
         assert "back_s" in line, "the strike was not carried out"
@@ -245,8 +246,8 @@ class Campaign:
             outcome = client.wait_for_outcome(stamp, _WAIT_S)
             self._enter("after")
             return outcome, "outcome"
-        except (WaitError, _Over):
-            return (None, "nothing") if stamp is None else self._wait_for_end(stamp, line)
+        except (WaitError, _Over):  # without a stamp the client has sent no targets in time
+            return (None, "unsent") if stamp is None else self._wait_for_end(stamp, line)
         except FiberError as error:
             line["refused"] = f"{step} {error}"[:200]
             return None, "refused"
@@ -266,12 +267,11 @@ class Campaign:
 
     def _plan_of_process(self, line: _Line) -> tuple[PlanOutcome | None, str]:
         """The same by the command `reconfigure`, whose steps are seen from outside."""
-        before = len(self._sent)
+        self._newest, before = None, self._newest
         arguments = ["--timeout", f"{_WAIT_S:g}", f"random:{line['number']}"]
         self._processes.start_command("fiber_client", _CLIENT, arguments)
-        self._client.wait_for(lambda: len(self._sent) > before, _WAIT_S)
-        stamp = PlanStamp.of(self._sent[-1])
-        line["stamp"] = stamp.ns
+        self._client.wait_for(lambda: self._newest not in (None, before), _WAIT_S)
+        stamp, line["stamp"] = self._newest, self._newest.ns
         try:
             return self._watch_process(stamp, line)
         except _Over:
@@ -287,7 +287,7 @@ class Campaign:
             started = lambda: client.moving or stamp in client.outcomes  # noqa: E731
             client.wait_for(started, 2.0 if early else _WAIT_S)
         except WaitError:
-            return None, "client gone" if early else "nothing"
+            return (None, "client gone") if early else self._wait_for_end(stamp, line)
         self._enter("moving")
         outcome = client.wait_for_outcome(stamp, _WAIT_S)
         self._enter("after")
@@ -298,6 +298,7 @@ class Campaign:
             self._at.pop(stage, lambda: None)()
 
     def _on_progress(self, progress: Progress) -> None:
+        self._newest = max(progress.attempt.plan, self._newest or progress.attempt.plan)
         if progress.stage == "planner" and progress.fraction >= 1.0:
             self._enter("discretizing")
 
@@ -329,10 +330,8 @@ class Campaign:
 
     def _operate(self) -> None:
         for service in (topics.STOP, topics.CLEAR, topics.CONFIGURE):
-            try:
+            with suppress(FiberError):
                 self._client.call_service(service, _WAIT_S)
-            except FiberError:
-                continue
 
     def _count_false(self, outcome: PlanOutcome | None, truth: Truth) -> int:
         """Robots that are said to have reached their targets, and stand elsewhere."""
@@ -341,14 +340,13 @@ class Campaign:
         plane = self._client.plane
         wanted = np.full((plane.n, 2), np.nan)
         for message in self._sent:
-            try:
-                if PlanStamp.of(message).ns != outcome.stamp_ns:
-                    continue
-                ids, xy_mm = targets.decode(message)
-            except FiberError:
-                continue  # of a stranger
-            wanted[plane.index_of(ids)] = xy_mm
+            with suppress(FiberError):  # of a stranger
+                if PlanStamp.of(message).ns == outcome.stamp_ns:
+                    ids, xy_mm = targets.decode(message)
+                    wanted[plane.index_of(ids)] = xy_mm
         del self._sent[:-_SENT_KEPT]
+        if np.isnan(wanted).all():  # targets of another process, which did not come here
+            return 0
         reached = plane.index_of(outcome.ids[outcome.outcome == Outcome.REACHED])
         at = forward(plane, truth.position * truth.quantum_rad)[1]
         off_mm = np.hypot(*(at[reached] - wanted[reached]).T)
@@ -391,7 +389,7 @@ def main(argv: list[str] | None = None) -> int:
                 with open(args.lines, "a", encoding="utf-8") as file:
                     file.write(json.dumps(line) + "\n")
                 failed += any(line["counted"].values())
-                print(*(line[k] for k in _SHOWN), flush=True)
+                print(number, line["how"], line["names"], line["stage"], line["counted"])
     print(json.dumps({"runs": args.runs, "failed": failed, "robots": args.robots}))
     return 1 if failed else 0
 

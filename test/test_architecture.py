@@ -97,6 +97,7 @@ ARROWS = {
     "bench.identification": {"bench", "closed_loop"},
     "bench.kill": {"fiber_bringup", "forked_processes", "kill_jobs", "kill_others", "kill_table"},
     "bench.kill_jobs": {"fiber_node"},
+    "bench.memory": {"fiber_bringup", "forked_processes"},
     "bench.forked_preload": {"bench", "forked_processes"},
     "bench.forked_processes": {"fiber_bringup"},
     "bench.drive": {"bench", "drive_checker"},

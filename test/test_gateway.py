@@ -10,14 +10,12 @@ import sys
 import interfaces
 import numpy as np
 import pytest
-import rclpy
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient, get_action_names_and_types
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2
 from std_srvs.srv import Trigger
+from stranger import Stranger
 
 from fiber_bringup.graph import Graph
 from fiber_core.fields import random_field
@@ -37,24 +35,20 @@ pytestmark = [
 WAIT_S = 120.0
 
 
-class Stranger:
-    """An rclpy program that knows nothing but the interfaces."""
+class Caller(Stranger):
+    """A stranger that knows the interfaces, too."""
 
     def __init__(self, domain):
-        self.context = Context()
-        rclpy.init(args=[], context=self.context, domain_id=domain)
-        self.node = rclpy.create_node("stranger", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
+        super().__init__(domain, WAIT_S)
         self.action = ActionClient(self.node, Reconfigure, "focal_plane/reconfigure")
         self.start = self.node.create_client(Start, "focal_plane/start_plan")
         self.feedback, self.velocities, self.reasons = [], None, set()
-        self.node.create_subscription(
-            JointState, "focal_plane/joint_states", self._on_joint_states, QoSProfile(depth=1)
-        )
-        self.node.create_subscription(
-            PointCloud2, "focal_plane/outcome", self._on_outcome, QoSProfile(depth=1)
-        )
+        latest = QoSProfile(depth=1)
+        for kind, topic, hear in (
+            (JointState, "joint_states", self._on_joint_states),
+            (PointCloud2, "outcome", self._on_outcome),
+        ):
+            self.node.create_subscription(kind, f"focal_plane/{topic}", hear, latest)
         self.clear = self.node.create_client(Trigger, "focal_plane/clear")
         assert self.action.wait_for_server(WAIT_S) and self.start.wait_for_service(WAIT_S)
 
@@ -70,18 +64,6 @@ class Stranger:
     def moving(self):
         return self.velocities is not None and self.velocities.any()
 
-    def wait_for(self, condition):
-        for _ in range(int(WAIT_S / 0.05)):
-            if condition():
-                return
-            self.executor.spin_once(0.05)
-        raise AssertionError("it did not happen in time")
-
-    def result_of(self, future):
-        self.executor.spin_until_future_complete(future, WAIT_S)
-        assert future.done()
-        return future.result()
-
     def send(self, **fields):
         self.feedback.clear()
         goal = Reconfigure.Goal(**fields)
@@ -95,11 +77,6 @@ class Stranger:
 
     def start_plan(self, plan):
         return self.result_of(self.start.call_async(Start.Request(plan=plan)))
-
-    def close(self):
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
 
 
 @pytest.fixture(scope="module")
@@ -121,10 +98,9 @@ def gateway(problem_file, new_domain):
 
 @pytest.fixture
 def stranger(gateway):
-    stranger = Stranger(gateway.domain)
-    yield stranger
-    stranger.result_of(stranger.clear.call_async(Trigger.Request()))  # after a stop
-    stranger.close()
+    with Caller(gateway.domain) as stranger:
+        yield stranger
+        stranger.result_of(stranger.clear.call_async(Trigger.Request()))  # after a stop
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState, PointCloud2
+from stranger import Stranger
 from trajectory_msgs.msg import JointTrajectory
 
 from fiber_bringup.graph import Graph
@@ -43,39 +41,10 @@ def graph(problem_file, new_domain):
         assert graph.running, "a node has died"
 
 
-class Stranger:
-    """A node with default qualities of service, which knows none of our packages."""
-
-    def __init__(self, domain):
-        self.context = Context()
-        rclpy.init(args=[], context=self.context, domain_id=domain)
-        self.node = rclpy.create_node("stranger", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-
-    def collect(self, kind, topic):
-        received = []
-        self.node.create_subscription(kind, topic, received.append, 10)
-        return received
-
-    def wait_for(self, condition):
-        for _ in range(int(WAIT_S / 0.05)):
-            if condition():
-                return
-            self.executor.spin_once(0.05)
-        raise AssertionError("it did not happen in time")
-
-    def close(self):
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
-
-
 @pytest.fixture
 def stranger(graph):
-    stranger = Stranger(graph[0])
-    yield stranger
-    stranger.close()
+    with Stranger(graph[0], WAIT_S) as stranger:
+        yield stranger
 
 
 def test_layout_and_joint_states_come_every_second_at_rest(graph, stranger):

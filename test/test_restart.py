@@ -88,6 +88,64 @@ class Night:
         return truth.pairs[truth.unsafe]
 
 
+class Killed(BaseException):
+    """The bridge dies; nothing of its program catches that."""
+
+
+def killed_before_the_resume(path, remembers=True):
+    """A night whose bridge has stopped all robots after a failure, and dies before they resume."""
+    made, asked = Night(2, path), []
+    made.restart()
+
+    def may_go():
+        asked.append(made.session.protocol.state)
+        if len(asked) == 1 or remembers:
+            made.save(starting=True)
+        if len(asked) > 1:
+            raise Killed
+        return True
+
+    made.session.submit(made.orders.wire, made.orders.targets)
+    made.t = made.session.start(made.t, may_go)
+    made.t = made.session.advance(made.t + 0.5)
+    moving = np.flatnonzero(made.robots.memory["state"] == RobotState.MOVING)
+    made.robots.power(moving[:1], False, made.t)
+    with pytest.raises(Killed):
+        for _ in range(100):
+            made.t = made.session.advance(made.t + 0.1)
+    assert [state.name for state in asked] == ["CERTIFIED", "STOPPING"]
+    assert (made.robots.memory["state"] == RobotState.STOPPED).sum() > ROBOTS / 2
+    made.t += 1.0
+    return made
+
+
+def new_session(made):
+    """The state in which a new session finds the robots."""
+    units = made.orders.units
+    session = Session(made.plane, units, Safety(), made.buses, units.to_angles(made.orders.counts))
+    session.recall(load_memory(made.path, made.plane, units.quantum_prad, len(session.buses)))
+    session.configure(made.t)
+    made.session = session
+    return session.state
+
+
+def test_a_bridge_that_dies_between_its_own_stop_and_the_resume_needs_no_clear(tmp_path):
+    made = killed_before_the_resume(tmp_path / "robots.json")
+    assert new_session(made) is SessionState.IDLE
+    assert not (made.robots.memory["state"] == RobotState.STOPPED).any()
+    made.plan(made.next_orders())
+    assert not len(made.touching()) and (made.result.outcome == 0).sum() > ROBOTS / 2
+
+
+@pytest.mark.parametrize("why", ["an operator's stop", "no word of the bridge"])
+def test_any_other_stop_waits_for_an_operator(tmp_path, why):
+    made = killed_before_the_resume(tmp_path / "robots.json", remembers="operator" in why)
+    if "operator" in why:
+        made.t = made.session.stop(made.t)
+        made.save()
+    assert new_session(made) is SessionState.STOPPED
+
+
 def night(seed, path, believe=False):
     """Two plans with a restart between; return the night."""
     made = Night(seed, path)

@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +43,7 @@ class RobotMemory:
         failed: Reason for which the robot is left out of plans, else OK, shape (n,).
         sequence: sequence number of the last orders on each bus, 0 for none, shape (b,).
         stopped: whether all robots were stopped and nothing has cleared them since.
+        resuming: whether the controller has stopped the robots itself, to resume the others.
     """
 
     counts: Counts
@@ -52,12 +53,13 @@ class RobotMemory:
     failed: Codes
     sequence: Ints
     stopped: bool = False
+    resuming: bool = False
 
     def same(self, other: "RobotMemory") -> bool:
         """Return whether another memory has the same content."""
         return all(
             np.array_equal(getattr(self, name), getattr(other, name))
-            for name in ("counts", "placed", "lost", "boot", "failed", "sequence", "stopped")
+            for name in (field.name for field in fields(self))
         )
 
 
@@ -94,6 +96,7 @@ def save_memory(path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad
         "failed": memory.failed.tolist(),
         "sequence": memory.sequence.tolist(),
         "stopped": int(memory.stopped),
+        "resuming": int(memory.resuming),
     }
     content["checksum"] = _checksum(content)
     fresh = path.with_name(path.name + ".new")
@@ -152,9 +155,6 @@ def _memory(content: object, plane: FocalPlane, quantum_prad: int, buses: int) -
     theta, phi, placed, lost, boot, failed = (_column(content, name, plane.n) for name in _COLUMNS)
     if not np.isin(failed, [int(reason) for reason in Reason]).all():
         raise BridgeError("failed holds a number that is no reason")
-    stopped = content.get("stopped", 0)  # files of earlier versions do not say
-    if type(stopped) is not int or stopped not in (0, 1):
-        raise BridgeError(f"stopped is {stopped!r}, expected 0 or 1")
     return RobotMemory(
         np.stack([theta, phi], axis=1),
         placed.astype(bool),
@@ -162,8 +162,16 @@ def _memory(content: object, plane: FocalPlane, quantum_prad: int, buses: int) -
         boot,
         failed,
         _column(content, "sequence", buses),
-        bool(stopped),
+        _flag(content, "stopped"),
+        _flag(content, "resuming"),
     )
+
+
+def _flag(content: dict[str, object], name: str) -> bool:
+    value = content.get(name, 0)  # files of earlier versions do not say
+    if type(value) is not int or value not in (0, 1):
+        raise BridgeError(f"{name} is {value!r}, expected 0 or 1")
+    return bool(value)
 
 
 def _column(content: dict[str, object], name: str, length: int) -> Ints:

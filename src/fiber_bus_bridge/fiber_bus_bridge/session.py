@@ -171,7 +171,8 @@ class Session:
 
         Args:
             failed: Reason for which each robot is left out of plans, else OK, shape (n,).
-            starting: whether the verified robots are about to be sent a GO.
+            starting: whether the verified robots are about to be sent a GO, or the robots that were
+                stopped after a failure are about to resume.
         """
         robots = self.robots
         lost = robots["lost"] | (robots["verified"] if starting else False)
@@ -179,6 +180,7 @@ class Session:
             robots["counts"].copy(), robots["placed"].copy(), lost, robots["boot"].copy(),
             failed.copy(), self.buses["sequence"].copy(),
             self.state is SessionState.STOPPED,
+            starting and self.protocol.state is State.STOPPING,
         )  # fmt: skip
 
     def recall(self, memory: RobotMemory) -> None:
@@ -198,6 +200,7 @@ class Session:
         robots["boot"] = memory.boot
         self.buses["sequence"] = memory.sequence
         self.protocol.was_stopped = memory.stopped
+        self.protocol.was_resuming = memory.resuming
 
     def vouch(self, ids: ArrayLike) -> None:
         """Believe that robots that do not answer rest where they were read last, or assumed.

@@ -25,7 +25,7 @@ def some_memory():
     flags = rng.random((2, 7)) < 0.5
     return RobotMemory(
         rng.integers(-(2**31) + 1, 2**31, (7, 2)), *flags, rng.integers(-1, 9, 7),
-        rng.choice([int(reason) for reason in Reason], 7), np.array([5]), True,
+        rng.choice([int(reason) for reason in Reason], 7), np.array([5]), True, True,
     )  # fmt: skip
 
 

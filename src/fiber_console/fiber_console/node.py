@@ -190,7 +190,9 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     use_loopback()
     keep_private()
-    # signals end the loop of asyncio, which ends the rest
+    # signals end the loop of asyncio, which ends the rest; before it runs they are interrupts
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     given = list(sys.argv if args is None else args)
     rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     code, executor, node = 0, ThreadExecutor(_THREADS), None
@@ -205,6 +207,8 @@ def main(args: Sequence[str] | None = None) -> int:
     except (ConsoleError, FiberError) as error:
         print(f"console: {error}", file=sys.stderr)
         code = 2
+    except KeyboardInterrupt:
+        pass
     finally:
         executor.stop()
         if thread.is_alive():

@@ -5,6 +5,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
@@ -98,13 +99,13 @@ class Worker:
         topics.STOPPED.subscription(self._node, on_stopped)
 
     def check(self) -> None:
-        """End the work that calls this if it was cancelled.
+        """End the work that calls this if it was cancelled, or a signal ends the process.
 
         Raises:
             WorkCancelled: it was cancelled.
         """
-        current = self._current
-        if self._closing or (current is not None and current.cancelled):
+        current, ending = self._current, self._closing or not self._node.context.ok()
+        if ending or (current is not None and current.cancelled):
             raise WorkCancelled
 
     def close(self, timeout_s: float) -> bool:
@@ -127,9 +128,17 @@ class Worker:
             try:
                 if not job.cancelled:
                     logger.debug(f"plan {job.attempt}: {self._name} begins")
-                    guarded(self._node, self._name, job.work)()
+                    guarded(self._node, self._name, partial(self._do, job.work))()
                     logger.debug(f"plan {job.attempt}: {self._name} has ended")
             except WorkCancelled:
                 logger.debug(f"plan {job.attempt}: {self._name} was cancelled")
             finally:
                 self._current = None
+
+    def _do(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except Exception:
+            if self._node.context.ok():
+                raise
+            raise WorkCancelled from None  # after a signal whatever is sent fails

@@ -143,12 +143,8 @@ class BridgeNode(ManagedNode):
             (_CHECK_PERIOD_S, "plans", self._check_plans, steady),
             (_REPEAT_PERIOD_S, "repeat", self._repeat, self.get_clock()),
         ):
-            self.create_timer(
-                period_s,
-                guarded(self, name, self._calls.locked(call)),
-                callback_group=work,
-                clock=clock,
-            )
+            check = guarded(self, name, self._calls.locked(call))
+            self.create_timer(period_s, check, callback_group=work, clock=clock)
 
     def deactivate(self) -> None:
         """Stop robots that move, and end all plans; orders that wait are forgotten.
@@ -276,6 +272,8 @@ class BridgeNode(ManagedNode):
         return self._report_started()
 
     def _may_go(self) -> bool:
+        if self._stop_requested.is_set():  # the file must not say that robots resume
+            return False
         try:
             self._check_role()  # it may have changed since the first attempt, or in motion
             self._remembered.save(starting=True)

@@ -51,12 +51,16 @@ def _found(c: Context) -> Event:
 
     A robot in FAULT stopped by itself: its controller died, or a joint did not follow. Its place
     was read, so that it may move again once all robots rest. A robot that was stopped waits for
-    an operator, as one may have stopped it. A robot that was in FAULT at the STOP, or lost its
-    power since, does not tell of the STOP; the memory of the bridge does.
+    an operator, as one may have stopped it, unless the memory of the bridge tells that the STOP
+    was its own. A robot that was in FAULT at the STOP, or lost its power since, does not tell of
+    the STOP; the memory does.
     """
     state, known = c.robots["state"], c.robots["known"]
     alone = known & (state == RobotState.FAULT)
     stopped = known & (state == RobotState.STOPPED)
+    if c.was_resuming:
+        alone, stopped = alone | stopped, np.zeros_like(stopped)
+        c.was_resuming = False
     if c.was_stopped or stopped.any() or (alone.any() and (state == RobotState.MOVING).any()):
         return Event.FOUND_STOPPED
     return Event.FOUND_ALONE if alone.any() else Event.CONFIGURED
