@@ -85,7 +85,7 @@ def in_header(polygons, to_file=lambda x, y: (x, y)):
     return text
 
 
-def state(tmp_path, rows=90, corner=300.0, pixels=True):
+def state(tmp_path, rows=90, corner=300.0, pixels=True, unseen=0):
     """Write a state whose header has polygons, all petals alike, with robots of petal 3."""
     x, y = np.random.default_rng(2).uniform(20, 250, (2, rows)).round(4)
     ring = [(0, 0), (corner, 0), (corner, 1), (corner, 2), (corner, 3), (corner, 290), (9, 290)]
@@ -106,6 +106,7 @@ def state(tmp_path, rows=90, corner=300.0, pixels=True):
     text += f"#     ptl:\n{in_header(10 * [ring], to_file)}#     theta:\n{in_header(outlines)}"
     text += f"#   night: 1\n# schema: astropy-2.0\n{numbers} {words}\n"
     u, v = to_file(x, y)
+    u[:unseen] = v[:unseen] = np.nan
     for k in range(rows):
         text += f"{x[k]} {y[k]} {float(u[k])!r} {float(v[k])!r} "
         text += f"3 3 0 0 390 190 0 90 0 {k % 2} 3 1 {3000 + k} POS False\n"
@@ -124,6 +125,14 @@ def test_the_header_of_a_state_has_edges_cameras_and_outlines(tmp_path, pixels):
     assert sorted(plane.phi_vertices[0].max(axis=0)) == [1, 4]
     assert sorted(plane.phi_vertices[1].max(axis=0)) == [1, 5]
     assert plane.theta_vertices.max() == 4
+
+
+def test_robots_that_the_camera_did_not_see_do_not_tell_its_scale(tmp_path):
+    found = state(tmp_path, unseen=20)
+    assert len(found.plane.walls) == 9 and found.plane.n == 90
+    assert np.allclose(found.plane.walls[0][:2], [[0, 0], [300, 0]], atol=1e-3)
+    found = state(tmp_path, unseen=80)
+    assert "X_FVC, Y_FVC do not tell" in "\n".join(found.notices)
 
 
 def test_a_state_whose_robots_stand_outside_its_edges_is_refused(tmp_path):
