@@ -32,6 +32,8 @@ def convex_parts(polygon: ArrayLike) -> list[Points]:
     Returns:
         The parts, counter-clockwise [mm], each of shape (k, 2).
 
+    The outline may touch itself at a corner.
+
     Raises:
         LayoutError: the polygon crosses itself.
     """
@@ -44,7 +46,11 @@ def convex_parts(polygon: ArrayLike) -> list[Points]:
     area = float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
     corners = corners if area > 0.0 else corners[::-1]
     flat = _STRAIGHT * float(np.ptp(corners, axis=0).max()) ** 2
-    return [corners[part] for part in _merged(corners, _triangles(corners, flat), flat)]
+    triangles = _triangles(corners, flat)
+    covered = sum(_turn(corners, a, b, c) for a, b, c in triangles)
+    if not triangles or abs(covered - abs(area)) > len(corners) * flat:
+        raise LayoutError(f"a polygon crosses itself: {corners.tolist()} mm")
+    return [corners[part] for part in _merged(corners, triangles, flat)]
 
 
 def _triangles(corners: Points, flat: float) -> list[list[int]]:
@@ -54,10 +60,11 @@ def _triangles(corners: Points, flat: float) -> list[list[int]]:
         for k in range(len(left)):
             a, b, c = left[k - 1], left[k], left[(k + 1) % len(left)]
             turn = _turn(corners, a, b, c)
-            if abs(turn) <= flat and len(left) > 3:
+            if abs(turn) <= flat:
                 del left[k]  # on a line: no triangle
                 break
-            others = [i for i in left if i not in (a, b, c)]
+            ends = corners[[a, c]]  # where the outline touches itself it is not inside
+            others = [i for i in left if i not in (a, b, c) and (corners[i] != ends).any(1).all()]
             if turn > flat and not any(_inside(corners, i, (a, b, c)) for i in others):
                 triangles.append([a, b, c])
                 del left[k]

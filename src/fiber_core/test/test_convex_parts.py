@@ -55,6 +55,24 @@ def test_an_l_is_two_parts_and_a_convex_polygon_is_one():
     assert area(part) == 4.0
 
 
+@pytest.mark.parametrize(
+    "outline",
+    [
+        [[0, 0], [2, 1], [4, 0], [4, 3], [2, 1], [0, 3]],
+        [[0, 0], [10, 0], [10, 4], [5, 1], [7, 4], [3, 4], [5, 1], [0, 4]],
+    ],
+)
+def test_an_outline_may_touch_itself_at_a_corner(outline):
+    points = np.random.default_rng(5).uniform(0, 10, (400, 2))
+    for first in range(len(outline)):
+        turned = np.roll(np.array(outline, dtype=float), first, axis=0)
+        for polygon in (turned, turned[::-1]):
+            parts = convex_parts(polygon)
+            checked_walls(padded_walls(parts))
+            count = sum(inside(part, points).astype(int) for part in parts)
+            assert np.array_equal(count, inside(turned, points).astype(int))
+
+
 def test_points_and_lines_are_themselves():
     assert convex_parts([[1, 2], [1, 2]])[0].tolist() == [[1, 2]]
     assert convex_parts([[1, 2], [3, 4], [1, 2]])[0].tolist() == [[1, 2], [3, 4]]
@@ -63,3 +81,5 @@ def test_points_and_lines_are_themselves():
 def test_a_polygon_that_crosses_itself_is_refused():
     with pytest.raises(LayoutError, match="crosses itself"):
         convex_parts([[0, 0], [4, 0], [1, 3], [1, -3], [4, 3]])
+    with pytest.raises(LayoutError, match="crosses itself"):
+        convex_parts([[0, 0], [1, 0], [2, 0]])  # there and back

@@ -15,6 +15,7 @@ from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
 from fiber_planner import make_planner, pair_bound, travel_s
+from fiber_planner.direct import initial_plan
 from fiber_planner.goal_program import goal_program, least_time_s, most_goals, robots_with_goals
 
 MARGIN = 0.1
@@ -94,6 +95,21 @@ def test_a_least_time_of_searches_that_were_given_up_is_not_called_proven(monkey
         "fiber_planner.goal_program.most_goals", lambda *a, **k: (most_goals(*a, **k)[0], False)
     )
     assert not least_time_s(program, robots)[1]
+
+
+def test_a_search_for_soon_ends_that_is_given_up_costs_no_robot_its_target(monkeypatch):
+    problem = crowded_field(0, name="moons")
+    seeking = problem.plane.enabled & np.isfinite(fastest(problem))
+    robots = robots_with_goals(most_goals(goal_program(problem, seeking, MARGIN))[0])
+
+    def given_up(program, within_s=np.inf, soonest=False):
+        if not soonest:
+            return most_goals(program, within_s)
+        return np.full(len(program.possible), -1), False
+
+    monkeypatch.setattr(initial_plan, "most_goals", given_up)
+    elbow, _ = initial_plan._soonest_ends(problem, seeking, [MARGIN])
+    assert robots_with_goals(elbow) == robots > 0
 
 
 def test_direct_brings_all_others_to_their_targets():

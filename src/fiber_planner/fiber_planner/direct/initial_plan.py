@@ -83,11 +83,15 @@ def _soonest_ends(problem: Problem, seeking: Mask, margins_mm: list[float]) -> t
     # slowest, and the angles of all elbows, (n, 2, 2). The widest margin is taken with which as
     # many robots have clear ends as with the narrowest.
     programs = [goal_program(problem, seeking, margin_mm) for margin_mm in margins_mm]
-    robots = [robots_with_goals(most_goals(program)[0]) for program in programs]
+    chosen = [most_goals(program)[0] for program in programs]
+    robots = [robots_with_goals(elbow) for elbow in chosen]
     widest = next(k for k, count in enumerate(robots) if count >= robots[-1])
     program = programs[widest]
     least_s, _ = least_time_s(program, robots[widest])
-    return most_goals(program, least_s, soonest=True)[0], program.angles
+    soonest = most_goals(program, least_s, soonest=True)[0]
+    if robots_with_goals(soonest) < robots[widest]:  # that search was given up
+        soonest = chosen[widest]
+    return soonest, program.angles
 
 
 def _times_s(problem: Problem, scene: Scene) -> Floats:
