@@ -26,6 +26,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import DurabilityPolicy  # noqa: E402
 
 from fiber_bus_bridge.node import BridgeNode  # noqa: E402
+from fiber_client.robot_model import DESCRIPTION, RobotModelNode  # noqa: E402
 from fiber_console.node import ConsoleNode  # noqa: E402
 from fiber_discretizer.node import DiscretizerNode  # noqa: E402
 from fiber_metrology.camera.node import CameraNode  # noqa: E402
@@ -46,11 +47,12 @@ TYPED = ROOT / "src" / "fiber_interfaces"
 
 _NODES = (
     PlannerNode, DiscretizerNode, BridgeNode, RecorderNode, ViewerNode, ConsoleNode,
-    MetrologyNode, CameraNode,
+    MetrologyNode, CameraNode, RobotModelNode,
 )  # fmt: skip
 _GIVEN = {"bridge": {"robots": 7}}  # as quick as possible
 _OF_ROS = ("use_sim_time", "start_type_description_service")
-_TOPICS = [each for each in vars(topics).values() if isinstance(each, Topic)] + [WATCHED]
+_TOPICS = [each for each in vars(topics).values() if isinstance(each, Topic)]
+_TOPICS += [WATCHED, DESCRIPTION]
 _SERVICES = [each for each in vars(topics).values() if isinstance(each, Service)]
 
 

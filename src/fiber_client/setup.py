@@ -33,6 +33,7 @@ setup(
             "vouch = fiber_client.vouch:vouch",
             "show = fiber_client.show:main",
             "gateway = fiber_client.gateway:main",
+            "robot_model = fiber_client.robot_model:main",
         ]
     },
 )

@@ -49,6 +49,7 @@ _ARGUMENTS = {
     "camera": ("false", "start metrology and a simulated camera, for reconfigure --tolerance-um"),
     "console": ("false", "serve the console for a browser"),
     "port": ("8137", "port of the console, on loopback"),
+    "robot_model": ("-1", "id of a robot whose URDF is on robot_description; -1: none"),
     "namespace": ("", "namespace of all nodes, as north"),
     "use_sim_time": ("false", "follow the time on /clock"),
     "log_level": ("info", "level of the log: debug, info, warn"),
@@ -191,6 +192,12 @@ def _observers() -> list[Node]:
     return [
         _node("fiber_recording", "recorder", noted),
         _node("fiber_viewer", "viewer"),
+        _node(
+            "fiber_client",
+            "robot_model",
+            {"robot_model": int},
+            condition=UnlessCondition(EqualsSubstitution(LaunchConfiguration("robot_model"), "-1")),
+        ),
         # no part of the plane: it is started again, and the plane goes on without it
         _node(
             "fiber_console",
