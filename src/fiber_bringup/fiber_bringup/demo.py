@@ -9,7 +9,7 @@ the logs of the nodes.
 
 With --tolerance-um a simulated camera sees arms that do not quite follow their counters, and
 corrections bring the fibres to their targets; outcome and error of each robot come from the last
-image, the recording is that of the blind move.
+image, the recording is that of the blind move, and residuals.png has the vectors and histograms.
 
 With --faults robots and buses fail during the motion, e.g. `--faults stall:2,reset`: robots stop
 by themselves, all others are stopped with them, and the robots that can go on are started again.
@@ -48,7 +48,7 @@ from fiber_planner import DEFAULT_PLANNER, planners
 from fiber_positioners.report import save_report
 from fiber_recording import Recording, load_recording
 from fiber_recording.node import recording_name
-from fiber_viewer import before_and_after, write_player
+from fiber_viewer import before_and_after, residuals, write_player
 
 __all__ = ["main"]
 
@@ -222,6 +222,8 @@ def _reconfigure(problem: Problem, options: argparse.Namespace, display: Progres
             if loop is not None:
                 asked_ids = plane.ids[asked]
                 closed = loop.run(asked_ids, problem.targets[asked], outcome)
+                figure = residuals(plane, problem.targets, closed.places, list(closed.flagged))
+                figure.savefig(options.out / "residuals.png", dpi=110)
                 outcome, images = closed.outcome, show_images(closed, display.say)
                 times[-1] = time.monotonic()
     (options.out / recording_name(stamp)).replace(options.out / "recording.npz")

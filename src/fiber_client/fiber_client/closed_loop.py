@@ -23,7 +23,6 @@ from fiber_node import BRIDGE
 __all__ = ["CameraLoop", "LoopEnd", "show_images"]
 
 _STILL = (Verdict.NOT_MOVED, Verdict.THETA_NOT_MOVED, Verdict.PHI_NOT_MOVED)
-_TRIES = 2  # of an image
 _SHOWN = 5  # flagged robots that are named
 
 
@@ -34,6 +33,8 @@ class LoopEnd:
     Args:
         outcome: outcome of every robot of the plane by the last image; nan errors for robots that
             it does not show.
+        places: measured place of each fibre in each image [mm], shape (images, n, 2), nan where
+            none is told.
         errors_mm: distance of each fibre from its target in each image [mm], shape (images, n),
             nan where there is no target or no place.
         corrected: number of robots with a target in each correction.
@@ -42,6 +43,7 @@ class LoopEnd:
     """
 
     outcome: PlanOutcome
+    places: list[Points]
     errors_mm: list[Floats]
     corrected: list[int]
     flagged: dict[int, Verdict]
@@ -148,6 +150,7 @@ class CameraLoop:
         wanted = np.full((plane.n, 2), np.nan)
         wanted[rows[rows >= 0]] = np.asarray(xy_mm)[rows >= 0]
         base = blind.of(plane.ids)
+        places: list[Points] = []
         errors_mm: list[Floats] = []
         corrected: list[int] = []
         last: Measured | None = None
@@ -159,7 +162,8 @@ class CameraLoop:
             except PlaneRefusal as refusal:
                 ended = str(refusal)
                 break
-            errors_mm.append(self._errors_mm(last, wanted))
+            places.append(self._places(last))
+            errors_mm.append(np.hypot(*(places[-1] - wanted).T))
             todo = self._to_correct(last, errors_mm[-1], base)
             if number == self.iterations or not todo.any():
                 break
@@ -167,26 +171,23 @@ class CameraLoop:
             moved = self._correct(plane.ids[todo], wanted[todo]).of(plane.ids)
             reason = np.where(todo, moved.reason, reason)
         outcome = self._outcome(base, reason, wanted, last, errors_mm)
-        return LoopEnd(outcome, errors_mm, corrected, dict(self._flagged), ended)
+        return LoopEnd(outcome, places, errors_mm, corrected, dict(self._flagged), ended)
 
     def _usable_image(self) -> Measured:
-        for tried in range(1, _TRIES + 1):
-            try:
-                image = self.take_image()
-                break
-            except PlaneRefusal as refusal:
-                if tried == _TRIES:
-                    raise
-                self.client.node.get_logger().warning(f"{refusal}; another image is taken")
+        try:
+            image = self.take_image()
+        except PlaneRefusal as refusal:
+            self.client.node.get_logger().warning(f"{refusal}; another image is taken")
+            image = self.take_image()
         for robot, code in zip(image.ids.tolist(), image.verdict.tolist()):
             if code in _STILL:
                 self._flagged.setdefault(robot, Verdict(code))
         return image
 
-    def _errors_mm(self, image: Measured, wanted: Points) -> Floats:
-        places = np.full(wanted.shape, np.nan)
+    def _places(self, image: Measured) -> Points:
+        places = np.full((self.client.plane.n, 2), np.nan)
         places[self.client.plane.index_of(image.ids)] = image.places
-        return np.hypot(*(places - wanted).T)
+        return places
 
     def _to_correct(self, image: Measured, errors_mm: Floats, base: PlanOutcome) -> Mask:
         still = np.isin(self.client.plane.ids, list(self._flagged))

@@ -138,7 +138,8 @@ class Knowledge:
         self._follows = follows(image)
         self._known = np.where(seen, image.interval_rad, self._known)
         # where a robot is now is where it was before the next motion
-        self._before = np.where(seen, image.angles, self._before)
+        before = image.angles if self._before is None else self._before
+        self._before = np.where(seen, image.angles, before)
         self._before_rad = np.where(seen, image.interval_rad, self._before_rad)
         where = image.certain
         self._error_um = np.where(where, self._drive.corrected_um, self._error_um)

@@ -15,8 +15,10 @@ from fiber_msgs_py.table import decode_table, encode_table
 
 __all__ = ["decode", "decode_calibration", "encode", "encode_calibration"]
 
-_COLUMNS = dict.fromkeys(("u", "v", "flux", "width"), "<f8")
-_CALIBRATION = dict.fromkeys(("x", "y", "u", "v"), "<f8") | {"fiducial": "<u1"}
+_COLUMNS: dict[str, str] = {"u": "<f8", "v": "<f8", "flux": "<f8", "width": "<f8"}
+_CALIBRATION: dict[str, str] = {
+    "x": "<f8", "y": "<f8", "u": "<f8", "v": "<f8", "fiducial": "<u1"
+}  # fmt: skip
 
 
 def encode(
