@@ -74,7 +74,7 @@ class Campaign:
         self._at: dict[str, Callable[[], None]] = {}  # what begins with a stage
         self._lasts_s = dict.fromkeys(STAGES, 0.1) | {"after": 0.5}
         self._back_s = np.inf
-        self._newest: PlanStamp | None = None  # of the plans that stages tell of
+        self._newest = PlanStamp(0)  # of the plans that stages tell of
 
     def __enter__(self) -> "Campaign":
         self._start_processes()
@@ -210,8 +210,8 @@ class Campaign:
 
     def _strike(self, line: _Line) -> None:
         time.sleep(line["moment"] * self._lasts_s[line["stage"]])
-        ended, alias = self._processes.ended(), {"client": _CLIENT}
-        names = [name for each in line["names"] if (name := alias.get(each, each)) not in ended]
+        named: list[str] = [_CLIENT if each == "client" else each for each in line["names"]]
+        names = [name for name in named if name not in self._processes.ended()]
         if line["how"] in ("strangers", "services"):
             others, services = self._others, line["services"]
             others.attack() if line["how"] == "strangers" else others.call(services)
@@ -267,10 +267,10 @@ class Campaign:
 
     def _plan_of_process(self, line: _Line) -> tuple[PlanOutcome | None, str]:
         """The same by the command `reconfigure`, whose steps are seen from outside."""
-        self._newest, before = None, self._newest
+        before = self._newest
         arguments = ["--timeout", f"{_WAIT_S:g}", f"random:{line['number']}"]
         self._processes.start_command("fiber_client", _CLIENT, arguments)
-        self._client.wait_for(lambda: self._newest not in (None, before), _WAIT_S)
+        self._client.wait_for(lambda: self._newest != before, _WAIT_S)
         stamp, line["stamp"] = self._newest, self._newest.ns
         try:
             return self._watch_process(stamp, line)
@@ -298,7 +298,8 @@ class Campaign:
             self._at.pop(stage, lambda: None)()
 
     def _on_progress(self, progress: Progress) -> None:
-        self._newest = max(progress.attempt.plan, self._newest or progress.attempt.plan)
+        if progress.session == self._client.session:
+            self._newest = max(progress.attempt.plan, self._newest)
         if progress.stage == "planner" and progress.fraction >= 1.0:
             self._enter("discretizing")
 

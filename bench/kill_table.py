@@ -20,7 +20,9 @@ _ABOUT = """# Killed, paused and disturbed processes
 `make kill` (`bench/kill.py`): plant, bridge, planner, discretizer, recorder, viewer and client of a
 small plane are killed and started again, or paused and woken, at random moments of a plan. In other
 runs strangers send messages on every topic, or four clients call services. The judge is what the
-robots of the plant really did. Columns:
+robots of the plant really did. The processes are forked from one that has imported everything, so
+that a restart costs no seconds of imports, and several planes run at the same time: the times are
+those of a machine that is busy with them. Columns:
 
 - unverified: movements whose order was not read back by the bridge that started it
 - unordered: movements that a new bridge started by itself
