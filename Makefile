@@ -147,6 +147,10 @@ bench: inputs build ## plan one field with no ROS and print one JSON line, into 
 wheel: $(ENV_STAMP) ## build the wheel of the packages that need no ROS, into dist/
 	@$(PYTHON) -m pip wheel --no-deps -w dist .
 
+.PHONY: paper
+paper: build ## make docs/paper.md from runs: what the two papers print, and what comes out (minutes)
+	@$(INSTALLED) && $(PYTHON) bench/paper.py
+
 .PHONY: bench-bus
 bench-bus: build ## load, verify and start 5000 robots, on bad buses too, and print a table
 	@$(INSTALLED) && $(PYTHON) bench/bus.py --out bench/results/bus.md

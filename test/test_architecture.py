@@ -100,6 +100,8 @@ ARROWS = {
     "bench.memory": {"fiber_bringup", "forked_processes"},
     "bench.forked_preload": {"bench", "forked_processes"},
     "bench.forked_processes": {"fiber_bringup"},
+    "bench.paper": {"bench", "paper_runs"},
+    "bench.paper_runs": {"bench", "bus", "discretizers", "dnf_family"},
     "bench.drive": {"bench", "drive_checker"},
     "bench.drive_checker": {"numpy", "scipy"},  # shares no code with what it judges
     "bench.kill_others": {"fiber_client"},
