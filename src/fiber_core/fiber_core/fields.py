@@ -15,9 +15,11 @@ from fiber_core.clearance import (
     Neighbours,
     Safety,
     bodies_of,
+    levers_of,
     neighbour_pairs,
     neighbours_of,
     pair_gap_below,
+    point_speeds,
 )
 from fiber_core.errors import FieldError
 from fiber_core.fibres import ANY_FIBRE
@@ -28,6 +30,8 @@ from fiber_core.validation import frozen_array
 __all__ = ["Field", "random_field", "random_problem"]
 
 _OVER_MARGIN_MM = 0.1
+_LONG_S = 30.0  # of motions with listed speeds; clocks differ by 3 ms then
+_ALLOWANCE_MM = 0.02  # for the rounding of starts and goals
 _TRIES = 20  # draws after which a robot takes the place of the robots in its way
 _NAMED = 10  # most robots that a message names
 _DRAWS_PER_ROBOT = 2000  # on average, before a field counts as impossible
@@ -67,7 +71,8 @@ def random_field(
         plane: the focal plane.
         rng: source of randomness; the same state gives the same field.
         gap_mm: gap between outlines at start and goal [mm]; by default the margin of
-            Safety and 0.1 mm more. Targets are also as
+            Safety and 0.1 mm more, for motors with listed speeds what Safety requires of fast
+            joints. Targets are also as
             far apart as spacing and envelope of the plane.
         asked: robots that get a target, shape (n,); by default all. Disabled robots get none.
         start: present joint angles [rad], shape (n, 2); by default they are drawn.
@@ -75,7 +80,7 @@ def random_field(
     Raises:
         FieldError: some robots could not be placed, or the start is not finite; names them.
     """
-    gap_mm = Safety().margin_mm + _OVER_MARGIN_MM if gap_mm is None else gap_mm
+    gap_mm = _gap_at_ends_mm(plane) if gap_mm is None else gap_mm
     asked = np.ones(plane.n) if asked is None else asked
     asked = frozen_array(asked, np.bool_, (plane.n,), "asked", FieldError) & plane.enabled
     spacing_mm = max(plane.spacing_mm, plane.envelope_mm)
@@ -117,6 +122,17 @@ def _neighbours(plane: FocalPlane, slack_mm: float) -> Neighbours:
     beyond = max(0.0, (plane.arms.sum(axis=1) - plane.reach_mm).max(initial=0.0))
     pairs = neighbour_pairs(plane, float(slack_mm + 2 * beyond))
     return neighbours_of(plane.n, pairs, by_row=True)
+
+
+def _gap_at_ends_mm(plane: FocalPlane) -> float:
+    # Motors with listed speeds run or creep: a pair must keep the gap of full speed everywhere.
+    gap_mm = Safety().margin_mm + _OVER_MARGIN_MM
+    if plane.drive.listed is None or plane.n == 0:
+        return gap_mm
+    speeds = point_speeds(levers_of(plane), plane.speeds)
+    two = np.repeat(np.argsort(speeds)[-1:], 2)
+    fast_mm = Safety().required_at(speeds, _LONG_S, two).max()
+    return max(gap_mm, float(fast_mm) + _ALLOWANCE_MM)
 
 
 def _arrange(

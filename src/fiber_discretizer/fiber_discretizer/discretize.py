@@ -12,6 +12,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
+from fiber_discretizer.listed import discretize_listed
 from fiber_discretizer.makarem2014 import discretize_makarem2014
 from fiber_discretizer.options import DiscretizeOptions, ProgressCallback
 from fiber_discretizer.sequential import discretize_sequentially
@@ -63,7 +64,8 @@ def discretize(
 
     Between its points a trajectory is straight. Robots with profiles that cannot be used rest;
     the others get the fewest segments found with the sharing of `options`, rounded to whole
-    units. A robot that cannot be certified on these rests, with the reason.
+    units. For motors with listed speeds the trajectory is taken as it is. A robot that cannot be
+    certified rests, with the reason.
 
     Args:
         plane: the focal plane.
@@ -90,9 +92,13 @@ def discretize(
     reason = check_trajectory(plane, trajectory, counts, units, options, velocities)
     trajectory = _with_robots_at_rest(trajectory, reason != Reason.OK)
     trajectory = until_rest(trajectory, units, options)
-    wire, reason, rounds = _BY_SHARING[options.sharing](
-        plane, trajectory, counts, units, safety, options, reason, report
-    )
+    if plane.drive.listed is not None:
+        wire, reason = discretize_listed(plane, trajectory, counts, units, options, reason)
+        rounds = 0
+    else:
+        wire, reason, rounds = _BY_SHARING[options.sharing](
+            plane, trajectory, counts, units, safety, options, reason, report
+        )
     report(0.8, "certifying")
     _, held, certificate = hold_until_safe(plane, wire.decoded(), safety)
     reason[held & (reason == Reason.OK)] = Reason.UNSAFE

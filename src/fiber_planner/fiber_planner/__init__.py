@@ -26,7 +26,14 @@ from fiber_planner.interface import (
 )
 from fiber_planner.pair_bound import PairBound, pair_bound
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment, plan_targets
-from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
+from fiber_planner.registry import (
+    DEFAULT_PLANNER,
+    default_planner,
+    make_planner,
+    parameters_of,
+    planners,
+)
+from fiber_planner.scheduled import ScheduledParameters, ScheduledPlanner
 from fiber_planner.straight import StraightPlanner
 
 __all__ = [
@@ -45,9 +52,12 @@ __all__ = [
     "Planner",
     "PlannerError",
     "ProgressCallback",
+    "ScheduledParameters",
+    "ScheduledPlanner",
     "SpacedPlanner",
     "StraightPlanner",
     "choose_goals",
+    "default_planner",
     "lower_bound_s",
     "make_planner",
     "pair_bound",

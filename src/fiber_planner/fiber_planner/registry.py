@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import NamedTuple, TypeAlias
 
+from fiber_core.focal_plane import FocalPlane
 from fiber_planner.direct import DirectParameters, DirectPlanner
 from fiber_planner.dnf import (
     DnfArmsPlanner,
@@ -16,8 +17,16 @@ from fiber_planner.dnf import (
 )
 from fiber_planner.errors import PlannerError
 from fiber_planner.interface import Planner
+from fiber_planner.scheduled import ScheduledPlanner
 
-__all__ = ["DEFAULT_PLANNER", "Parameters", "make_planner", "parameters_of", "planners"]
+__all__ = [
+    "DEFAULT_PLANNER",
+    "Parameters",
+    "default_planner",
+    "make_planner",
+    "parameters_of",
+    "planners",
+]
 
 DEFAULT_PLANNER = "direct"
 
@@ -42,6 +51,17 @@ _PLANNERS = {
 def planners() -> tuple[str, ...]:
     """Return the names of the planners of this package, sorted."""
     return tuple(sorted(_PLANNERS))
+
+
+def default_planner(plane: FocalPlane) -> Planner:
+    """Return the planner for the motors of a plane: `direct`, or `scheduled` for listed speeds.
+
+    Args:
+        plane: the focal plane.
+    """
+    if plane.drive.listed is not None:
+        return ScheduledPlanner()
+    return make_planner(DEFAULT_PLANNER)
 
 
 def parameters_of(name: str) -> type[Parameters]:

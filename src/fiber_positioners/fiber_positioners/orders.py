@@ -20,10 +20,10 @@ from fiber_discretizer import (
     discretize_trajectory,
 )
 from fiber_planner import (
-    DEFAULT_PLANNER,
     PlannedMotion,
     Planner,
     PlanStageResult,
+    default_planner,
     make_planner,
     plan_assignment,
     spacing_of,
@@ -113,7 +113,7 @@ def make_orders(
     Args:
         problem: the plane, the present joint angles and the targets.
         planner: name of a planner, or an object with the method `plan` of the planner
-            interface; by default the planner "direct".
+            interface; by default "direct", or "scheduled" for motors with listed speeds.
         safety: margin and timing errors; by default as `Safety` says.
         options: options of the discretizer; by default as `DiscretizeOptions` says.
         progress: called with the fraction of the work that is done, 0..1, and a short text.
@@ -122,7 +122,7 @@ def make_orders(
         FiberError: the planner is unknown, or the problem does not suit it.
     """
     plane, safety = problem.plane, safety or Safety()
-    chosen = make_planner(planner or DEFAULT_PLANNER)
+    chosen = default_planner(plane) if planner is None else make_planner(planner)
     units = WireUnits.for_plane(plane)
     counts = units.encoder_counts(plane, problem.start)
     start, asked = units.to_angles(counts), problem.asked

@@ -212,7 +212,7 @@ def reconfigure(
     Args:
         problem: the plane, the present joint angles and the targets.
         planner: name of a planner, or an object with the method `plan` of the planner
-            interface; by default the planner "direct".
+            interface; by default "direct", or "scheduled" for motors with listed speeds.
         seed: seed of the errors of the simulated robots' clocks.
         safety: margin and timing errors; by default as `Safety` says.
         options: options of the discretizer; by default as `DiscretizeOptions` says.

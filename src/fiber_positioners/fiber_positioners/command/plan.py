@@ -10,7 +10,7 @@ from fiber_core.drive.named import DRIVES
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem
 from fiber_formats import FORMS, FormatError, kind_of, problem_from
-from fiber_planner import DEFAULT_PLANNER, planners
+from fiber_planner import planners
 from fiber_positioners.command.arguments import length, positive, share
 from fiber_positioners.command.exit_codes import DONE
 from fiber_positioners.command.progress import ProgressLine
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="most motors of a supply on at once, 0 to 1",
     )
     add("--seed", type=int, default=0, help="seed of the random field and of the robots' clocks")
-    add("--planner", choices=planners(), default=DEFAULT_PLANNER, help="planner")
+    add("--planner", choices=planners(), help="by default direct, for listed speeds scheduled")
     add("--capture", type=Path, help="folder for waveforms (VCD) and packets (pcap) of the buses")
     add("--out", type=Path, help="folder for problem, plan, report, outcomes, recording and player")
     add("--results", type=Path, metavar="TABLE", help="write all robots: .csv, .ecsv or .fits")

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planner `scheduled`, for listed speeds: it chooses when a joint moves, not how fast."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from fiber_core import kinematics
+from fiber_core.array_types import Angles, Codes
+from fiber_core.bounds import Range, check_ranges
+from fiber_core.clearance import Safety, levers_of, point_speeds
+from fiber_core.drive import motors_allowed
+from fiber_core.metrics import power_bound_s
+from fiber_core.motion import SampledMotion
+from fiber_core.outcomes import Reason
+from fiber_core.problem import Problem
+from fiber_core.wire_units import WireUnits
+from fiber_planner.errors import PlannerError
+from fiber_planner.goal_selection import choose_goals
+from fiber_planner.interface import PlannedMotion, ProgressCallback
+from fiber_planner.scheduled.conflicts import Conflicts
+from fiber_planner.scheduled.moves import motors_of_plane
+from fiber_planner.scheduled.orders import sampled
+from fiber_planner.scheduled.search import Search
+
+__all__ = ["ScheduledParameters", "ScheduledPlanner"]
+
+_LONG_S = 30.0  # a longer motion needs more than this gap, for the errors of clocks
+_ALLOWANCE_MM = 0.02  # for the rounding of goals to whole ticks
+
+
+@dataclass(frozen=True)
+class ScheduledParameters:
+    """Clearance that the plan must keep, and the effort that the search may spend.
+
+    Args:
+        margin_mm: margin, the gap between outlines that must remain at every instant [mm].
+        clock_ppm: largest error of a positioner's clock, fast or slow [1e-6].
+        start_skew_s: largest difference between the starts of two positioners [s].
+        stop_skew_s: largest difference between their stops when one must stop early [s].
+        slack: by how much the first makespan that is tried exceeds its bound, as a share of it.
+        stretch: longest makespan tried, in units of the bound.
+        rounds: rounds of the local search at each makespan.
+        candidates: motions that a robot in conflict tries in a round.
+        seed: of the random numbers.
+
+    Raises:
+        PlannerError: a value is out of range.
+    """
+
+    RANGES: ClassVar = {
+        **Safety.RANGES,
+        "slack": Range(0.0, 10.0),
+        "stretch": Range(1.0, 100.0),
+        "rounds": Range(1, 10_000, whole=True),
+        "candidates": Range(1, 1000, whole=True),
+        "seed": Range(0, 2**63 - 1, whole=True),
+    }
+
+    margin_mm: float = Safety.margin_mm
+    clock_ppm: float = Safety.clock_ppm
+    start_skew_s: float = Safety.start_skew_s
+    stop_skew_s: float = Safety.stop_skew_s
+    slack: float = 0.1
+    stretch: float = 2.0
+    rounds: int = 16
+    candidates: int = 8
+    seed: int = 0
+
+    def __post_init__(self):
+        check_ranges(self, self.RANGES, PlannerError)
+
+    @property
+    def safety(self) -> Safety:
+        """The margin and the timing errors in one value."""
+        return Safety(self.margin_mm, self.clock_ppm, self.start_skew_s, self.stop_skew_s)
+
+
+class ScheduledPlanner:
+    """Moves at listed speeds, placed in a timetable; local search where robots would collide.
+
+    Phi goes to an angle on the way, theta turns, phi goes to its goal, and each joint ends with
+    its approach; legs that are not needed are left out. The first timetable keeps these phases for
+    all robots. Robots that would still collide try other angles on the way and other times, as far
+    as motors of their supply are free. If conflicts are left the timetable gets longer. Robots that
+    cannot be freed stay at their starts.
+
+    Args:
+        parameters: clearance to keep, effort to spend.
+    """
+
+    name = "scheduled"
+
+    def __init__(self, parameters: ScheduledParameters | None = None):
+        self.parameters = parameters or ScheduledParameters()
+
+    def plan(self, problem: Problem, progress: ProgressCallback | None = None) -> PlannedMotion:
+        """Plan the motion of every robot, see Planner.plan."""
+        units = WireUnits.for_plane(problem.plane)
+        start = units.encoder_counts(problem.plane, problem.start)
+        low, high = np.moveaxis(problem.plane.limits, -1, 0)
+        inside = ((problem.start >= low) & (problem.start <= high)).all(axis=1)
+        plane = problem.plane.with_enabled(problem.plane.enabled & inside)
+        problem = replace(problem, plane=plane)
+        narrower = _without_room_for_approaches(problem)
+        goal, reason = _goals(narrower, self.parameters.safety)
+        reason[problem.asked & ~inside] = Reason.START_OUTSIDE_LIMITS
+        moving = reason == Reason.OK
+        turn = np.where(moving[:, None], units.to_counts(goal) - start, 0)
+        angles, valid = kinematics.inverse(narrower.plane, narrower.targets)
+        valid &= moving[:, None]
+        others = units.to_counts(np.where(valid[..., None], angles, 0.0)) - start[:, None]
+        others = np.where(valid[..., None], others, turn[:, None])
+        plane = plane.with_enabled(moving)
+        bound_s = power_bound_s(replace(problem, plane=plane))
+        ticks = int(np.ceil((1.0 + self.parameters.slack) * bound_s / units.tick_s))
+        safety = self.parameters.safety
+        lasts_s = bound_s * self.parameters.stretch
+        conflicts = Conflicts.of_plane(plane, units, start, safety, lasts_s)
+        search = Search(
+            conflicts,
+            motors_of_plane(plane, units),
+            np.unique(plane.supply, return_inverse=True)[1],
+            motors_allowed(plane.supply, plane.drive.motors_on),
+            turn,
+            others,
+            max(ticks, 1),
+            np.random.default_rng(self.parameters.seed),
+        )
+        search.run(self.parameters, int(lasts_s / units.tick_s), progress)
+        time_s, angles = sampled(units, start, search.legs, search.starts)
+        reason[search.given_up & moving] = Reason.NOT_CONVERGED
+        goal = np.where(moving[:, None], units.to_angles(start + search.turn), goal)
+        return PlannedMotion(SampledMotion(time_s, angles), goal, reason)
+
+
+def _without_room_for_approaches(problem: Problem) -> Problem:
+    # the same problem with limits inside which the approach leads to no stop
+    plane, listed = problem.plane, problem.plane.drive.listed
+    if listed is None or not listed.returns:
+        return problem
+    limits = plane.limits.copy()
+    room = listed.approach_rad + np.deg2rad(1.0)
+    low = np.where(listed.approach_sign > 0.0, room, 0.0)
+    high = np.where(listed.approach_sign > 0.0, 0.0, room)
+    limits[:, :, 0] = np.minimum(limits[:, :, 0] + low, limits.mean(axis=2))
+    limits[:, :, 1] = np.maximum(limits[:, :, 1] - high, limits[:, :, 0])
+    return replace(problem, plane=replace(plane, limits=limits))
+
+
+def _goals(problem: Problem, safety: Safety) -> tuple[Angles, Codes]:
+    # goals as far apart as fast robots must be, unless more robots would lose their targets
+    plane = problem.plane
+    speeds = point_speeds(levers_of(plane), plane.speeds * plane.enabled[:, None])
+    two = np.repeat(np.argsort(speeds)[-1:], 2)
+    most_mm = float(safety.required_at(speeds, _LONG_S, two).max(initial=0.0))
+    goal, reason = choose_goals(problem, most_mm + _ALLOWANCE_MM)
+    other, why = choose_goals(problem, safety.margin_mm + _ALLOWANCE_MM)
+    if (why == Reason.GOAL_BLOCKED).sum() < (reason == Reason.GOAL_BLOCKED).sum():
+        goal, reason = other, why
+    return goal, np.array(reason)

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fields of robots whose motors have a list of speeds, from the problem to the bytes."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fiber_core import preset
+from fiber_core.clearance import Safety, certify
+from fiber_core.drive import carried_out, most_motors_on, rules_broken
+from fiber_core.drive.named import with_drive
+from fiber_core.fields import random_problem
+from fiber_core.motion import SampledMotion
+from fiber_core.outcomes import Reason
+from fiber_discretizer import discretize
+from fiber_positioners import reconfigure
+from fiber_positioners.command.main import main
+from fiber_positioners.orders import make_orders
+
+_N = 40
+
+
+@pytest.fixture(scope="module")
+def problem():
+    plane = with_drive(preset("desi_petals", _N), "desi", motors_on=0.55)
+    return random_problem(plane, np.random.default_rng(3))
+
+
+@pytest.fixture(scope="module")
+def result(problem):
+    return reconfigure(problem)
+
+
+def test_a_field_is_planned_within_the_rules_and_certified(problem, result):
+    plane, motion = problem.plane, result.motion
+    report = result.report
+    assert report["planner"] == "scheduled" and report["drive"] == "desi"
+    assert report["reached"] >= 0.9 * report["asked"] > 0
+    assert report["drive_violations"] == 0 and report["certified"]
+    assert not rules_broken(plane.drive, motion).any()
+    assert certify(plane, motion, Safety()).ok
+    true_motion = carried_out(plane.drive, motion)
+    peak = most_motors_on(true_motion, plane.supply).max()
+    assert report["motors_on_peak"] == peak and 0.0 < peak <= report["motors_on"] == 0.55
+    assert report["makespan_s"] == true_motion.makespan_s
+    assert report["lower_bound_s"] <= report["power_bound_s"] <= report["makespan_s"]
+
+
+def test_the_same_seed_gives_the_same_orders(problem, result):
+    again = make_orders(problem)
+    assert (again.wire.ticks == result.orders.wire.ticks).all()
+    assert (again.wire.velocity == result.orders.wire.velocity).all()
+
+
+def test_the_plan_holds_the_true_curves(result, tmp_path):
+    folder = result.save(tmp_path / "field", recording=False)
+    true_motion = carried_out(result.plane.drive, result.motion)
+    with np.load(folder / "plan.npz") as plan:
+        last = plan["curve_offsets"][1:] - 1
+        np.testing.assert_allclose(plan["curve_angle_rad"][last], true_motion.end.ravel())
+        assert (plan["curve_velocity_rad_s"][last] == 0.0).all()
+    with np.load(folder / "problem.npz") as saved:
+        assert saved["motors_on"] == 0.55 and len(saved["listed_speeds"]) == 14
+
+
+def test_profiles_that_listed_speeds_cannot_follow_are_held(problem, result):
+    plane, units = problem.plane, result.orders.units
+    start = units.to_angles(result.orders.counts)
+    planned = result.orders.planned
+    ends = np.stack([start, planned.goal], axis=2)
+    straight = SampledMotion(np.array([0.0, 1000 * units.tick_s]), ends)  # all arrive together
+    done = discretize(plane, straight, units, Safety())
+    moves = np.ptp(ends, axis=2).any(axis=1)
+    assert moves.any() and (done.reason[moves] == Reason.BAD_TRAJECTORY).all()
+    assert not done.wire.moves.any()
+
+
+def test_the_command_takes_drive_and_share(capsys):
+    arguments = ["plan", "--preset", "desi_petals", "--robots", "12", "--cold"]
+    assert main([*arguments, "--drive", "desi", "--motors-on", "0.6"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["drive"] == "desi" and report["motors_on"] == 0.6
+    assert 0.0 < report["motors_on_peak"] <= 0.6
+    assert main([*arguments, "--drive", "desi", "--motors-on", "1.2"]) == 2
+    assert "'1.2' is not above 0 and at most 1" in capsys.readouterr().err
