@@ -103,7 +103,7 @@ class ScheduledPlanner:
         inside = ((problem.start >= low) & (problem.start <= high)).all(axis=1)
         plane = problem.plane.with_enabled(problem.plane.enabled & inside)
         problem = replace(problem, plane=plane)
-        narrower = _without_room_for_approaches(problem)
+        narrower = _inside_approaches(problem)
         goal, reason = _goals(narrower, self.parameters.safety)
         reason[problem.asked & ~inside] = Reason.START_OUTSIDE_LIMITS
         moving = reason == Reason.OK
@@ -135,15 +135,15 @@ class ScheduledPlanner:
         return PlannedMotion(SampledMotion(time_s, angles), goal, reason)
 
 
-def _without_room_for_approaches(problem: Problem) -> Problem:
+def _inside_approaches(problem: Problem) -> Problem:
     # the same problem with limits inside which the approach leads to no stop
     plane, listed = problem.plane, problem.plane.drive.listed
     if listed is None or not listed.returns:
         return problem
     limits = plane.limits.copy()
-    room = listed.approach_rad + np.deg2rad(1.0)
-    low = np.where(listed.approach_sign > 0.0, room, 0.0)
-    high = np.where(listed.approach_sign > 0.0, 0.0, room)
+    least = listed.approach_rad + np.deg2rad(1.0)
+    low = np.where(listed.approach_sign > 0.0, least, 0.0)
+    high = np.where(listed.approach_sign > 0.0, 0.0, least)
     limits[:, :, 0] = np.minimum(limits[:, :, 0] + low, limits.mean(axis=2))
     limits[:, :, 1] = np.maximum(limits[:, :, 1] - high, limits[:, :, 0])
     return replace(problem, plane=replace(plane, limits=limits))
