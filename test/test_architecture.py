@@ -104,6 +104,8 @@ ARROWS = {
     "bench.paper_runs": {"bench", "bus", "discretizers", "dnf_family"},
     "bench.drive": {"bench", "drive_checker"},
     "bench.drive_checker": {"numpy", "scipy"},  # shares no code with what it judges
+    "bench.listed": {"bench", "listed_checker"},
+    "bench.listed_checker": {"numpy"},  # neither
     "bench.kill_others": {"fiber_client"},
 }
 # Compartments that may import the simulated plant directly. Run-time code for real buses may not;
@@ -200,6 +202,7 @@ def test_no_import_leaves_the_allowed_arrows():
         ("fiber_viewer.snapshot", "import fiber_planner"),
         ("bench.plan_field", "import fiber_msgs_py.topics"),
         ("bench.drive_checker", "from fiber_core.drive import carried_out"),
+        ("bench.listed_checker", "from fiber_core.drive import rules_broken"),
         ("fiber_core.kinematics", "import pandas"),
     ],
 )

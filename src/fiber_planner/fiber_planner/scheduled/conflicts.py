@@ -69,7 +69,7 @@ class Conflicts:
         moves = np.append(plane.enabled, np.zeros(plane.fixtures, dtype=bool))
         pairs = pairs[moves[pairs].any(axis=1)]
         at_start = gaps(plane, pairs, units.to_angles(start))
-        required = safety.required_at(speeds, lasts_s, pairs, at_start)
+        required = safety.required_at(speeds, lasts_s, pairs, at_start, plane.sector)
         near = neighbours_of(plane.n, pairs)
         return cls(plane, units, start, pairs, required, bodies_of(plane), near)
 

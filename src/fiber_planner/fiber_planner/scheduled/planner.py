@@ -39,6 +39,7 @@ class ScheduledParameters:
         clock_ppm: largest error of a positioner's clock, fast or slow [1e-6].
         start_skew_s: largest difference between the starts of two positioners [s].
         stop_skew_s: largest difference between their stops when one must stop early [s].
+        border_start_skew_s, border_stop_skew_s: the same two for robots of different sectors [s].
         slack: by how much the first makespan that is tried exceeds its bound, as a share of it.
         stretch: longest makespan tried, in units of the bound.
         rounds: rounds of the local search at each makespan.
@@ -62,6 +63,8 @@ class ScheduledParameters:
     clock_ppm: float = Safety.clock_ppm
     start_skew_s: float = Safety.start_skew_s
     stop_skew_s: float = Safety.stop_skew_s
+    border_start_skew_s: float = Safety.border_start_skew_s
+    border_stop_skew_s: float = Safety.border_stop_skew_s
     slack: float = 0.1
     stretch: float = 2.0
     rounds: int = 16
@@ -74,7 +77,7 @@ class ScheduledParameters:
     @property
     def safety(self) -> Safety:
         """The margin and the timing errors in one value."""
-        return Safety(self.margin_mm, self.clock_ppm, self.start_skew_s, self.stop_skew_s)
+        return Safety(**{name: getattr(self, name) for name in Safety.RANGES})
 
 
 class ScheduledPlanner:
