@@ -6,6 +6,7 @@ compiled loops. Forked, the same `main` begins at once, in a process of its own:
 paused and restarted as any other, and nothing of ROS is there before the fork.
 """
 
+import ctypes
 import faulthandler
 import importlib
 import multiprocessing
@@ -32,6 +33,7 @@ MAINS = {
     "viewer": "fiber_viewer.node",
     "reconfigure": "fiber_client.reconfigure",
 }
+_DIES_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 _CONTEXT = multiprocessing.get_context("forkserver")
 
 
@@ -119,6 +121,8 @@ def run_forked(command: Sequence[str], log: str, mode: str, environment: dict[st
     os.environ.clear()
     os.environ.update(environment)
     os.setsid()  # the owner passes on an interrupt from the terminal
+    # and when the server is killed, which nothing would tell the process
+    ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGKILL)
     how = os.O_TRUNC if mode == "wb" else os.O_APPEND
     file = os.open(log, os.O_WRONLY | os.O_CREAT | how, 0o600)
     for each in (1, 2):
