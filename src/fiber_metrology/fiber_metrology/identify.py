@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from scipy.stats import binom
 
 from fiber_core import bounds
 from fiber_core.array_types import Floats, Ints, Points
@@ -40,6 +41,7 @@ class IdentifyConfig:
 
     Args:
         none: chance that a fibre shows no light: dark or missing.
+        missed: chance that one exposure lacks a fibre that others show.
         unmoved: chance that a joint, or both, did not turn.
         stray_per_mm2: stray lights that one exposure sees, in an area [1/mm2].
         lasting_per_mm2: stray lights that two exposures or more see [1/mm2].
@@ -52,6 +54,7 @@ class IdentifyConfig:
 
     RANGES: ClassVar = {
         "none": bounds.Range(1e-9, 1.0),
+        "missed": bounds.Range(1e-9, 0.5),
         "unmoved": bounds.Range(1e-9, 1.0),
         "stray_per_mm2": bounds.Range(1e-9, 1e3),
         "lasting_per_mm2": bounds.Range(1e-12, 1e3),
@@ -59,6 +62,7 @@ class IdentifyConfig:
     }
 
     none: float = 0.07
+    missed: float = 0.05
     unmoved: float = 0.01
     stray_per_mm2: float = 1e-4
     lasting_per_mm2: float = 1e-5
@@ -92,6 +96,7 @@ def identify(
     chance: ArrayLike,
     lights: ArrayLike,
     seen: ArrayLike = 1,
+    exposures: int = 1,
     config: IdentifyConfig | None = None,
 ) -> Identified:
     """Find the light of each robot.
@@ -102,6 +107,7 @@ def identify(
         chance: chance that the robot is at each place, shape (n, h).
         lights: points of light [mm], shape (s, 2).
         seen: number of exposures that saw each light, one number or shape (s,).
+        exposures: number of exposures: a fibre is seen in most of them.
         config: what is known before the image.
     """
     config = config or IdentifyConfig()
@@ -121,7 +127,7 @@ def identify(
         count, spot = np.zeros(len(row), dtype=np.int64), np.zeros(0, dtype=np.int64)
     row, column = np.repeat(row, count), np.repeat(column, count)
     evidence = _evidence(places[row, column], sigma[row, column], lights[spot])
-    evidence *= chance[row, column]
+    evidence *= chance[row, column] * _share_seen(seen, exposures, config.missed, len(lights))[spot]
     # one edge for a robot and a light, whichever of its places the light is near
     order = np.lexsort([spot, row])
     row, column, spot, evidence = row[order], column[order], spot[order], evidence[order]
@@ -148,6 +154,14 @@ def identify(
     shared[edges[0]] = True
     group = np.where(shared & ~alone, part[:n], -1)
     return Identified(light, doubt, where, first_place, group)
+
+
+def _share_seen(seen: ArrayLike, exposures: int, missed: float, lights: int) -> Floats:
+    """Chance that a fibre is seen so often, over that of the likeliest number, shape (lights,)."""
+    often = np.broadcast_to(np.asarray(seen), (lights,))
+    numbers = np.arange(exposures + 1)
+    chance = binom.pmf(numbers, exposures, 1.0 - missed)
+    return chance[np.minimum(often, exposures)] / chance.max()
 
 
 def _evidence(places: Points, sigma: Floats, lights: Points) -> Floats:

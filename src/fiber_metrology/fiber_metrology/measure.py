@@ -187,7 +187,9 @@ def measure(
     plane = expected.plane
     lights = combine(exposures, fiducials, calibrated, config.plate)
     places, sigma, chance = _hypotheses(expected, config)
-    found = identify(places, sigma, chance, lights.places, lights.seen, config.identify)
+    found = identify(
+        places, sigma, chance, lights.places, lights.seen, lights.exposures, config.identify
+    )
     has = found.light >= 0
     certain = has & (found.doubt <= config.identify.certain)
     seen_lights = len(lights.places)
