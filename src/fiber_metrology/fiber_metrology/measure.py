@@ -215,6 +215,9 @@ def measure(
     far = off > config.off_model * sigma[:, 0]
     verdict = np.where(sure & far & (where == 0), Verdict.OFF_MODEL, verdict)
     verdict = np.where(has & ~certain, Verdict.AMBIGUOUS, verdict)
+    # a joint is named with the doubt of blame, its place is told as a fact with less alone
+    stuck = has & ~certain & (found.doubt <= config.blame) & (where > 0) & ~merged
+    verdict = np.where(stuck, _STILL[np.maximum(where, 0)], verdict)
     verdict = np.where(certain & merged, Verdict.MERGED, verdict)
     verdict = np.where(~has & (found.doubt > config.identify.certain) & (found.group >= 0),
                        Verdict.AMBIGUOUS, verdict)  # fmt: skip

@@ -108,3 +108,14 @@ def test_a_light_that_two_exposures_saw_is_less_likely_a_stray_one():
 def test_bad_settings_are_refused():
     with pytest.raises(MetrologyError, match="none"):
         IdentifyConfig(none=0.0)
+
+
+def test_a_light_far_away_that_two_exposures_of_three_lack_is_not_told_as_a_fact():
+    place, sigma = np.zeros((1, 1, 2)), np.full((1, 1), 0.04)
+    doubt = [
+        identify(place, sigma, np.ones((1, 1)), [[0.198, 0.0]], seen, 3).doubt[0]
+        for seen in (1, 2, 3)
+    ]
+    assert doubt[0] > IdentifyConfig().certain > doubt[1] > doubt[2]
+    near = identify(place, sigma, np.ones((1, 1)), [[0.02, 0.0]], 1, 3).doubt[0]
+    assert near < IdentifyConfig().certain  # near its place one exposure is enough

@@ -6,7 +6,14 @@ import pytest
 from metrology_scene import N, Scene, owners
 
 from fiber_core import kinematics
-from fiber_metrology import MeasureConfig, MetrologyError, Verdict, follows
+from fiber_metrology import (
+    IdentifyConfig,
+    MeasureConfig,
+    MetrologyError,
+    Verdict,
+    follows,
+    measure,
+)
 from fiber_metrology.camera import CameraConfig
 
 
@@ -53,6 +60,15 @@ def test_a_joint_that_did_not_turn_is_named_and_no_other(scene):
     assert (np.abs(image.angles - scene.true) <= image.interval_rad)[:9].all()
     assert not follows(image)[:9].any()
     assert image.reasons()[3] == f"robot {scene.plane.ids[3]}: theta not moved"
+
+
+def test_a_joint_is_named_with_a_doubt_at_which_its_place_is_not_told(scene):
+    scene.true[:3] = scene.before[:3]
+    strict = MeasureConfig(found=0.0, identify=IdentifyConfig(certain=1e-12))
+    spots = [exposure.spots for exposure in scene.expose()]
+    image = measure(scene.expected(), spots, scene.fiducials, scene.camera.calibrated, strict)
+    assert (image.verdict[:3] == Verdict.NOT_MOVED).all() and not image.certain[:3].any()
+    assert not image.not_moved[3:].any() and not follows(image)[:3].any()
 
 
 def test_a_robot_off_its_model_is_measured_and_named(scene):
