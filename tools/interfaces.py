@@ -37,6 +37,7 @@ from fiber_node import PlaneNode  # noqa: E402
 from fiber_node.ros_environment import own_domain, use_loopback  # noqa: E402
 from fiber_planner.node import PlannerNode  # noqa: E402
 from fiber_recording.node import RecorderNode  # noqa: E402
+from fiber_sectors.node import SectorNode  # noqa: E402
 from fiber_viewer.node import WATCHED, ViewerNode  # noqa: E402
 
 __all__ = ["actions_and_services", "all_nodes", "fresh", "main"]
@@ -47,9 +48,9 @@ TYPED = ROOT / "src" / "fiber_interfaces"
 
 _NODES = (
     PlannerNode, DiscretizerNode, BridgeNode, RecorderNode, ViewerNode, ConsoleNode,
-    MetrologyNode, CameraNode, RobotModelNode,
+    MetrologyNode, CameraNode, RobotModelNode, SectorNode,
 )  # fmt: skip
-_GIVEN = {"bridge": {"robots": 7}}  # as quick as possible
+_GIVEN = {"bridge": {"robots": 7}, "sector": {"robots": 7}}  # as quick as possible
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 _TOPICS = [each for each in vars(topics).values() if isinstance(each, Topic)]
 _TOPICS += [WATCHED, DESCRIPTION]

@@ -28,6 +28,7 @@ setup(
         "fiber_formats",
         "fiber_discretizer",
         "fiber_node",
+        "fiber_sectors",
         "fiber_planner",
         "fiber_positioners",
         "fiber_recording",

@@ -15,7 +15,13 @@ setup(
         ("share/fiber_sectors", ["package.xml"]),
     ],
     # package.xml names the ROS packages as well
-    install_requires=["fiber_bus_bridge", "fiber_core", "numpy"],
+    install_requires=["fiber_bus_bridge", "fiber_core", "fiber_msgs_py", "fiber_node", "numpy"],
     extras_require={"test": ["pytest"]},  # colcon looks for pytest here
     zip_safe=True,
+    entry_points={
+        "console_scripts": [
+            "coordinator = fiber_sectors.node.coordinator:main",
+            "sector = fiber_sectors.node.sector_node:main",
+        ]
+    },
 )

@@ -12,15 +12,18 @@ from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
     GroupAction,
+    OpaqueFunction,
     SetEnvironmentVariable,
     Shutdown,
 )
-from launch.conditions import IfCondition, UnlessCondition
+from launch.conditions import IfCondition
 from launch.events.process import ProcessExited
 from launch.substitutions import (
+    AndSubstitution,
     EnvironmentVariable,
     EqualsSubstitution,
     LaunchConfiguration,
+    NotSubstitution,
     PathJoinSubstitution,
 )
 from launch_ros.actions import Node, PushRosNamespace, SetParameter
@@ -37,6 +40,11 @@ _ARGUMENTS = {
     "spacing_mm": ("-1.0", "least distance between two targets; -1: that of the layout"),
     "problem": ("", "problem.npz with plane and starts; none: random starts"),
     "disabled_file": ("", "file that keeps the list of disabled robots; none: in memory only"),
+    "sectors": (
+        "0",
+        "sectors of the plane, each with a share of its buses and a process of its own, with "
+        "robots in that process; 0: one bridge",
+    ),
     "planner": ("direct", "name of the planner, such as direct, dnf_priority, dnf"),
     "time_scale": ("1.0", "simulated seconds per second; 0: as fast as possible"),
     "plant": (
@@ -66,6 +74,7 @@ def generate_launch_description() -> LaunchDescription:
         _plant(),
         *_control(),
         *_camera(),
+        OpaqueFunction(function=_sectors),
         *_observers(),
     ]
     return LaunchDescription([*_arguments(), GroupAction(scope)])
@@ -114,20 +123,25 @@ def _node_ended(event: ProcessExited, context: LaunchContext) -> list[Shutdown] 
 
 
 def _node(
-    package: str, name: str, arguments: Mapping[str, type] | None = None, **options: Any
+    package: str,
+    executable: str,
+    arguments: Mapping[str, type] | None = None,
+    also: Mapping[str, Any] | None = None,
+    **options: Any,
 ) -> Node:
     """Return a node as a process.
 
     Args:
         package: its package.
-        name: its name, and that of its executable.
+        executable: its executable, and its name unless `options` have another.
         arguments: type of each launch argument that sets the parameter of its name.
+        also: further parameters.
         options: options of Node in place of those that all nodes have.
     """
     given = {
         each: ParameterValue(LaunchConfiguration(each), value_type=kind)
         for each, kind in (arguments or {}).items()
-    }
+    } | dict(also or {})
     common: dict[str, Any] = {
         "output": "screen",
         "ros_arguments": ["--log-level", LaunchConfiguration("log_level")],
@@ -136,7 +150,7 @@ def _node(
         "on_exit": _node_ended,
         "parameters": [LaunchConfiguration("params_file"), *([given] if given else [])],
     }
-    return Node(package=package, executable=name, name=name, **common | options)
+    return Node(package=package, executable=executable, **{"name": executable} | common | options)
 
 
 def _plant() -> ExecuteProcess:
@@ -159,7 +173,12 @@ def _plant() -> ExecuteProcess:
         ],
         name="plant",
         output="screen",
-        condition=UnlessCondition(EqualsSubstitution(LaunchConfiguration("plant"), "none")),
+        condition=IfCondition(
+            AndSubstitution(
+                _one_bridge(),
+                NotSubstitution(EqualsSubstitution(LaunchConfiguration("plant"), "none")),
+            )
+        ),
     )
 
 
@@ -171,7 +190,7 @@ def _control() -> list[Node]:
         "disabled_file": str,
     }  # fmt: skip
     return [
-        _node("fiber_bus_bridge", "bridge", of_bridge),
+        _node("fiber_bus_bridge", "bridge", of_bridge, condition=IfCondition(_one_bridge())),
         _node("fiber_planner", "planner", {"planner": str}),
         _node("fiber_discretizer", "discretizer"),
     ]
@@ -184,6 +203,34 @@ def _camera() -> list[Node]:
         _node("fiber_metrology", "metrology", condition=wanted),
         _node("fiber_metrology", "camera", {"plant": str, "seed": int}, condition=wanted),
     ]
+
+
+def _one_bridge() -> EqualsSubstitution:
+    return EqualsSubstitution(LaunchConfiguration("sectors"), "0")
+
+
+def _sectors(context: LaunchContext) -> list[Node]:
+    """Return the sectors of the plane and their coordinator, none with one bridge."""
+    shares = LaunchConfiguration("sectors").perform(context)
+    if shares == "0":
+        return []
+    number = int(shares) if shares.isdigit() else len(shares.split(";"))
+    of_plane = {
+        "preset": str, "robots": int, "seed": int, "layout": str, "starts": str,
+        "spacing_mm": float, "problem": str,
+    }  # fmt: skip
+    own = {"sectors.shares": ParameterValue(shares, value_type=str)}
+    of_coordinator = of_plane | {"time_scale": float, "disabled_file": str}
+    return [
+        *(
+            _node(
+                "fiber_sectors", "sector", of_plane | {"faults": str}, namespace=f"sector_{k}",
+                also=own | {"sectors.number": k},
+            )
+            for k in range(number)
+        ),
+        _node("fiber_sectors", "coordinator", of_coordinator, name="bridge", also=own),
+    ]  # fmt: skip
 
 
 def _observers() -> list[Node]:

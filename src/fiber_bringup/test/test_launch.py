@@ -154,7 +154,7 @@ def declared(new_domain):
 def test_every_argument_is_declared_and_used(description, defaults, nodes, plant_arguments):
     of_nodes = {name for typed in nodes.values() for name in typed}
     of_all = {"namespace", "params_file", "use_sim_time", "log_level", "use_respawn"}
-    of_all |= {"camera", "console"}  # whether these nodes are started
+    of_all |= {"sectors", "camera", "console"}  # which nodes are started
     used = {each.args[0] for each in all_of(description, "LaunchConfiguration")}
     assert of_all <= used == set(defaults)
     assert set(defaults) - of_all == of_nodes | set(plant_arguments) - of_all
@@ -235,6 +235,25 @@ def test_the_plant_has_the_options_that_the_launch_file_gives_it(
     assert served[0].clock == "1M" and served[0].time_scale == 0.5
     (tmp_path / "wrong.yaml").write_text("plant: {ros__parameters: {clocks: 1M}}")
     assert main.main([f"--params-file={tmp_path / 'wrong.yaml'}"]) == 2
+
+
+@pytest.mark.parametrize(("shares", "sectors"), [("0", 0), ("3", 3), ("0-4; 5; 6,7", 3)])
+def test_a_plane_of_sectors_has_a_node_for_each_and_a_coordinator(launch_file, shares, sectors):
+    context = SimpleNamespace(configurations={"sectors": shares})
+    nodes = [each.given for each in launch_file[0]["_sectors"](context)]
+    if not sectors:
+        assert not nodes
+        return
+    *others, coordinator = nodes
+    assert [each["namespace"] for each in others] == [f"sector_{k}" for k in range(sectors)]
+    assert {each["executable"] for each in others} == {"sector"}
+    own = [each["parameters"][1] for each in others]
+    assert [each["sectors.number"] for each in own] == list(range(sectors))
+    assert {each["sectors.shares"].args[0] for each in own} == {shares}
+    # for clients the coordinator is the bridge
+    assert (coordinator["executable"], coordinator["name"]) == ("coordinator", "bridge")
+    setup = (SHARE.parent / "fiber_sectors" / "setup.py").read_text()
+    assert all(f'"{each["executable"]} = fiber_sectors.' in setup for each in nodes)
 
 
 def test_files_of_the_launch_file_are_installed(description):

@@ -3,7 +3,7 @@
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-__all__ = ["EVENTS", "LATEST", "RESULTS", "STREAM"]
+__all__ = ["EVENTS", "LATEST", "RESULTS", "SECTORS", "STREAM"]
 
 
 def _profile(depth: int, durability: DurabilityPolicy) -> QoSProfile:
@@ -23,3 +23,5 @@ RESULTS = _profile(10, DurabilityPolicy.TRANSIENT_LOCAL)
 EVENTS = _profile(10, DurabilityPolicy.VOLATILE)
 # every message counts; many may come before the first is read
 STREAM = _profile(100, DurabilityPolicy.VOLATILE)
+# what is lost is sent again by its sender, with what has changed since
+SECTORS = _profile(20, DurabilityPolicy.VOLATILE)

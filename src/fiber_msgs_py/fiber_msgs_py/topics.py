@@ -9,6 +9,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image, JointState, PointCloud2
+from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -40,7 +41,9 @@ __all__ = [
     "START",
     "STOP",
     "STOPPED",
+    "FROM_SECTOR",
     "TARGETS",
+    "TO_SECTOR",
     "TRAJECTORY",
     "VIEW_ARMS",
     "VIEW_PLANE",
@@ -273,6 +276,14 @@ HELD_BY_DISCRETIZER = _topic(
     "held/discretizer", PointCloud2, qos.LATEST,
     "Id, reason of the robots that the discretizer holds.",
 )  # fmt: skip
+
+# In the namespace of each sector; see fiber_sectors.
+TO_SECTOR = _topic(
+    "to_sector", UInt8MultiArray, qos.SECTORS, "Beats and calls of the coordinator to one sector."
+)
+FROM_SECTOR = _topic(
+    "from_sector", UInt8MultiArray, qos.SECTORS, "Reports and answers of one sector."
+)
 
 # See point_clouds.
 VIEW_ARMS = _topic("view/arms", PointCloud2, qos.LATEST, "Points along the arms, for 3D viewers.")

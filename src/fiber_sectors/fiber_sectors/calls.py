@@ -5,7 +5,7 @@ import io
 import struct
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,8 @@ class Call(NamedTuple):
 def encode_call(sector: int, kind: Kind, number: int, columns: Mapping[str, NDArray]) -> bytes:
     """Return the bytes of a call or an answer."""
     body = io.BytesIO()
-    np.savez(body, **columns)
+    arrays: dict[str, Any] = dict(columns)
+    np.savez(body, **arrays)
     return _HEAD.pack(CALL, sector, kind, number) + body.getvalue()
 
 

@@ -90,7 +90,7 @@ class Sectors:
 
     def counters(self) -> dict[int, dict[str, float]]:
         """Return the counters of each bus, as of BusCounters.table."""
-        nothing = dict.fromkeys(_COUNTERS, 0)
+        nothing: dict[str, float] = dict.fromkeys(_COUNTERS, 0)
         return {
             int(bus): self._counters.get(int(bus), nothing) for bus in self._c.transactions.buses
         }

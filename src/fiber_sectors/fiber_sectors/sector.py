@@ -90,10 +90,9 @@ class Sector:
             for data in [*later, *self._take(0.0 if later else _IDLE_S)]:
                 self._handle(data)
 
-    def stop(self) -> None:
-        """Stop robots that move: this process ends."""
-        if self._session.state is SessionState.MOVING:
-            self._session.stop(self._now_s())
+    def end(self) -> None:
+        """Stop robots that move, at their next step: this process ends. From any thread."""
+        self.member.why = self.member.why or "the sector ends"
 
     # --- messages ------------------------------------------------------------
 

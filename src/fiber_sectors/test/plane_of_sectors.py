@@ -104,6 +104,16 @@ class PlaneOfSectors:
         """Cut a sector off for good: its messages and those to it are lost."""
         self.dead.add(sector)
 
+    def revive(self, sector):
+        """Connect a sector again that was cut off and has ended."""
+        self.join(sector)
+        self.dead.discard(sector)
+        thread = threading.Thread(
+            target=self.sectors[sector].serve, args=(self._gone(sector),), daemon=True
+        )
+        self._threads[sector] = thread
+        thread.start()
+
     def join(self, sector):
         """Wait until a sector that was cut off has ended."""
         self._threads[sector].join(60.0)

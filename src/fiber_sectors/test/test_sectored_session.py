@@ -105,6 +105,14 @@ def test_a_lost_sector_stops_by_itself_and_the_others_go_on(plane_of):
     session.start(session.transactions.now_s)
     plane.until_rest()
     assert (session.result.outcome[away] == Outcome.REACHED).all()
+    # and it is found again
+    plane.revive(1)
+    session.clear(session.transactions.now_s)
+    assert session.known.all() and not session.robots["lost"].any()
+    session.submit(turning(session, np.flatnonzero(lost), ticks=20))
+    session.start(session.transactions.now_s)
+    plane.until_rest()
+    assert (session.result.outcome[lost] == Outcome.REACHED).all()
 
 
 def test_lost_calls_beats_and_reports_come_again(plane_of):

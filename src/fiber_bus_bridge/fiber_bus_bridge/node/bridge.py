@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -31,7 +31,6 @@ from fiber_bus_bridge.node.remembered import Remembered, memory_path
 from fiber_bus_bridge.node.stage_watch import StageWatch
 from fiber_bus_bridge.node.vouched_parameter import follow_vouched_parameter
 from fiber_bus_bridge.protocol import Event, State
-from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.session_state import SessionState
 from fiber_core.errors import FiberError
 from fiber_core.outcomes import Reason
@@ -58,12 +57,15 @@ class BridgeNode(ManagedNode):
         options: keyword arguments of rclpy.node.Node.
     """
 
+    open_hardware = staticmethod(open_hardware)
+    own_parameters: ClassVar[dict[str, type]] = {}  # of a derived node: dataclasses by prefix
+
     def __init__(self, **options: Any):
         self._lock, self._stop_requested = threading.Lock(), threading.Event()
         self._calls = LockedCalls(self, self._lock)
         # transitions are served while a call is at work
         super().__init__("bridge", BRIDGE, MutuallyExclusiveCallbackGroup(), **options)
-        self._parameters_given = declare_bridge(self, self.parameters)
+        self._parameters_given = declare_bridge(self, self.parameters, self.own_parameters)
         self._capture = self._parameters_given.execution.capture
         disabled = self._parameters_given.disabled
         follow_disabled_parameter(disabled, self._disable, self.reporter.refuse)
@@ -77,7 +79,8 @@ class BridgeNode(ManagedNode):
             FiberError: the parameters describe no hardware, its plant or devices are not there, or
                 another bridge has the plane.
         """
-        hardware = open_hardware(self._parameters_given.hardware, self.get_namespace(), self.pause)
+        declared = self._parameters_given.hardware
+        hardware = self.open_hardware(declared, self.get_namespace(), self.pause)
         try:
             with self._lock:  # what hears and serves waits until all is there
                 self._build(hardware)
@@ -99,10 +102,7 @@ class BridgeNode(ManagedNode):
         given, plane = self._parameters_given, hardware.plane
         self._hardware = hardware
         self._tap = Tap(hardware.buses, hardware.timing) if self._capture else None
-        self._session = Session(
-            plane, hardware.units, given.safety, self._tap or hardware.buses, hardware.start,
-            given.session,
-        )  # fmt: skip
+        self._session = hardware.session(given.safety, given.session, self._tap)
         self._time_s = self._due_s = 0.0
         memory = memory_path(given.memory, hardware)
         self._availability = given.disabled.availability(plane, memory)

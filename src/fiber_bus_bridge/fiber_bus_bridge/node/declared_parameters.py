@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """All parameters of the bridge, declared before any robot is asked."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from rclpy.node import Node
 
@@ -30,6 +32,7 @@ class BridgeParameters:
         session: the controller's settings.
         memory: where robots are remembered over a restart.
         disabled: the operators' list; can change.
+        own: the parameters of a derived node, by their prefix.
     """
 
     hardware: DeclaredHardware
@@ -40,14 +43,18 @@ class BridgeParameters:
     session: SessionConfig
     memory: MemoryConfig
     disabled: DisabledParameters
+    own: Mapping[str, Any]
 
 
-def declare_bridge(node: Node, parameters: NodeParameters) -> BridgeParameters:
+def declare_bridge(
+    node: Node, parameters: NodeParameters, own: Mapping[str, type] | None = None
+) -> BridgeParameters:
     """Declare the parameters of the bridge.
 
     Args:
         node: the node.
         parameters: its parameters.
+        own: dataclasses of further parameters of a derived node, by their prefix; read-only.
 
     Raises:
         FiberError: a value is refused.
@@ -61,6 +68,10 @@ def declare_bridge(node: Node, parameters: NodeParameters) -> BridgeParameters:
         parameters.declare(SessionConfig, "session", read_only=True).value,
         parameters.declare(MemoryConfig, read_only=True).value,
         declare_disabled(node, parameters),
+        {
+            prefix: parameters.declare(config, prefix, read_only=True).value
+            for prefix, config in (own or {}).items()
+        },
     )
     declare_vouched(node, parameters)
     parameters.finish()

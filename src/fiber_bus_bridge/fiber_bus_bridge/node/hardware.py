@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -13,8 +13,11 @@ from fiber_bus_bridge.bus import BusBackend, BusTiming, LinuxBuses, addresses_of
 from fiber_bus_bridge.errors import BridgeError
 from fiber_bus_bridge.plant import PlantBuses, plant_socket
 from fiber_bus_bridge.plant.rehearsal import rehearse
+from fiber_bus_bridge.session import Session
+from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_problem
 from fiber_core.array_types import Angles
+from fiber_core.clearance import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 from fiber_node import NodeParameters
@@ -32,6 +35,11 @@ __all__ = [
 _OF_THE_PLANT = ("clock_ppm", "start_skew_s", "faults", "faults_from_s", "faults_until_s")
 _PLANT_S = 60.0  # longest wait for a plant, which may have to compile its loops
 _SLICE_S = 0.01  # real time after which a waiting stop is served
+Part: TypeAlias = Callable[[FocalPlane], FocalPlane]
+
+
+def _all(plane: FocalPlane) -> FocalPlane:
+    return plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +73,17 @@ class Hardware:
     def in_real_time(self) -> bool:
         """Whether the time of the buses is the time of this machine."""
         return bool(np.isfinite(self.slice_s))
+
+    def session(self, safety: Safety, config: SessionConfig, tap: BusBackend | None) -> Session:
+        """Return a session with these robots.
+
+        Args:
+            safety: clearance required of every started motion.
+            config: settings.
+            tap: the buses with what captures their traffic; None for no captures.
+        """
+        buses = self.buses if tap is None else tap
+        return Session(self.plane, self.units, safety, buses, self.start, config)
 
     def close(self) -> None:
         """Leave the buses; robots that move stop by their own watchdogs."""
@@ -115,6 +134,7 @@ def open_hardware(
     declared: DeclaredHardware,
     namespace: str = "",
     pause: Callable[[float], None] = time.sleep,
+    part: Part = _all,
 ) -> Hardware:
     """Return the hardware that parameters describe.
 
@@ -122,6 +142,7 @@ def open_hardware(
         declared: the parameters.
         namespace: the namespace of the node, which is part of the path of its plant.
         pause: waits for a number of seconds, while there is no plant yet.
+        part: returns the robots of the plane that are driven, with their ids; by default all.
 
     Raises:
         FiberError: the parameters describe no hardware, or there is no plant.
@@ -132,28 +153,43 @@ def open_hardware(
             raise BridgeError(
                 f"plant is {chosen.plant!r} and devices are {list(chosen.devices)}: choose one"
             )
-        return device_hardware(config, chosen.devices)
+        return device_hardware(config, chosen.devices, part)
     if chosen.plant == "none":
-        return simulated_hardware(config)
+        return simulated_hardware(config, part)
     path = plant_socket(namespace) if chosen.plant == "auto" else Path(chosen.plant)
-    return plant_hardware(config, path, pause)
+    return plant_hardware(config, path, pause, part)
 
 
-def simulated_hardware(config: SimulationConfig) -> Hardware:
+def _found(config: SimulationConfig, part: Part) -> tuple[FocalPlane, Angles, tuple[str, ...]]:
+    found = simulated_problem(config)
+    whole, plane = found.problem.plane, part(found.problem.plane)
+    start = found.problem.start
+    if plane is not whole:
+        start = start[whole.index_of(plane.ids)]
+    return plane, start, found.lines
+
+
+def simulated_hardware(config: SimulationConfig, part: Part = _all) -> Hardware:
     """Return a simulated plane with simulated buses.
+
+    Args:
+        config: the plane.
+        part: returns the robots of the plane that are simulated, with their ids; by default all.
 
     Raises:
         FiberError: the plane does not exist.
     """
-    found = simulated_problem(config)
-    plane, start = found.problem.plane, found.problem.start
+    plane, start, lines = _found(config, part)
     units = WireUnits.for_plane(plane)
     buses = simulated_buses(plane, units, start, config)
-    return Hardware(plane, units, start, buses, bus_timing(config.clock), lines=found.lines)
+    return Hardware(plane, units, start, buses, bus_timing(config.clock), lines=lines)
 
 
 def plant_hardware(
-    config: SimulationConfig, path: Path, pause: Callable[[float], None] = time.sleep
+    config: SimulationConfig,
+    path: Path,
+    pause: Callable[[float], None] = time.sleep,
+    part: Part = _all,
 ) -> Hardware:
     """Return a plane with robots in the process of a plant.
 
@@ -161,6 +197,7 @@ def plant_hardware(
         config: the plane; errors of clocks and faults are those of the plant.
         path: the socket of the plant, which may appear later.
         pause: waits for a number of seconds, while there is no plant yet.
+        part: returns the robots of the plane that this plant has; by default all.
 
     Raises:
         BridgeError: a parameter belongs to the plant; there is no plant, another bridge is
@@ -171,21 +208,23 @@ def plant_hardware(
         value = getattr(config, field.name)
         if field.name in _OF_THE_PLANT and value != field.default:
             raise BridgeError(f"{field.name} is {value!r}: give it to the plant at {path} instead")
-    found = simulated_problem(config)
-    plane, start = found.problem.plane, found.problem.start
+    plane, start, lines = _found(config, part)
     timing = bus_timing(config.clock)
     rehearse()
     buses = PlantBuses(path, plane.ids, addresses_of(plane), timing, _PLANT_S, pause=pause)
     units = WireUnits.for_plane(plane)
-    return Hardware(plane, units, start, buses, timing, lines=found.lines, plant=path)
+    return Hardware(plane, units, start, buses, timing, lines=lines, plant=path)
 
 
-def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardware:
+def device_hardware(
+    config: SimulationConfig, devices: Sequence[str], part: Part = _all
+) -> Hardware:
     """Return a plane on I2C adapters of this machine, in the order of its bus numbers.
 
     Args:
         config: the plane, and by its problem or starts the assumed angles of the robots.
         devices: path of the adapter of each bus, as "/dev/i2c-1".
+        part: returns the robots of the plane on these adapters, with their ids; by default all.
 
     Raises:
         BridgeError: there is neither problem nor starts, the motors have a ramp, or the devices do
@@ -196,8 +235,7 @@ def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardwar
         raise BridgeError(
             "devices need the parameter problem or starts: it holds the robots' assumed angles"
         )
-    found = simulated_problem(config)
-    plane, start = found.problem.plane, found.problem.start
+    plane, start, lines = _found(config, part)
     if plane.drive.has_curves:
         ramp_s = plane.drive.longest_ramp_s
         raise BridgeError(
@@ -212,4 +250,4 @@ def device_hardware(config: SimulationConfig, devices: Sequence[str]) -> Hardwar
     except (OSError, ModuleNotFoundError) as error:
         raise BridgeError(f"devices {list(devices)}: {error}") from error
     units, timing = WireUnits.for_plane(plane), bus_timing(config.clock)
-    return Hardware(plane, units, start, buses, timing, time.monotonic, _SLICE_S, found.lines)
+    return Hardware(plane, units, start, buses, timing, time.monotonic, _SLICE_S, lines)

@@ -1,0 +1,342 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Reconfigure a plane of sectors, each in a process of its own; print one JSON line.
+
+Buses and robots are simulated; their time goes on when all sectors have come to the same instant,
+so that start and stop are measured in the time of the robots, however busy this machine is. With
+--campaigns the plane meets random faults: a robot jams, a process of a sector dies, or messages are
+lost. What is judged is the true motion.
+"""
+
+import argparse
+import json
+import multiprocessing
+import resource
+import sys
+import threading
+import time
+from dataclasses import replace
+from multiprocessing.connection import Connection, wait
+from typing import NamedTuple
+
+import numpy as np
+
+from fiber_bus_bridge import Session, SessionConfig, SessionState
+from fiber_bus_bridge.plant.plant import Plant
+from fiber_bus_bridge.simulation import EVENT, Event, Faults, SimulationConfig, simulated_buses
+from fiber_core.clearance import Safety, certify_arms, neighbour_pairs
+from fiber_core.fields import random_problem
+from fiber_core.outcomes import Outcome
+from fiber_core.presets import preset
+from fiber_core.wire_units import WireUnits
+from fiber_positioners import make_orders
+from fiber_sectors import Terms
+from fiber_sectors.sector import Sector, certified_elsewhere
+from fiber_sectors.sectored_session import SectoredSession
+from fiber_sectors.shares import part_of, with_sectors
+
+__all__ = ["main"]
+
+_EXACT = Safety(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_KILL, _TRUTH = b"KILL", b"TRTH"
+_PATIENCE_S = 20.0
+
+
+class _Buses:
+    """The buses of a plant in this process."""
+
+    def __init__(self, plant: Plant):
+        self._plant = plant
+
+    def transfer(self, frames, read_bytes, not_before_s):
+        read = np.broadcast_to(np.asarray(read_bytes, dtype=np.int64), (len(frames),))
+        return self._plant.transfer(frames, read, not_before_s, 0.0)
+
+    def recover(self, bus, recovery, t):
+        return self._plant.recover(bus, recovery, t, 0.0)
+
+    def alert_lines(self, t):
+        return self._plant.alert_lines(t, 0.0)
+
+
+class _Killed(Exception):
+    """The process of this sector shall behave as one that was killed."""
+
+
+def _host(connection: Connection, plane, start, number: int, seed: int, jam) -> None:
+    """Run one sector until its connection ends."""
+    part, units = part_of(plane, number), WireUnits.for_plane(plane)
+    begin = start[plane.sector == number]
+    buses = simulated_buses(part, units, begin, SimulationConfig(seed=seed + number))
+    if jam is not None:
+        events = np.array([(jam[0], jam[1], int(Event.JAM_THETA), 0)], dtype=EVENT)
+        positioners = buses.positioners
+        buses = type(buses)(positioners, buses.timing, Faults(events=events))
+    plant = Plant(buses, units.quantum_rad, 0.0, kept=200_000)
+    plant.open(0.0)
+    config, killed, lock = SessionConfig(resumes=0), threading.Event(), threading.Lock()
+    session = Session(part, units, Safety(), _Buses(plant), begin, config, certified_elsewhere)
+
+    def send(data: bytes) -> None:
+        if killed.is_set():
+            raise _Killed
+        with lock:
+            connection.send_bytes(data)
+
+    sector = Sector(number, session, Terms(), number + 1, send, patience_s=_PATIENCE_S)
+
+    def serve() -> None:
+        try:
+            sector.serve(killed.is_set)
+        except _Killed:
+            pass
+
+    worker = threading.Thread(target=serve, daemon=True)
+    worker.start()
+    while True:
+        try:
+            data = connection.recv_bytes()
+        except EOFError:
+            return
+        if data == _KILL:
+            killed.set()
+        elif data == _TRUTH:
+            if killed.is_set():
+                worker.join()
+                plant.close()
+                plant.run_on(0.0)  # nothing sends heartbeats: the robots stop by themselves
+            _, first, moves, _, verified = plant.true_movements(0)
+            memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            with lock:
+                connection.send((first, moves, verified, plant.now_s, memory_mb))
+        else:
+            sector.inbox.put(data)
+
+
+class _Truth(NamedTuple):
+    contacts: int
+    unverified: int
+    start_skew_ms: float
+    stop_ms: float
+    memory_mb: list[float]
+
+
+class _Plane:
+    """The processes of the sectors, and the session of their coordinator."""
+
+    def __init__(self, problem, sectors: int, seed: int, loss: float = 0.0, jam=None):
+        self._problem, self._units = problem, WireUnits.for_plane(problem.plane)
+        self._rng, self._loss, self.dead = np.random.default_rng(seed), loss, set()
+        self._connections, self._processes = [], []
+        context = multiprocessing.get_context("fork")
+        for k in range(sectors):
+            ours, theirs = context.Pipe()
+            own = jam[1:] if jam is not None and jam[0] == k else None
+            process = context.Process(
+                target=_host, args=(theirs, problem.plane, problem.start, k, seed, own), daemon=True
+            )
+            process.start()
+            theirs.close()
+            self._connections.append(ours)
+            self._processes.append(process)
+        self.session = SectoredSession(
+            problem.plane, self._units, Safety(), problem.start, SessionConfig(), Terms(), self,
+            patience_s=_PATIENCE_S,
+        )  # fmt: skip
+
+    def send(self, sector: int, data: bytes) -> None:
+        if sector not in self.dead and self._rng.random() >= self._loss:
+            self._connections[sector].send_bytes(data)
+
+    def receive(self, wait_s: float) -> list[bytes]:
+        alive = [c for k, c in enumerate(self._connections) if k not in self.dead]
+        taken = [each.recv_bytes() for each in wait(alive, wait_s)]
+        return [data for data in taken if self._rng.random() >= self._loss]
+
+    def left(self, sector: int) -> bool:
+        return sector in self.dead
+
+    def kill(self, sector: int) -> None:
+        self._connections[sector].send_bytes(_KILL)
+        self.dead.add(sector)
+
+    def truth(self) -> _Truth:
+        """Judge the true motion of all robots since the begin."""
+        found = []
+        for k, each in enumerate(self._connections):
+            while each.poll(0.05 if k in self.dead else 0.0):
+                each.recv_bytes()
+            each.send_bytes(_TRUTH)
+            found.append(self._answer(each))
+        rows = [self.session.sectors.rows[k] for k in range(len(found))]
+        return _judge(self._problem.plane, self._units, rows, found)
+
+    @staticmethod
+    def _answer(connection: Connection):
+        while True:  # a report may be under way
+            data = connection.recv_bytes()
+            if data[:1] == b"\x80":  # pickled
+                return multiprocessing.reduction.ForkingPickler.loads(data)
+
+    def close(self) -> None:
+        for each in self._connections:
+            each.close()
+        for process in self._processes:
+            process.join(10.0)
+
+
+def _judge(plane, units, rows, found) -> _Truth:
+    most = max(moves.ticks.shape[2] for _, moves, *_ in found)
+
+    def padded(values):
+        return np.pad(values, [(0, 0), (0, 0), (0, most - values.shape[2])])
+
+    merged = {}
+    for name in found[0][1]._fields:
+        parts = [getattr(each[1], name) for each in found]
+        if name == "row":
+            parts = [own[values] for own, values in zip(rows, parts)]
+        merged[name] = np.concatenate([padded(v) if v.ndim == 3 else v for v in parts])
+    moves = type(found[0][1])(**merged)
+    start = np.zeros((plane.n, 2), dtype=np.int64)
+    for own, each in zip(rows, found):
+        start[own] = each[0]
+    now_s = max(each[3] for each in found)
+    verified = np.concatenate([each[2] for each in found])
+    memory = [each[4] for each in found]
+    if len(moves.row) == 0:
+        return _Truth(0, 0, 0.0, 0.0, memory)
+    order = np.argsort(moves.started_s, kind="stable")
+    moves = type(moves)(*(getattr(moves, name)[order] for name in moves._fields))
+    motion = moves.motion(start, units.quantum_rad, now_s, float(moves.started_s.min()) - 1e-3)
+    certificate = certify_arms(plane, motion, _EXACT, neighbour_pairs(plane))
+    ended_s = np.minimum(moves.ended_s, now_s)
+    lasts_s = moves.ticks.sum(axis=2).max(axis=1) * moves.tick_s
+    early = ended_s < moves.started_s + lasts_s - 1e-4
+    phase = np.cumsum(np.diff(moves.started_s, prepend=moves.started_s[0]) > 5e-3)
+    skew_s = stop_s = 0.0
+    for each in np.unique(phase):
+        mine = phase == each
+        skew_s = max(skew_s, float(np.ptp(moves.started_s[mine])))
+        if (mine & early).any():
+            stop_s = max(stop_s, float(np.ptp(ended_s[mine & early])))
+    return _Truth(
+        int(certificate.unsafe.sum()), int((~verified).sum()), 1e3 * skew_s, 1e3 * stop_s, memory
+    )
+
+
+def _problem(robots: int, sectors: int, seed: int):
+    plane = preset("desi", robots)
+    # neighbours share a sector: sectors are slices around the axis
+    turn = np.argsort(np.arctan2(*plane.centers.T[::-1]), kind="stable")
+    on_bus = max(1, -(-robots // max(10, sectors)))
+    bus = np.empty(robots, dtype=np.int64)
+    bus[turn] = np.arange(robots) // on_bus
+    order = np.argsort(bus, kind="stable")
+    address = np.empty(robots, dtype=np.int64)
+    first = np.searchsorted(bus[order], bus[order])
+    address[order] = 8 + np.arange(robots) - first
+    plane = with_sectors(replace(plane, bus=bus, address=address), str(sectors))
+    return random_problem(plane, np.random.default_rng(seed))
+
+
+def _run(session: SectoredSession, during=lambda: None) -> None:
+    during()
+    begin_s = time.monotonic()
+    while session.state is SessionState.MOVING:
+        if time.monotonic() > begin_s + 600.0:
+            raise TimeoutError("the plan does not end")
+        session.advance(session.transactions.now_s + 0.1)
+
+
+def _measure(args: argparse.Namespace) -> dict:
+    """One reconfiguration without faults, with the wall time of each stage."""
+    times, last_s = {}, time.perf_counter()
+
+    def lap(name: str) -> None:
+        nonlocal last_s
+        now_s = time.perf_counter()
+        times[name], last_s = round(now_s - last_s, 3), now_s
+
+    problem = _problem(args.robots, args.sectors, args.seed)
+    lap("field")
+    orders = make_orders(problem)
+    lap("plan_and_discretize")
+    plane = _Plane(problem, args.sectors, args.seed)
+    session = plane.session
+    session.configure(0.0)
+    lap("begin_and_configure")
+    session.submit(orders.wire, problem.targets)
+    session.start(0.0)
+    lap("load_verify_certify_go")
+    go_s = session.loaded_plan.start_s if session.loaded_plan else 0.0
+    bound_ms = 1e3 * session.sectors.conductor.start_skew_bound_s
+    _run(session)
+    lap("move")
+    result, truth = session.result, plane.truth()
+    plane.close()
+    own_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {
+        "robots": args.robots, "sectors": args.sectors,
+        "reached": int((result.outcome == Outcome.REACHED).sum()),
+        "start_skew_ms_max": round(truth.start_skew_ms, 4),
+        "start_skew_bound_ms": round(bound_ms, 4),
+        "stop_ms_max": round(truth.stop_ms, 3), "contacts": truth.contacts,
+        "unverified": truth.unverified,
+        "without_outcome": args.robots - len(result.outcome),
+        "start_s": round(go_s, 4), "ended_s": round(session.transactions.now_s, 4),
+        "wall_s": times,
+        "memory_mb": {"coordinator": round(own_mb), "sectors": [round(m) for m in truth.memory_mb]},
+    }  # fmt: skip
+
+
+def _campaign(problem, orders, sectors: int, seed: int) -> tuple[_Truth, int, float]:
+    rng = np.random.default_rng(seed)
+    kind, victim = ("jam", "kill", "loss", "jam and loss")[seed % 4], int(rng.integers(sectors))
+    at_s = rng.uniform(0.05, 0.05 + 0.8 * orders.wire.decoded().makespan_s)
+    robots = int((problem.plane.sector == victim).sum())
+    jam = (victim, int(rng.integers(robots)), at_s) if "jam" in kind else None
+    plane = _Plane(problem, sectors, seed, 0.01 if "loss" in kind else 0.0, jam)
+    session = plane.session
+    session.configure(0.0)
+    session.submit(orders.wire, problem.targets)
+    session.start(0.0)
+    bound_ms = 1e3 * session.sectors.conductor.start_skew_bound_s
+    if kind == "kill" and session.state is SessionState.MOVING:
+        session.advance(at_s)
+        plane.kill(victim)
+    _run(session)
+    result, truth = session.result, plane.truth()
+    plane.close()
+    return truth, problem.plane.n - len(result.outcome), bound_ms
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; return 1 when a promise is broken."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--robots", type=int, default=500)
+    parser.add_argument("--sectors", type=int, default=2)
+    parser.add_argument("--campaigns", type=int, default=0, help="reconfigurations with faults")
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args(argv)
+    line = _measure(args)
+    if args.campaigns:
+        problem = _problem(args.robots, args.sectors, args.seed)
+        orders = make_orders(problem)
+        for seed in range(args.seed, args.seed + args.campaigns):
+            truth, without, bound_ms = _campaign(problem, orders, args.sectors, seed)
+            line["contacts"] += truth.contacts
+            line["unverified"] += truth.unverified
+            line["without_outcome"] += without
+            line["start_skew_ms_max"] = max(line["start_skew_ms_max"], truth.start_skew_ms)
+            line["start_skew_bound_ms"] = max(line["start_skew_bound_ms"], bound_ms)
+            line["stop_ms_max"] = max(line["stop_ms_max"], truth.stop_ms)
+        line["campaigns"] = args.campaigns
+    print(json.dumps(line))
+    return 1 if line["contacts"] or line["unverified"] or line["without_outcome"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

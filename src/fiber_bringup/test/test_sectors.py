@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A plane of two sectors, each node a process: a reconfiguration, and the death of a sector."""
+
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fiber_client.client import PlaneClient
+from fiber_core.fields import random_field
+from fiber_core.outcomes import Outcome
+from fiber_core.presets import preset
+from fiber_core.problem import Problem, save_problem
+from fiber_msgs_py import topics
+
+pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
+COMPILE_S, WAIT_S, ROBOTS = 600.0, 120.0, 40
+
+
+class Nodes:
+    """Processes of nodes, ended at the end of `with`."""
+
+    def __init__(self, folder, domain):
+        plane, rows = preset("desi", ROBOTS), np.arange(ROBOTS)
+        plane = replace(plane, bus=rows // 10, address=rows % 10 + 8)
+        start = np.stack([np.linspace(-1.0, 1.0, ROBOTS), np.full(ROBOTS, 3.1)], axis=1)
+        self._problem = str(folder / "problem.npz")
+        save_problem(self._problem, Problem(plane, start, np.full((ROBOTS, 2), np.nan)))
+        self._environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
+        self.processes = {}
+
+    def start(self, name, module, namespace="", **parameters):
+        given = (
+            {"problem": self._problem, "sectors.shares": "0-1; 2-3"}
+            if "fiber_sectors" in module
+            else {}
+        )
+        given = given | parameters
+        arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"]
+        for each, value in given.items():
+            arguments += ["-p", f"{each}:={value}"]
+        code = f"import sys; from {module} import main; sys.exit(main())"
+        self.processes[name] = subprocess.Popen(
+            [sys.executable, "-c", code, *arguments], env=self._environment
+        )
+
+    def __enter__(self):
+        for k in range(2):
+            where = "fiber_sectors.node.sector_node"
+            own = {"sectors.number": k, "sectors.patience_s": 3.0}
+            self.start(f"sector_{k}", where, f"sector_{k}", **own)
+        of_coordinator = {"time_scale": 0.0, "sectors.patience_s": 3.0, "sectors.call_s": 600.0}
+        self.start("coordinator", "fiber_sectors.node.coordinator", **of_coordinator)
+        self.start("planner", "fiber_planner.node")
+        self.start("discretizer", "fiber_discretizer.node")
+        return self
+
+    def __exit__(self, *_):
+        for process in self.processes.values():
+            process.send_signal(signal.SIGINT)
+        for process in self.processes.values():
+            try:
+                process.wait(30.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def new_targets(client, seed):
+    drawn = random_field(client.plane, np.random.default_rng(seed), start=client.angles).problem
+    return client.plane.ids[drawn.asked], drawn.targets[drawn.asked]
+
+
+def test_two_sectors_are_one_plane(tmp_path, new_domain):
+    domain = new_domain()
+    with Nodes(tmp_path, domain) as nodes, PlaneClient(domain) as client:
+        client.wait_for_graph(COMPILE_S)
+        sector = client.plane.sector
+        np.testing.assert_array_equal(sector, np.arange(ROBOTS) // 20)
+        ended = client.reconfigure(*new_targets(client, 1), COMPILE_S)
+        assert ended.count(Outcome.REACHED) >= ROBOTS - 2  # the border may cost a robot its target
+        assert ended.count(Outcome.FAILED) == 0
+
+        # a sector dies in motion: the plan ends, with an outcome for each robot
+        stamp = client.send_targets(*new_targets(client, 2))
+        client.wait_until_ready(stamp, WAIT_S)
+        client.start(WAIT_S)
+        client.wait_for(lambda: client.moving, WAIT_S, "motion")
+        nodes.processes["sector_1"].kill()
+        ended = client.wait_for_outcome(stamp, WAIT_S)
+        assert len(ended.outcome) == ROBOTS
+        assert (ended.outcome[sector == 1] != Outcome.REACHED).any()
+        # the others go on: the robots of the lost sector are obstacles
+        client.wait_for(lambda: not client.moving, WAIT_S, "rest")
+        client.call_service(topics.CLEAR, WAIT_S)
+        client.wait_for(lambda: not client.plane.enabled[sector == 1].any(), WAIT_S, "the layout")
+        ids, xy_mm = new_targets(client, 3)
+        chosen = np.isin(ids, client.plane.ids[sector == 0])
+        ended = client.reconfigure(ids[chosen], xy_mm[chosen], WAIT_S)
+        assert ended.count(Outcome.REACHED) > 5 and ended.count(Outcome.FAILED) == 0
