@@ -16,7 +16,7 @@ from launch.actions import (
     SetEnvironmentVariable,
     Shutdown,
 )
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.events.process import ProcessExited
 from launch.substitutions import (
     AndSubstitution,
