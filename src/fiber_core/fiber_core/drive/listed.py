@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motors with a list of speeds: which moves of a joint they can make."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Self
 
 import numpy as np
@@ -49,8 +49,8 @@ class ListedSpeeds:
     ramp_s: Floats
     least_rad: Floats
     tolerance_rad_s: float = 1e-9
-    approach_rad: Floats | tuple[float, float] = (0.0, 0.0)
-    approach_sign: Floats | tuple[float, float] = (-1.0, 1.0)
+    approach_rad: Floats = field(default_factory=lambda: np.zeros(2))
+    approach_sign: Floats = field(default_factory=lambda: np.array([-1.0, 1.0]))
     approach_speed: int = 0
     returns: bool = False
 
@@ -91,7 +91,7 @@ class ListedSpeeds:
     @property
     def numbers(self) -> Floats:
         """All values in a row, as tables and messages hold them: k, then the fields in order."""
-        values = [np.ravel(getattr(self, field.name)) for field in fields(self)]
+        values = [np.ravel(getattr(self, each.name)) for each in fields(self)]
         return np.concatenate([[len(self.speeds_rad_s)], *values]).astype(np.float64)
 
     @classmethod

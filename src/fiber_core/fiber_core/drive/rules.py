@@ -37,7 +37,8 @@ def rules_broken(drive: Drive, motion: SegmentMotion) -> Mask:
     """
     if drive.listed is None:
         return np.zeros(motion.n, dtype=np.bool_)
-    return (_broken(drive, motion)[0] > 0).reshape(-1, 2).any(axis=1)
+    broken: Mask = np.any((_broken(drive, motion)[0] > 0).reshape(-1, 2), axis=1)
+    return broken
 
 
 def why_broken(drive: Drive, motion: SegmentMotion, row: int) -> str:

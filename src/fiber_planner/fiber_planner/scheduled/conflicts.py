@@ -103,7 +103,7 @@ class Conflicts:
         other = np.where(other >= n, other + m, other)
         pairs = np.stack([n + parts.owner, other], axis=1).astype(np.int32)
         order = np.concatenate([np.arange(n), rows, np.arange(n, n + self.plane.fixtures)])
-        bodies = Bodies(*(column[order] for column in self.bodies))
+        bodies = Bodies._make(column[order] for column in self.bodies)
         both = _joined(motion, curves)
         return parts, number, unproven(bodies, both, pairs, self.required_mm[number])
 

@@ -65,7 +65,7 @@ class ScheduledParameters:
     stop_skew_s: float = Safety.stop_skew_s
     border_start_skew_s: float = Safety.border_start_skew_s
     border_stop_skew_s: float = Safety.border_stop_skew_s
-    slack: float = 0.1
+    slack: float = 0.09
     stretch: float = 2.0
     rounds: int = 16
     candidates: int = 8

@@ -25,7 +25,7 @@ __all__ = ["Effort", "Search"]
 
 _FOLDED_RAD = np.deg2rad(115.0)  # with phi this far in, an arm reaches few neighbours
 _PHASES = (1.0, 0.5, 0.25, 0.0)  # how much of the longest leg all robots wait for
-_FEW = 0.02  # share of robots that the first timetable may leave out
+_FEW = 0.02  # share of robots for which no longer timetable is tried
 _OTHER = 0.3  # share of candidates with any elbow and turn
 _MANY, _MOST_TIMES = 200, 3  # robots in a round; below that many, each tries more motions
 _NO_PLACE = 10.0  # cost of a robot whose legs fit nowhere, in pairs that are too close
@@ -109,7 +109,8 @@ class Search:
                 if progress is not None:
                     progress(k / effort.rounds, f"{self._left} conflicts are left")
                 self._round(effort.candidates)
-            if self._left > _HELPS * before or self._table.ticks >= longest:
+            few = self._left <= _FEW * np.count_nonzero(self._turn.any(axis=1))
+            if few or self._left > _HELPS * before or self._table.ticks >= longest:
                 return
             before = self._left
             self._table.extend(min(longest, int(np.ceil(_LONGER * self._table.ticks))))
@@ -137,6 +138,7 @@ class Search:
         # robots fit. Robots that need longest are first; what fits nowhere goes straight.
         legs = self.legs
         straight = legs_by_way_of(self._motors, self._every, self._turn, np.zeros_like(self._every))
+        left = self._every
         while True:
             for phases in _PHASES:
                 self.legs = legs
@@ -215,7 +217,7 @@ class Search:
         a, b = self._conflicts.pairs[self._unsafe].T
         weights, rows = self._weights[self._unsafe], len(self._conflicts.bodies.center)
         both = np.bincount(a, weights, rows) + np.bincount(b, weights, rows)
-        costs = both[: self._conflicts.plane.n]
+        costs: Floats = both[: self._conflicts.plane.n].astype(np.float64)
         costs[self.given_up] += _NO_PLACE
         return costs
 
