@@ -40,8 +40,8 @@ class IdentifyConfig:
     """What is known before the image.
 
     Args:
-        none: chance that a fibre shows no light: dark or missing.
-        missed: chance that one exposure lacks a fibre that others show.
+        none: chance that a fibre shows no light in one exposure: dark or missing.
+        missed: chance that one exposure lacks a fibre that others show, or shows it merged.
         unmoved: chance that a joint, or both, did not turn.
         stray_per_mm2: stray lights that one exposure sees, in an area [1/mm2].
         lasting_per_mm2: stray lights that two exposures or more see [1/mm2].
@@ -61,8 +61,8 @@ class IdentifyConfig:
         "certain": bounds.Range(0.0, 0.5),
     }
 
-    none: float = 0.07
-    missed: float = 0.05
+    none: float = 0.1
+    missed: float = 0.08
     unmoved: float = 0.01
     stray_per_mm2: float = 1e-4
     lasting_per_mm2: float = 1e-5
@@ -115,6 +115,8 @@ def identify(
     chance, lights = np.asarray(chance, dtype=float), np.asarray(lights, dtype=float)
     often = np.broadcast_to(np.asarray(seen), (len(lights),)) > 1
     stray = np.where(often, config.lasting_per_mm2, config.stray_per_mm2)
+    # dark, or lacking in every exposure
+    none = max(config.none - config.missed, 0.0) + config.missed**exposures
     n, h = sigma.shape
     light, where = np.full(n, -1), np.full(n, -1)
     doubt, first_place, group = np.ones(n), np.zeros(n), np.full(n, -1)
@@ -143,7 +145,7 @@ def identify(
     _, first = np.unique(part[edges[0]][order], return_index=True)
     groups = np.append(first, len(order))
     chosen, likely, alone = _solve(
-        edges[0], edges[1], total / stray[edges[1]], order, groups, config.none, n
+        edges[0], edges[1], total / stray[edges[1]], order, groups, none, n
     )
     light[chosen >= 0] = edges[1][chosen[chosen >= 0]]
     doubt = likely
