@@ -93,7 +93,10 @@ def check_listed(problem_file, plan_file) -> ListedVerdict:
             broken[4] += low < least - 1e-9 or high > most + 1e-9
     makespan_s = float(max((end for _, _, end in on), default=0.0))
     peak = _peak(on, supply, len(plan["offsets"]) // 2)
-    return ListedVerdict(*broken.tolist(), peak, makespan_s, _end_error_um(problem, plan))
+    speeds, short, approaches, ramps, beyond = broken.tolist()
+    return ListedVerdict(
+        speeds, short, approaches, ramps, beyond, peak, makespan_s, _end_error_um(problem, plan)
+    )
 
 
 def _moves(lasts, velocity, scale, lists, tolerance):

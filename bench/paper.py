@@ -74,7 +74,7 @@ Printed: 140 s for 5000 robots, in proportion to their number.
 
 ## A conflict of three robots
 
-Printed: three robots of which the first makes room, the second passes and the third passes both,
+Printed: three robots of which the first gives way, the second passes and the third passes both,
 in six snapshots, with at most 3 segments a profile. Below are three robots in a row, 8 mm apart,
 of which the middle one has to pass between its neighbours; theta turns once and phi half a turn.
 Robots of three that arrive: {arrive}. The figures are of `dnf_priority`, discretized by our

@@ -91,7 +91,7 @@ def _planned(law: str, problem: Problem) -> tuple[PlannedMotion, float]:
 
 
 def swarm(sizes: tuple[int, ...], fields: int | None = None) -> list[Row]:
-    """Return a row for each law and number of robots: who arrives, when, at what cost.
+    """Return a row for each law and number of robots: how many arrive, when, at what cost.
 
     Args:
         sizes: numbers of robots.

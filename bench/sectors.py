@@ -11,6 +11,7 @@ lost. What is judged is the true motion.
 import argparse
 import json
 import multiprocessing
+import pickle
 import resource
 import sys
 import threading
@@ -21,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fiber_bus_bridge import Session, SessionConfig, SessionState
+from fiber_bus_bridge import PlanResult, Session, SessionConfig, SessionState
 from fiber_bus_bridge.plant.plant import Plant
 from fiber_bus_bridge.simulation import EVENT, Event, Faults, SimulationConfig, simulated_buses
 from fiber_core.clearance import Safety, certify_arms, neighbour_pairs
@@ -150,7 +151,7 @@ class _Plane:
 
     def receive(self, wait_s: float) -> list[bytes]:
         alive = [c for k, c in enumerate(self._connections) if k not in self.dead]
-        taken = [each.recv_bytes() for each in wait(alive, wait_s)]
+        taken = [each.recv_bytes() for each in wait(alive, wait_s) if isinstance(each, Connection)]
         return [data for data in taken if self._rng.random() >= self._loss]
 
     def left(self, sector: int) -> bool:
@@ -176,7 +177,7 @@ class _Plane:
         while True:  # a report may be under way
             data = connection.recv_bytes()
             if data[:1] == b"\x80":  # pickled
-                return multiprocessing.reduction.ForkingPickler.loads(data)
+                return pickle.loads(data)
 
     def close(self) -> None:
         for each in self._connections:
@@ -240,13 +241,15 @@ def _problem(robots: int, sectors: int, seed: int):
     return random_problem(plane, np.random.default_rng(seed))
 
 
-def _run(session: SectoredSession, during=lambda: None) -> None:
-    during()
+def _run(session: SectoredSession) -> PlanResult:
     begin_s = time.monotonic()
     while session.state is SessionState.MOVING:
         if time.monotonic() > begin_s + 600.0:
             raise TimeoutError("the plan does not end")
         session.advance(session.transactions.now_s + 0.1)
+    if session.result is None:
+        raise RuntimeError("a plan ended without a result")
+    return session.result
 
 
 def _measure(args: argparse.Namespace) -> dict:
@@ -271,9 +274,9 @@ def _measure(args: argparse.Namespace) -> dict:
     lap("load_verify_certify_go")
     go_s = session.loaded_plan.start_s if session.loaded_plan else 0.0
     bound_ms = 1e3 * session.sectors.conductor.start_skew_bound_s
-    _run(session)
+    result = _run(session)
     lap("move")
-    result, truth = session.result, plane.truth()
+    truth = plane.truth()
     plane.close()
     own_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return {
@@ -305,8 +308,7 @@ def _campaign(problem, orders, sectors: int, seed: int) -> tuple[_Truth, int, fl
     if kind == "kill" and session.state is SessionState.MOVING:
         session.advance(at_s)
         plane.kill(victim)
-    _run(session)
-    result, truth = session.result, plane.truth()
+    result, truth = _run(session), plane.truth()
     plane.close()
     return truth, problem.plane.n - len(result.outcome), bound_ms
 

@@ -51,6 +51,8 @@ _NODES = (
     MetrologyNode, CameraNode, RobotModelNode, SectorNode,
 )  # fmt: skip
 _GIVEN = {"bridge": {"robots": 7}, "sector": {"robots": 7}}  # as quick as possible
+# A coordinator is a bridge that waits for its sectors, which no node does here.
+_BY_COORDINATOR = {"from": topics.TO_SECTOR, "to": topics.FROM_SECTOR}
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 _TOPICS = [each for each in vars(topics).values() if isinstance(each, Topic)]
 _TOPICS += [WATCHED, DESCRIPTION]
@@ -95,6 +97,8 @@ def _page(nodes: Sequence[PlaneNode]) -> Iterator[str]:
         latched = "yes" if topic.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL else "no"
         senders = [n for n, node in names.items() if _has(node.publishers, topic.name)]
         receivers = [n for n, node in names.items() if _has(node.subscriptions, topic.name)]
+        senders += ["coordinator"] * (topic is _BY_COORDINATOR["from"])
+        receivers += ["coordinator"] * (topic is _BY_COORDINATOR["to"])
         yield (
             f"| `{topic.name}` | {topic.type.__name__} | {latched}, {topic.qos.depth} "
             f"| {', '.join(senders)} | {', '.join(receivers)} | {topic.about} |"

@@ -55,8 +55,8 @@ def policy(domain: int) -> str:
     Args:
         domain: ROS domain without other nodes.
     """
-    with all_nodes(domain) as nodes, PlaneClient(domain, args=[]) as client:
-        rights = {node.get_name(): _declared(node) for node in nodes}
+    with all_nodes(domain) as started, PlaneClient(domain, args=[]) as client:
+        rights = {node.get_name(): _declared(node) for node in started}
         hears = _declared(client._ros.node)
     for name, own in rights.items():  # of managed nodes, made below rclpy
         if f"{name}/change_state" in own["services", "reply", "service"]:
@@ -74,11 +74,17 @@ def policy(domain: int) -> str:
             "focal_plane/start_plan", *(f"gateway/{each}" for each in _PARAMETERS),
         },
     }  # fmt: skip
+    # of a bridge that coordinates sectors, each in a namespace of its own
+    links = {
+        ("topics", "publish", "topic"): {f"sector_*/{topics.TO_SECTOR.name}"},
+        topic: {f"sector_*/{topics.FROM_SECTOR.name}"},
+    }
     root = ET.Element("policy", version="0.2.0")
     root.append(ET.Comment(_ABOUT))
     enclaves = ET.SubElement(root, "enclaves")
     for name, own in sorted(rights.items()):
-        _enclave(enclaves, name, {name: own})
+        nodes = {name: own, "bridge_links": links} if name == "bridge" else {name: own}
+        _enclave(enclaves, name, nodes)
     _enclave(enclaves, "gateway", {"gateway": gateway, "plane_client": orders})
     _enclave(enclaves, "operator", {"plane_client": orders})
     _enclave(enclaves, "monitor", {"plane_client": {topic: hears[topic]}})
