@@ -1,7 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make the helper modules in this folder importable."""
+"""Make the helper modules in this folder importable, and keep the memory of bridges apart."""
 
 import sys
 from pathlib import Path
 
+import pytest
+
 sys.path.append(str(Path(__file__).parent))
+
+
+@pytest.fixture(autouse=True)
+def state_home(tmp_path, monkeypatch):
+    """Bridges remember the robots of devices in a folder of the test, not of the user."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
