@@ -34,8 +34,8 @@ from fiber_recording import load_recording
 
 REPORT_KEYS = [
     "planner", "seed", "plane", "drive", "robots", "enabled", "asked", "reached", "held", "failed",
-    "reasons", "makespan_s", "lower_bound_s", "makespan_ratio", "motors_on_peak",
-    "drive_violations", "certified", "min_clearance_mm", "min_clearance_ids",
+    "reasons", "makespan_s", "lower_bound_s", "makespan_ratio", "power_bound_s", "motors_on",
+    "motors_on_peak", "drive_violations", "certified", "min_clearance_mm", "min_clearance_ids",
     "min_clearance_time_s", "segments_mean", "segments_max", "segments_bound",
     "end_error_um_rms", "end_error_um_max", "reachable_at_once", "pair_bound_s",
     "pair_bound_proven", "makespan_to_pair_bound", "bytes_mean", "bytes_bound", "bus_time_s",
