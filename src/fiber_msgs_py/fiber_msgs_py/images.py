@@ -41,6 +41,10 @@ def decode(message: Image) -> NDArray[np.unsignedinteger]:
         raise MessageError(
             "image", f"is not one of {', '.join(_BYTES)}", field="encoding", value=message.encoding
         )
+    if not message.height or not message.width:
+        raise MessageError(
+            "image", "are no pixels", field="sizes", value=(message.height, message.width)
+        )
     row = size * message.width
     if message.step < row or len(message.data) < message.step * message.height:
         raise MessageError(
