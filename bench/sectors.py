@@ -182,7 +182,8 @@ class _Plane:
     def close(self) -> None:
         for each in self._connections:
             each.close()
-        for process in self._processes:
+        for process in self._processes:  # the forked ones hold each other's connections open
+            process.terminate()
             process.join(10.0)
 
 
