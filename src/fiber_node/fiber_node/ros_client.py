@@ -2,6 +2,8 @@
 """A node that does one thing after another and receives messages in between."""
 
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -17,6 +19,7 @@ from fiber_msgs_py import Topic
 
 __all__ = ["RosClient", "WaitError"]
 
+_SIGNALS = signal.SIGINT, signal.SIGTERM
 _SLICE_S = 0.05  # longest time without a message after which condition and guard are evaluated
 
 
@@ -31,6 +34,30 @@ class WaitError(FiberError):
     def __init__(self, what: str, timeout_s: float):
         super().__init__(f"{what} did not come within {timeout_s:g} s")
         self.what, self.timeout_s = what, timeout_s
+
+
+def uninterrupted(work: Callable[[], None]) -> None:
+    """Do a short piece of work; Ctrl-C, and a signal handled like it, come when it has ended.
+
+    Args:
+        work: called once.
+
+    Raises:
+        KeyboardInterrupt: a signal came meanwhile; whatever the work raised is lost.
+    """
+    came: list[int] = []
+    held = []
+    if threading.current_thread() is threading.main_thread():
+        held = [n for n in _SIGNALS if signal.getsignal(n) is signal.default_int_handler]
+    try:
+        for number in held:
+            signal.signal(number, lambda number, _: came.append(number))
+        work()
+    finally:
+        for number in held:
+            signal.signal(number, signal.default_int_handler)
+        if came:
+            raise KeyboardInterrupt
 
 
 class RosClient:
@@ -125,7 +152,7 @@ class RosClient:
             left = deadline - self._clock()
             if left <= 0:
                 raise WaitError(what if isinstance(what, str) else what(), timeout_s)
-            self._executor.spin_once(timeout_sec=min(left, _SLICE_S))
+            self._spin_once(min(left, _SLICE_S))
 
     def wait_quietly(self, quiet_s: float, count: Callable[[], int]) -> None:
         """Receive messages until their number has not changed for a while.
@@ -137,9 +164,14 @@ class RosClient:
         before, since_s = count(), self._clock()
         while self._clock() < since_s + quiet_s:
             self._guard()
-            self._executor.spin_once(timeout_sec=_SLICE_S)
+            self._spin_once(_SLICE_S)
             if count() != before:
                 before, since_s = count(), self._clock()
+
+    def _spin_once(self, timeout_s: float) -> None:
+        # an interrupt inside the executor can leave a callback group busy for ever, and the client
+        # would never hear the answer to its stop
+        uninterrupted(lambda: self._executor.spin_once(timeout_sec=timeout_s))
 
     def close(self) -> None:
         """Leave the graph."""
