@@ -59,23 +59,25 @@ class SessionGate:
             self._refuse(name, f"{name} refused: it belongs to no session")
         elif self.is_open(session):
             self._kept.pop(topic, None)
-            if topic != topics.LAYOUT.name or self._is_new(message):
-                callback(message)
+            self._pass(topic, message, callback)
         else:
             self._node.get_logger().debug(f"{name} waits until its bridge, of {session}, is seen")
             self._kept[topic] = time.monotonic() + _UNKNOWN_S, session, message, callback
             self._timer.reset()
 
-    def _is_new(self, message: Any) -> bool:
-        # the bridge repeats its layout at rest, for subscribers that came after it
-        is_new, self._layout = message != self._layout, message
-        return is_new
+    def _pass(self, topic: str, message: Any, callback: Callable[[Any], None]) -> None:
+        if topic == topics.LAYOUT.name:
+            # the bridge repeats its layout at rest, for subscribers that came after it
+            is_new, self._layout = message != self._layout, message
+            if not is_new:
+                return
+        callback(message)
 
     def _check_kept(self) -> None:
         for topic, (until_s, session, message, callback) in list(self._kept.items()):
             if self.is_open(session):
                 del self._kept[topic]
-                callback(message)
+                self._pass(topic, message, callback)
             elif time.monotonic() > until_s:
                 del self._kept[topic]
                 name = topic.rpartition("/")[2]

@@ -214,6 +214,15 @@ def test_messages_of_a_session_without_a_bridge_are_refused_by_name(graph):
 
     graph.until(appear)
     assert bridge.cache.session == OTHER
+    # the same again, as the bridge repeats it at rest, is no new layout
+    passed, again = [], []
+    bridge.gate._kept.clear()
+    bridge.gate.subscription(topics.LAYOUT, passed.append)
+    topics.LAYOUT.subscription(bridge.source, again.append)
+    graph.until(lambda: again)  # latched
+    bridge.publish_layout()
+    graph.until(lambda: len(again) > 1)
+    assert not passed
 
 
 def test_work_waits_until_the_bridge_accepts_its_attempt(graph):
