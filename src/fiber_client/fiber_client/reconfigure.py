@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         except FiberError as error:
             display.say(f"reconfigure: {error}")
         except KeyboardInterrupt:
-            display.say("reconfigure: interrupted; planning and robots under way were told to stop")
+            display.say("reconfigure: interrupted")  # a stop that was ordered is in the log
     return 1
 
 
@@ -95,8 +95,11 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
         kind_of(options.results)  # refused before the motion, not after it
     elif options.form is not None:
         raise PlaneError("--form tells columns of --results, which is not given")
-    client.wait_for_graph(options.timeout)
     loop = _camera_loop(client, options)
+    client.wait_for_graph(options.timeout)
+    if loop is not None and client.plane.fibres.shape[1]:
+        names = ", ".join(client.plane.fibre_names)
+        raise PlaneError(f"the camera sees one fibre at each tip, the plane has {names}")
     if options.home_first:
         with client.stops_on_error(options.timeout):
             folded = client.home(options.timeout)
@@ -133,9 +136,6 @@ def _camera_loop(client: PlaneClient, options: argparse.Namespace) -> CameraLoop
         if options.iterations is not None:
             raise PlaneError("--iterations tells how often to correct, and needs --tolerance-um")
         return None
-    if client.plane.fibres.shape[1]:
-        names = ", ".join(client.plane.fibre_names)
-        raise PlaneError(f"the camera sees one fibre at each tip, the plane has {names}")
     iterations = _ITERATIONS if options.iterations is None else options.iterations
     return CameraLoop(client, options.tolerance_um, iterations, options.timeout)
 
