@@ -13,7 +13,8 @@ from fiber_bus_bridge.plant import PlantBuses
 from fiber_bus_bridge.plant.plant import Plant
 from fiber_bus_bridge.plant.server import PlantServer, listen
 from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses
-from fiber_core.clearance import Safety, hold_until_safe
+from fiber_core.clearance import Safety, certify, hold_until_safe
+from fiber_core.motion import SegmentMotion
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireMotion, WireUnits
 
@@ -95,3 +96,31 @@ def finish(session, t):
             return t
         t = session.advance(t + 0.1)
     raise AssertionError("the plan does not end")
+
+
+def wait_for(condition):
+    """Let the thread of the plant work until a condition holds."""
+    until_s = time.monotonic() + LONG_S
+    while not condition():
+        assert time.monotonic() < until_s, "the condition did not come to hold"
+        time.sleep(1e-3)
+
+
+def end(*_):
+    """A bridge that ends between VERIFY and GO."""
+    raise KeyboardInterrupt
+
+
+def without_care(plane, motion, safety):
+    """A certifier that takes every motion for safe, as if the robots rested."""
+    rest = SegmentMotion(motion.start, np.zeros(2 * plane.n + 1, dtype=int), [], [])
+    return motion, np.zeros(plane.n, dtype=bool), certify(plane, rest, safety)
+
+
+def moving(plant, **motion):
+    """A session whose robots have moved for 0.1 s."""
+    session, _ = session_on(plant.connect())
+    t = begin(session, **motion)
+    session.advance(t + 0.1)
+    assert plant.plant.moving == PLANE.n
+    return session
