@@ -1,17 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two example recordings: one that ran to its end, and one that was stopped and resumed."""
 
+import json
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+import fiber_viewer
 from fiber_recording import Recording, save_recording
 from fiber_recording.examples import random_recording
 from fiber_viewer import write_player
 
 sys.path.append(str(Path(__file__).parent))  # for the modules that tests share
 from chromium import open_at, size, start_browser  # noqa: E402
+
+PLAYER = Path(fiber_viewer.__file__).parent / "player"
 
 
 @pytest.fixture(scope="session")
@@ -59,3 +65,37 @@ def opened(browser, page):
     size(browser, 1440, 1000)
     open_at(browser, page, "")
     return browser
+
+
+@pytest.fixture
+def node(tmp_path):
+    """Run a script with `recording` and `inputs`, and return the value of its `answer`."""
+    if shutil.which("node") is None:
+        pytest.skip("NOT TESTED: the scripts of the page, because node is not installed")
+
+    def run(recording_file, body, **inputs):
+        (tmp_path / "inputs.json").write_text(json.dumps(inputs))
+        imports = "".join(
+            f"import * as {name} from {json.dumps((PLAYER / f'{name}.js').as_uri())};\n"
+            for name in ("recording", "kinematics", "clearance", "neighbourhood", "profiles")
+            + ("address", "headline", "axes", "phases")
+        )
+        (tmp_path / "run.mjs").write_text(
+            imports.replace("* as recording", "* as opened")
+            + f"""
+            import fs from "node:fs";
+            const inputs = JSON.parse(fs.readFileSync({json.dumps(str(tmp_path / "inputs.json"))}));
+            const bytes = new Uint8Array(fs.readFileSync({json.dumps(str(recording_file))}));
+            const recording = await opened.openRecording(bytes);
+            let answer;
+            {body}
+            console.log(JSON.stringify(answer));
+            """
+        )
+        ran = subprocess.run(
+            ["node", tmp_path / "run.mjs"], capture_output=True, text=True, check=False
+        )
+        assert ran.returncode == 0, ran.stderr
+        return json.loads(ran.stdout)
+
+    return run

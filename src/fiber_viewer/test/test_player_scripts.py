@@ -3,8 +3,6 @@
 
 import json
 import re
-import shutil
-import subprocess
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +14,6 @@ import fiber_viewer
 from fiber_core import kinematics
 from fiber_core.clearance import gaps, neighbour_pairs
 from fiber_core.corridor import JointCorridors
-from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_recording import load_recording, save_recording
 from fiber_viewer.page import CONSOLE_SCRIPTS, SCRIPTS, script
@@ -25,40 +22,6 @@ PLAYER = Path(fiber_viewer.__file__).parent / "player"
 DRAWS = 300
 # a recording of version 1, of a plane with polygons
 OUTLINES = Path(__file__).parents[2] / "fiber_recording/test/data/recording-1.npz"
-
-
-@pytest.fixture
-def node(tmp_path):
-    """Run a script with `recording` and `inputs`, and return the value of its `answer`."""
-    if shutil.which("node") is None:
-        pytest.skip("NOT TESTED: the scripts of the page, because node is not installed")
-
-    def run(recording_file, body, **inputs):
-        (tmp_path / "inputs.json").write_text(json.dumps(inputs))
-        imports = "".join(
-            f"import * as {name} from {json.dumps((PLAYER / f'{name}.js').as_uri())};\n"
-            for name in ("recording", "kinematics", "clearance", "neighbourhood", "profiles")
-            + ("address", "headline", "axes", "phases")
-        )
-        (tmp_path / "run.mjs").write_text(
-            imports.replace("* as recording", "* as opened")
-            + f"""
-            import fs from "node:fs";
-            const inputs = JSON.parse(fs.readFileSync({json.dumps(str(tmp_path / "inputs.json"))}));
-            const bytes = new Uint8Array(fs.readFileSync({json.dumps(str(recording_file))}));
-            const recording = await opened.openRecording(bytes);
-            let answer;
-            {body}
-            console.log(JSON.stringify(answer));
-            """
-        )
-        ran = subprocess.run(
-            ["node", tmp_path / "run.mjs"], capture_output=True, text=True, check=False
-        )
-        assert ran.returncode == 0, ran.stderr
-        return json.loads(ran.stdout)
-
-    return run
 
 
 def drawn_times(recording, rng):
@@ -363,87 +326,3 @@ def test_a_file_of_the_page_is_short_and_names_no_address(path):
 def test_presets_with_and_without_theta_outlines_are_both_tested():
     assert load_recording(OUTLINES).problem.plane.theta_vertices.shape[1]
     assert not preset("desi", 3).theta_vertices.shape[1]
-
-
-def test_a_robot_without_a_target_is_not_held_whatever_its_reason(node, recording, tmp_path):
-    reason = recording.reason.copy()
-    reason[3] = Reason.NOT_PLANNED
-    save_recording(tmp_path / "other.npz", replace(recording, reason=reason))
-    states, figures = node(
-        tmp_path / "other.npz",
-        """
-        const { stateAt, STATE_NAMES } = opened;
-        answer = [[3, 5].map((row) => STATE_NAMES[stateAt(recording, row, 9)]),
-          headline.figuresOf(recording)];
-        """,
-    )
-    assert states == ["no target", "held"]
-    assert (figures["asked"], figures["held"], figures["disabled"]) == (36, 1, 1)
-
-
-def test_a_reason_names_the_bus_that_failed(node, recording, tmp_path):
-    reason = recording.reason.copy()
-    reason[11] = Reason.BUS_FAILED
-    plane = recording.problem.plane
-    problem = replace(recording.problem, plane=replace(plane, bus=np.full(plane.n, 4)))
-    save_recording(tmp_path / "other.npz", replace(recording, problem=problem, reason=reason))
-    texts = node(
-        tmp_path / "other.npz",
-        "answer = [opened.reasonOf(recording, 11), opened.reasonOf(recording, 5)];",
-    )
-    assert texts == ["failed: bus 4 failed", "held: unsafe"]
-
-
-def test_the_cause_of_a_stop_is_listed_before_it(node, resumed, tmp_path):
-    late = replace(resumed.events, time_s=np.array([0.0, 0.35, 0.4]))  # the bus tells of it later
-    other = np.array([-1, 12, 12])  # robot 12 did not stop by itself
-    for name, row, expected in (
-        ("own", resumed.events.row, [[0.211, 11], [0.3003, None], [0.35, 11], [0.455, None]]),
-        ("other", other, [[0.35, 12], [0.3003, None], [0.4, 12], [0.455, None]]),
-    ):
-        events = replace(late, row=row)
-        outcome = np.where(resumed.outcome == Outcome.FAILED, Outcome.REACHED, resumed.outcome)
-        save_recording(tmp_path / name, replace(resumed, events=events, outcome=outcome))
-        history = node(
-            tmp_path / f"{name}",
-            """
-            answer = opened.historyOf(recording, opened.faultsOf(recording))
-              .map(({ time, fault }) => [time, fault ? fault.row : null]);
-            """,
-        )
-        assert history == [[pytest.approx(time_s, abs=1e-3), row] for time_s, row in expected]
-
-
-@pytest.mark.parametrize("high", [20.0, 40.0])
-def test_grey_begins_where_the_corridor_ends(node, recording_file, high):
-    below, above = node(
-        recording_file,
-        "answer = profiles.forbiddenBands([0, 5, 9, 1, -3, 30], 0, inputs.high);",
-        high=high,
-    )
-    assert below == [0, 0, 5, 1, 0, 0]
-    assert above == [0, 9, high, 1, min(30, high), high]
-
-
-def test_robots_that_fail_together_are_one_fault_when_they_stopped(node, resumed, tmp_path):
-    rows = np.arange(len(resumed.outcome))
-    together = (rows < 9) & resumed.phases[0].stopped
-    bad = together | (rows == 11)  # robot 11 stopped by itself
-    names = vars(resumed.events)
-    failed = replace(
-        resumed,
-        outcome=np.where(bad, Outcome.FAILED, Outcome.REACHED),
-        reason=np.where(bad, Reason.NOT_ACKNOWLEDGED, Reason.OK),
-        phases=(resumed.phases[0],),  # no robot is resumed
-        events=replace(resumed.events, **{n: getattr(resumed.events, n)[:1] for n in names}),
-    )
-    save_recording(tmp_path / "failed.npz", failed)
-    answer = node(
-        tmp_path / "failed.npz",
-        "answer = opened.faultsOf(recording).map(({ time, row, kind }) => [time, row, kind]);",
-    )
-    assert together.sum() > 3
-    assert answer == [
-        [pytest.approx(0.211), 11, "failed: not acknowledged"],
-        [pytest.approx(0.3003), -1, f"{together.sum()} robots failed: not acknowledged"],
-    ]
