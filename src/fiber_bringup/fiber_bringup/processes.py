@@ -58,7 +58,9 @@ class _Started:
 
 def _private(path: str, flags: int) -> int:
     # what a node prints is for its owner: the address of the console has its token
-    return os.open(path, flags, 0o600)
+    opened = os.open(path, flags, 0o600)
+    os.fchmod(opened, 0o600)  # of an earlier run, too
+    return opened
 
 
 def installed(package: str, executable: str) -> Path:

@@ -14,7 +14,7 @@ from fiber_bus_bridge.plant.server import PlantServer, listen
 from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_problem
 from fiber_client.client import PlaneClient
 from fiber_client.closed_loop import CameraLoop
-from fiber_client.errors import PlaneRefusal
+from fiber_client.errors import PlaneError, PlaneRefusal
 from fiber_client.reconfigure import main as reconfigure
 from fiber_core.fields import random_field
 from fiber_core.outcomes import Outcome, Reason, Verdict
@@ -249,5 +249,5 @@ def test_no_image_is_taken_while_a_plan_waits(night, first):
 
 def test_impossible_loops_are_refused(night):
     for tolerance_um, iterations in ((0.0, 1), (np.nan, 1), (5.0, -1)):
-        with pytest.raises(Exception, match="tolerance|iterations"):
+        with pytest.raises(PlaneError, match="tolerance|iterations"):
             night.loop(tolerance_um, iterations)

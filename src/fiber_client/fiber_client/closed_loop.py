@@ -7,7 +7,7 @@ taken once more; then the loop ends, and what is known is told.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from fiber_client.client import PlaneClient
 from fiber_client.errors import PlaneError, PlaneRefusal
 from fiber_core.array_types import Floats, Ids, Mask, Points
+from fiber_core.errors import FiberError
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason, Verdict
 from fiber_msgs_py import PlanStamp, topics
 from fiber_msgs_py.measured import Measured
@@ -153,24 +154,31 @@ class CameraLoop:
         places: list[Points] = []
         errors_mm: list[Floats] = []
         corrected: list[int] = []
-        last: Measured | None = None
         ended = ""
-        reason = np.array(base.reason)
+        moved = base
         for number in range(self.iterations + 1):
             try:
-                last = self._usable_image()
-            except PlaneRefusal as refusal:
-                ended = str(refusal)
+                image = self._usable_image()
+            except FiberError as error:
+                ended = str(error)
                 break
-            places.append(self._places(last))
+            places.append(self._places(image))
             errors_mm.append(np.hypot(*(places[-1] - wanted).T))
-            todo = self._to_correct(last, errors_mm[-1], base)
+            todo = self._to_correct(errors_mm[-1], base)
             if number == self.iterations or not todo.any():
                 break
             corrected.append(int(todo.sum()))
-            moved = self._correct(plane.ids[todo], wanted[todo]).of(plane.ids)
-            reason = np.where(todo, moved.reason, reason)
-        outcome = self._outcome(base, reason, wanted, last, errors_mm)
+            try:
+                after = self._correct(plane.ids[todo], wanted[todo]).of(plane.ids)
+            except FiberError as error:
+                ended = str(error)
+                break
+            moved = replace(
+                moved,
+                outcome=np.where(todo, after.outcome, moved.outcome),
+                reason=np.where(todo, after.reason, moved.reason),
+            )
+        outcome = self._outcome(moved, wanted, errors_mm)
         return LoopEnd(outcome, places, errors_mm, corrected, dict(self._flagged), ended)
 
     def _usable_image(self) -> Measured:
@@ -186,10 +194,11 @@ class CameraLoop:
 
     def _places(self, image: Measured) -> Points:
         places = np.full((self.client.plane.n, 2), np.nan)
-        places[self.client.plane.index_of(image.ids)] = image.places
+        rows = self.client.plane.index_of(image.ids)
+        places[rows[rows >= 0]] = image.places[rows >= 0]
         return places
 
-    def _to_correct(self, image: Measured, errors_mm: Floats, base: PlanOutcome) -> Mask:
+    def _to_correct(self, errors_mm: Floats, base: PlanOutcome) -> Mask:
         still = np.isin(self.client.plane.ids, list(self._flagged))
         # a robot that the blind motion was not planned for stays as it is
         on_the_way = np.isin(base.reason, (Reason.OK, Reason.OFF_TARGET))
@@ -207,31 +216,28 @@ class CameraLoop:
 
     def _outcome(
         self,
-        base: PlanOutcome,
-        reason: np.ndarray,
+        moved: PlanOutcome,
         wanted: Points,
-        last: Measured | None,
         errors_mm: list[Floats],
     ) -> PlanOutcome:
         """The outcome of every robot, as the last image shows it."""
-        n = len(base.ids)
+        n = len(moved.ids)
         asked = np.isfinite(wanted).all(axis=1)
         error = errors_mm[-1] if errors_mm else np.full(n, np.nan)
         seen = np.isfinite(error)
+        still = np.isin(moved.ids, list(self._flagged))
         with np.errstate(invalid="ignore"):
-            reached = asked & seen & (error <= 1e-3 * self.tolerance_um)
-        still = np.isin(base.ids, list(self._flagged))
-        outcome, why = np.array(base.outcome), np.array(reason)
-        by_counter = asked & np.isin(base.outcome, (Outcome.REACHED,))
+            reached = asked & seen & ~still & (error <= 1e-3 * self.tolerance_um)
+        outcome, why = np.array(moved.outcome), np.array(moved.reason)
         # what the counters call reached is that no more
-        missed = by_counter & ~reached
-        outcome[missed] = Outcome.HELD
+        by_counter = asked & (outcome == Outcome.REACHED)
+        outcome[by_counter & ~reached] = Outcome.HELD
         fine = np.isin(why, (Reason.OK, Reason.NO_TARGET))
-        why[missed & fine] = Reason.OFF_TARGET
+        why[asked & seen & ~reached & fine] = Reason.OFF_TARGET
         why[by_counter & ~seen] = Reason.NOT_SEEN
         outcome[still & asked], why[still & asked] = Outcome.FAILED, Reason.NOT_MOVED
         outcome[reached], why[reached] = Outcome.REACHED, Reason.OK
-        return PlanOutcome(base.stamp_ns, base.ids, outcome, why, error)
+        return PlanOutcome(moved.stamp_ns, moved.ids, outcome, why, error)
 
 
 def show_images(closed: LoopEnd, say: Callable[[str], None]) -> dict[str, object]:

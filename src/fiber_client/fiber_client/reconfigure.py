@@ -136,6 +136,8 @@ def _camera_loop(client: PlaneClient, options: argparse.Namespace) -> CameraLoop
         if options.iterations is not None:
             raise PlaneError("--iterations tells how often to correct, and needs --tolerance-um")
         return None
+    if options.no_start:
+        raise PlaneError("--tolerance-um corrects after a motion, and --no-start starts none")
     iterations = _ITERATIONS if options.iterations is None else options.iterations
     return CameraLoop(client, options.tolerance_um, iterations, options.timeout)
 

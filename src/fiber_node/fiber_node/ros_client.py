@@ -19,7 +19,7 @@ from fiber_msgs_py import Topic
 
 __all__ = ["RosClient", "WaitError"]
 
-_SIGNALS = signal.SIGINT, signal.SIGTERM
+_SIGNALS = signal.SIGINT, signal.SIGTERM  # SIGINT first
 _SLICE_S = 0.05  # longest time without a message after which condition and guard are evaluated
 
 
@@ -54,7 +54,8 @@ def uninterrupted(work: Callable[[], None]) -> None:
             signal.signal(number, lambda number, _: came.append(number))
         work()
     finally:
-        for number in held:
+        # the last one back is SIGINT, after which one may come at any place
+        for number in reversed(held):
             signal.signal(number, signal.default_int_handler)
         if came:
             raise KeyboardInterrupt

@@ -82,14 +82,20 @@ class MeasuredRobots:
         if (rows < 0).any():
             robot = int(told.ids[rows < 0][0])
             raise MessageError("measured", "is not of this plane", robot=robot)
-        angles, wider = np.array(session.angles), np.zeros((plane.n, 2))
-        certain = np.zeros(plane.n, dtype=bool)
+        # robots that the message does not name stay as they were known
+        wider = np.stack(
+            [
+                session.plane.theta_radius - plane.theta_radius,
+                session.plane.phi_radius - plane.phi_radius,
+            ],
+            axis=1,
+        ).clip(0.0)
+        angles, certain = np.array(session.angles), np.zeros(plane.n, dtype=bool)
         certain[rows] = np.isfinite(told.places).all(axis=1)
-        angles[rows] = np.where(certain[rows, None], told.angles, angles[rows])
-        wider[rows] = told.wider_mm
+        angles[rows], wider[rows] = told.angles, told.wider_mm
         counts = session.units.encoder_counts(plane, angles)
-        took = place_robots(session, counts, certain, self._now_s()) | ~certain
-        # a robot that keeps its counters is where the camera saw it, not where they say
+        took = place_robots(session, counts, certain, self._now_s())
+        # a robot that keeps its counters may be where the camera tells, or where they say
         off = np.abs(angles - session.angles) * levers_of(plane)
         wider += np.where(took[:, None], 0.0, off.sum(axis=1, keepdims=True))
         widen_outlines(session, plane, *wider.T)
@@ -98,9 +104,10 @@ class MeasuredRobots:
         self._outgoing.publish_layout(always=True)
         still = np.isin(told.verdict, _STILL)
         text = f"{certain.sum()} robots are where the camera saw them, {still.sum()} did not move"
-        if not took.all():
-            named = ", ".join(map(str, plane.ids[~took][:_NAMED]))
-            text += f"; {(~took).sum()} keep their counters: robots {named}"
+        kept = certain & ~took
+        if kept.any():
+            named = ", ".join(map(str, plane.ids[kept][:_NAMED]))
+            text += f"; {kept.sum()} keep their counters: robots {named}"
         self._reporter.info(f"plan {attempt}: {text}")
         self._images += 1
         self._reporter.counters |= {"images": self._images, "measured": attempt.stamp}
