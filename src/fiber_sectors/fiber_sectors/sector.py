@@ -13,6 +13,7 @@ import queue
 import time
 import zlib
 from collections.abc import Callable
+from dataclasses import astuple
 
 import numpy as np
 
@@ -212,6 +213,7 @@ class Sector:
         lasts_s = countdown_s(verify_s, c.silence_s, config.heartbeat_period_s)
         return table_of(session) | {
             "crc": np.array(zlib.crc32(data)),
+            "terms": np.array(astuple(self._terms), dtype=float),
             "lasts_s": np.array(lasts_s),
             "ahead_s": np.array(self._ahead_s),
         }

@@ -8,6 +8,7 @@ they call the sectors, which use theirs.
 import time
 import zlib
 from collections.abc import Callable
+from dataclasses import astuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +26,7 @@ from fiber_core.clearance import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireUnits
-from fiber_sectors.calls import Kind
+from fiber_sectors.calls import Columns, Kind
 from fiber_sectors.conductor import Step
 from fiber_sectors.errors import SectorError
 from fiber_sectors.exchange import Links, Sectors
@@ -150,19 +151,27 @@ class SectoredSession(Session):
         answers = self.sectors.call(Kind.PREPARE, columns, of_run=("verified", "reason"))
         robots["reason"] = np.where(wanted, robots["reason"], reason)
         phase.frames = encode_load(c.transactions.addresses, c.buses["sequence"][c.bus], motion)
+        others: list[int] = []  # sectors that hold other orders or other terms, or do not answer
         for k in part:
-            rows = self.sectors.rows[k]
-            answer = answers.get(k)
-            same = answer is not None and _crc(phase.frames, rows) == int(answer["crc"])
-            if not same:
+            rows, answer = self.sectors.rows[k], answers.get(k)
+            if answer is None or not self._agrees(answer, phase.frames, rows):
+                others.append(k)
                 robots["verified"][rows] = False
                 why = Reason.BUS_FAILED if answer is None else Reason.NOT_VERIFIED
                 robots["reason"][rows[wanted[rows]]] = why
         robots["verified"] &= wanted
         robots["wanted"] &= robots["reason"] == Reason.OK
+        if others:  # what they hold is not what is certified: a run that they are in never starts
+            self.sectors.finish(f"sectors {others} do not hold these orders under these terms")
+            return self._load(c, phase)
         self._ahead_s = max((float(a["ahead_s"]) for a in answers.values()), default=0.0)
         self._lasts_s = max((float(a["lasts_s"]) for a in answers.values()), default=0.0)
         return Event.VERIFIED
+
+    def _agrees(self, answer: Columns, frames: Frames, rows: Rows) -> bool:
+        # the certificate is of these bytes, and of the lease that the terms give
+        terms = np.array(astuple(self._terms), dtype=float)
+        return _crc(frames, rows) == int(answer["crc"]) and np.array_equal(answer["terms"], terms)
 
     def _disarm(self, c: Context, phase: Phase) -> Event:
         """Begin a new run without the unsafe robots: no sector starts what it holds."""

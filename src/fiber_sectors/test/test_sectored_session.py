@@ -53,6 +53,27 @@ def test_sectors_start_together_and_reach_the_ends_of_their_orders(plane_of):
     assert all(figures["frames"] > 0 for figures in frames.values()) and len(frames) == 6
 
 
+@pytest.mark.parametrize("what", ["crc", "terms"])
+def test_a_sector_that_holds_other_orders_or_terms_moves_nothing(plane_of, monkeypatch, what):
+    plane = plane_of()
+    session, orders = plane.session, turning(plane.session)
+    told = plane.sectors[1]._loaded
+
+    def told_otherwise():
+        answer = told()
+        return answer | {what: answer[what] + 1}
+
+    monkeypatch.setattr(plane.sectors[1], "_loaded", told_otherwise)
+    before = plane.buses[1].positioners.memory["position"].copy()
+    session.submit(orders)
+    session.start(0.0)
+    plane.until_rest()
+    np.testing.assert_array_equal(plane.buses[1].positioners.memory["position"], before)
+    of_one = plane.plane.sector == 1
+    assert (session.result.reason[of_one] == Reason.NOT_VERIFIED).all()
+    assert (session.result.outcome[~of_one] == Outcome.REACHED).any()
+
+
 def jammed(t):
     return Faults(events=np.array([(3, t, int(Event.JAM_THETA), 0)], dtype=EVENT))
 

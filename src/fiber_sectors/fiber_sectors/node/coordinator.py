@@ -67,7 +67,7 @@ class CoordinatorNode(BridgeNode):
             BridgeError: buses of the coordinator's own are given.
         """
         if declared.chosen.devices or declared.chosen.plant != "none":
-            raise BridgeError("a coordinator has no buses: give plant or devices to the sectors")
+            raise BridgeError("a coordinator has no buses: give the plant to the sectors")
         own = self._parameters_given.own
         found = simulated_hardware(declared.plane)
         plane = with_sectors(found.plane, own["sectors"].shares)

@@ -15,6 +15,7 @@ from fiber_core.clearance import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_msgs_py import topics
 from fiber_node import PlaneNode, run
+from fiber_sectors.errors import SectorError
 from fiber_sectors.node.links import as_message
 from fiber_sectors.node.settings import SectorsConfig
 from fiber_sectors.sector import Sector, certified_elsewhere
@@ -45,6 +46,10 @@ class SectorNode(PlaneNode):
         own = self.parameters.declare(SectorsConfig, "sectors", read_only=True).value
         terms = self.parameters.declare(Terms, "terms", read_only=True).value
         self.parameters.finish()
+        if declared.chosen.devices:
+            raise SectorError(
+                f"devices {list(declared.chosen.devices)}: sectors move simulated robots alone"
+            )
 
         def part(plane: FocalPlane) -> FocalPlane:
             return part_of(with_sectors(plane, own.shares), own.number)
