@@ -77,8 +77,10 @@ def problem_from(
         plane = preset_plane(preset or DEFAULT_PRESET, robots or None)
     if spacing_mm is not None:
         plane = replace(plane, spacing_mm=spacing_mm)
-    if drive is not None or motors_on is not None:
-        plane = with_drive(plane, drive or plane.drive.name, motors_on)
+    if drive is not None:
+        plane = with_drive(plane, drive, motors_on)
+    elif motors_on is not None:  # the motors stay what the plane says
+        plane = replace(plane, drive=replace(plane.drive, motors_on=motors_on))
     start = None if base is None else base.start
     if starts:
         begun = read_starts(starts, plane)

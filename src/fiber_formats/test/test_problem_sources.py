@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A problem comes from a problem file, a layout table or a preset."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fiber_core import FiberError, preset, random_problem, save_problem
+from fiber_core.drive import Drive
 from fiber_formats import DEFAULT_PRESET, problem_from
 
 
@@ -68,3 +71,13 @@ def test_a_bad_source_is_refused(source, words, tmp_path):
         path.write_bytes(b"no")
     with pytest.raises(FiberError, match=words):
         problem_from(**(source | paths))
+
+
+def test_a_share_of_motors_alone_leaves_the_motors_as_the_file_says(tmp_path):
+    plane = preset("desi", 7)
+    own = replace(plane, drive=Drive(7, ramp_s=0.1, acceleration_rad_s2=30.0))
+    problem = random_problem(own, np.random.default_rng(1))
+    save_problem(tmp_path / "problem.npz", problem)
+    found = problem_from(problem=tmp_path / "problem.npz", motors_on=0.5).problem.plane.drive
+    assert (found.ramp_s, found.motors_on) == (0.1, 0.5)
+    np.testing.assert_array_equal(found.acceleration_rad_s2, own.drive.acceleration_rad_s2)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The planner of motors with listed speeds: its moves, its timetable, its plans."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,8 @@ from fiber_core import SegmentMotion, preset
 from fiber_core.drive import rules_broken
 from fiber_core.drive.least_time import least_time_s
 from fiber_core.drive.named import with_drive
-from fiber_core.fields import random_problem
+from fiber_core.fields import random_field, random_problem
+from fiber_core.kinematics import forward
 from fiber_core.wire_units import WireUnits
 from fiber_planner import PlannerError, ScheduledParameters, ScheduledPlanner
 from fiber_planner.scheduled.moves import motors_of_plane
@@ -92,3 +95,12 @@ def test_other_motors_are_refused():
         ScheduledPlanner().plan(problem)
     with pytest.raises(PlannerError, match="slack"):
         ScheduledParameters(slack=-1.0)
+
+
+@pytest.mark.parametrize("seed", [45, 53, 59])
+def test_conflicts_of_robots_that_have_nothing_to_turn_end_the_search(seed):
+    plane = with_drive(preset("desi_petals", 40), "desi", motors_on=0.55)
+    drawn = random_field(plane, np.random.default_rng(seed), gap_mm=0.075).problem
+    targets = forward(plane, drawn.start)[1]
+    found = ScheduledPlanner().plan(replace(drawn, targets=targets))
+    assert len(found.reason) == 40

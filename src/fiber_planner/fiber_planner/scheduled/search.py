@@ -186,6 +186,8 @@ class Search:
         # robots in conflict, no two of them neighbours, take the best of some motions
         conflicts = self._conflicts
         robots = self._chosen()
+        if not len(robots):
+            return  # all that are in conflict have nothing to turn
         # few robots try more motions: a round costs as much
         rows = np.repeat(robots, candidates * max(1, min(_MOST_TIMES, _MANY // len(robots))))
         legs, wanted, turn = self._drawn(rows)
