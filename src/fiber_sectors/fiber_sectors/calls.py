@@ -3,7 +3,8 @@
 
 import io
 import struct
-from collections.abc import Mapping
+import zipfile
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeAlias
 
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 
 from fiber_sectors.errors import SectorError
 
-__all__ = ["CALL", "Call", "Columns", "Kind", "decode_call", "encode_call"]
+__all__ = ["CALL", "MOST_NUMBER", "Call", "Columns", "Kind", "column", "decode_call", "encode_call",
+           "number_of"]  # fmt: skip
 
 Columns: TypeAlias = dict[str, NDArray]
 CALL = b"FSC1"  # the first bytes of a call and of its answer
+MOST_NUMBER = 2**62  # of calls and runs; nanoseconds reach it in 2116
 _HEAD = struct.Struct("<4sHHq")
 
 
@@ -28,6 +31,7 @@ class Kind(IntEnum):
     CLEAR = 4
     STOP = 5
     REFUSED = 6
+    VOUCH = 7  # robots that do not answer rest where they were read last
 
 
 class Call(NamedTuple):
@@ -50,7 +54,8 @@ class Call(NamedTuple):
         """The text of an answer that refuses its call, else empty."""
         if self.kind is not Kind.REFUSED:
             return ""
-        return self.columns["text"].astype(np.uint8).tobytes().decode(errors="replace")
+        text = self.columns.get("text", np.zeros(0, dtype=np.uint8))
+        return text.tobytes().decode(errors="replace") or "refused"
 
 
 def encode_call(sector: int, kind: Kind, number: int, columns: Mapping[str, NDArray]) -> bytes:
@@ -69,9 +74,56 @@ def decode_call(data: bytes) -> Call:
     """
     try:
         mark, sector, kind, number = _HEAD.unpack_from(data)
-        if mark != CALL:
-            raise ValueError(f"they begin with {mark!r}")
-        with np.load(io.BytesIO(data[_HEAD.size :]), allow_pickle=False) as file:
+        if mark != CALL or not 0 <= number <= MOST_NUMBER:
+            raise ValueError(f"they begin with {mark!r}, and the number {number}")
+        body = io.BytesIO(data[_HEAD.size :])
+        with zipfile.ZipFile(body) as packed:  # a few bytes must not become many
+            if any(each.compress_type != zipfile.ZIP_STORED for each in packed.infolist()):
+                raise ValueError("they are compressed")
+        with np.load(body, allow_pickle=False) as file:
             return Call(sector, Kind(kind), number, {name: file[name] for name in file.files})
     except Exception as error:  # numpy and zipfile have no common error
         raise SectorError(f"{len(data)} bytes are no call: {error}") from error
+
+
+def column(
+    columns: Columns,
+    name: str,
+    dtype: str,
+    shape: Sequence[int | None],
+    low: float = -np.inf,
+    high: float = np.inf,
+) -> NDArray:
+    """Return a column of a call, checked.
+
+    Args:
+        columns: the columns.
+        name: of the column.
+        dtype: type of its values.
+        shape: its shape; None for any length.
+        low, high: the range of the values, which are finite.
+
+    Raises:
+        SectorError: there is no such column, or it holds something else; names it.
+    """
+    values = columns.get(name)
+    if values is None or values.dtype != np.dtype(dtype) or len(values.shape) != len(shape):
+        found = "missing" if values is None else f"{values.dtype} of shape {values.shape}"
+        raise SectorError(f"the column {name} is {found}, expected {dtype} of shape {shape}")
+    if any(wanted not in (None, has) for wanted, has in zip(shape, values.shape)):
+        raise SectorError(f"the column {name} has shape {values.shape}, expected {shape}")
+    wrong = ~(np.isfinite(values) & (values >= low) & (values <= high))
+    if wrong.any():
+        raise SectorError(f"the column {name} has {values[wrong][0]}, expected {low:g}..{high:g}")
+    return values
+
+
+def number_of(
+    columns: Columns, name: str, dtype: str, low: float = -np.inf, high: float = np.inf
+) -> Any:
+    """Return the one number in a column.
+
+    Raises:
+        SectorError: as of column.
+    """
+    return column(columns, name, dtype, (), low, high).item()

@@ -3,6 +3,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -10,22 +11,46 @@ import numpy as np
 from fiber_bus_bridge.protocol import Context
 from fiber_core.array_types import Ints, Rows
 from fiber_core.outcomes import Reason
-from fiber_sectors.calls import CALL, Call, Columns, Kind, decode_call, encode_call
+from fiber_sectors.calls import (
+    CALL,
+    MOST_NUMBER,
+    Call,
+    Columns,
+    Kind,
+    decode_call,
+    encode_call,
+    number_of,
+)
 from fiber_sectors.conductor import Conductor, Step
 from fiber_sectors.errors import SectorError
 from fiber_sectors.messages import decode_report, encode_beat
-from fiber_sectors.tables import take_table
+from fiber_sectors.tables import COUNTERS, take_table
 from fiber_sectors.terms import Terms
 
-__all__ = ["Links", "Sectors"]
+__all__ = ["Links", "Pace", "Sectors"]
 
 _AGAIN_S = 0.1  # between two sendings of a beat that is not answered
 _CALL_AGAIN_S = 1.0  # the same of a call
 _INSTANT_S = 1e-6  # between two beats, while the time of simulated buses stands still
-_COUNTERS = (
-    "frames", "bytes", "no_address", "refused", "line_errors", "retries", "bad_replies",
-    "recoveries", "busy_s",
-)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How time goes on for a coordinator, and how long it waits.
+
+    Args:
+        clock: time of this host [s]; None for simulated buses, whose time goes on with beats.
+        patience_s: longest wait for a sector while simulated time stands still [s].
+        call_s: longest wait for the answer of a call [s].
+        wall: time of the machine [s].
+        number: a number that rises, also from one process to the next.
+    """
+
+    clock: Callable[[], float] | None = None
+    patience_s: float = 5.0
+    call_s: float = 120.0
+    wall: Callable[[], float] = time.monotonic
+    number: Callable[[], int] = time.time_ns
 
 
 class Links(Protocol):
@@ -51,10 +76,7 @@ class Sectors:
         c: the controller of the plane, whose tables are kept up to date.
         terms: the times on which all sectors agree.
         links: the connections with the sectors.
-        clock: time of this host [s]; None for simulated buses, whose time goes on with beats.
-        patience_s: longest wait for a sector while simulated time stands still [s].
-        call_s: longest wait for the answer of a call [s].
-        wall: time of the machine [s].
+        pace: how time goes on.
 
     Attributes:
         number: number of sectors.
@@ -62,38 +84,38 @@ class Sectors:
         conductor: the run under way, or the last one.
         gone: sectors that do not answer.
         why: why the last run was stopped, or not started.
+        malformed: sectors whose answer to the last call was none, and why.
     """
 
-    def __init__(
-        self,
-        c: Context,
-        terms: Terms,
-        links: Links,
-        clock: Callable[[], float] | None,
-        patience_s: float,
-        call_s: float,
-        wall: Callable[[], float] = time.monotonic,
-    ):
-        self._c, self._terms, self._links = c, terms, links
-        self._clock, self._wall = clock, wall
-        self._patience_s, self._call_s = patience_s, call_s
+    def __init__(self, c: Context, terms: Terms, links: Links, pace: Pace):
+        self._c, self._terms, self._links, self._pace = c, terms, links, pace
+        self._clock, self._wall = pace.clock, pace.wall
         sector = c.plane.sector
         self.number = int(sector.max(initial=0)) + 1
         self.rows: list[Rows] = [np.flatnonzero(sector == k) for k in range(self.number)]
         self._buses: list[Ints] = [np.unique(c.bus[rows]) for rows in self.rows]
         self.conductor = Conductor(self.number, terms)
         self.gone: set[int] = set()
-        self.why = ""
+        self.why, self.malformed = "", dict[int, str]()
         self._counters: dict[int, dict[str, float]] = {}
-        self._last_call = time.time_ns()  # above the numbers of an earlier coordinator
+        self._last = 0
         self._at_s = 0.0
 
     def counters(self) -> dict[int, dict[str, float]]:
         """Return the counters of each bus, as of BusCounters.table."""
-        nothing: dict[str, float] = dict.fromkeys(_COUNTERS, 0)
+        nothing: dict[str, float] = dict.fromkeys(COUNTERS, 0)
         return {
             int(bus): self._counters.get(int(bus), nothing) for bus in self._c.transactions.buses
         }
+
+    def next_number(self) -> int:
+        """Return the number of the next call or run: larger than those before it.
+
+        It comes from the wall clock, so that it is larger than those of an earlier coordinator; a
+        clock that is behind them is found out by the first call, which sectors refuse.
+        """
+        self._last = min(max(self._pace.number(), self._last + 1), MOST_NUMBER)
+        return self._last
 
     def now_s(self) -> float:
         """Return the time of the coordinator [s]."""
@@ -112,7 +134,9 @@ class Sectors:
                 self.conductor.hear(report, self.now_s())
                 return None
             call = decode_call(data)
-            if call.number or call.kind is not Kind.TABLE or not 0 <= call.sector < self.number:
+            if not 0 <= call.sector < self.number:
+                return None
+            if call.number or call.kind is not Kind.TABLE:
                 return call
             self._take_table(call)
         except SectorError:
@@ -133,34 +157,75 @@ class Sectors:
     ) -> dict[int, Columns]:
         """Call sectors side by side; return the answers of those that did not refuse.
 
-        The table in each answer is taken over. A sector that does not answer is gone.
+        The table in each answer is taken over. A sector that does not answer, or not as it should,
+        is gone.
         """
-        self._last_call += 1
-        number, waiting = self._last_call, set(columns)
-        data = {k: encode_call(k, kind, number, each) for k, each in columns.items()}
+        until_s = self._wall() + (self._pace.call_s if wait_s is None else wait_s)
+        self.malformed = {}
         answers: dict[int, Columns] = {}
-        until_s = self._wall() + (self._call_s if wait_s is None else wait_s)
-        while waiting and (now_s := self._wall()) < until_s:
-            if all(self._links.left(k) for k in waiting):
-                break
-            for k in waiting:
-                self._links.send(k, data[k])
-            again_s = min(now_s + _CALL_AGAIN_S, until_s)
-            while waiting and (left_s := again_s - self._wall()) > 0.0:
-                for message in self._links.receive(left_s):
-                    answer = self._hear(message)
-                    if answer is None or answer.number != number or answer.sector not in waiting:
-                        continue
-                    waiting.discard(answer.sector)
-                    if answer.refusal:
-                        self.why = f"sector {answer.sector}: {answer.refusal}"
-                        continue
-                    self._take_table(answer, of_run)
-                    answers[answer.sector] = answer.columns
+        waiting, behind = set(columns), set(columns)
+        while behind:  # another coordinator's clock was ahead: the second time the number is larger
+            behind = self._call_once(kind, columns, behind, answers, waiting, until_s, of_run)
         self.gone = (self.gone | waiting) - set(answers)
         for k in waiting:
             self._lose(k)
         return answers
+
+    def _call_once(
+        self,
+        kind: Kind,
+        columns: dict[int, Columns],
+        called: set[int],
+        answers: dict[int, Columns],
+        waiting: set[int],
+        until_s: float,
+        of_run: Sequence[str],
+    ) -> set[int]:
+        """Call sectors under one number; return those that have heard a larger one."""
+        number, asked, behind = self.next_number(), set(called), set[int]()
+        data = {k: encode_call(k, kind, number, columns[k]) for k in called}
+        while asked and (now_s := self._wall()) < until_s:
+            if all(self._links.left(k) for k in asked):
+                break
+            for k in asked:
+                self._links.send(k, data[k])
+            again_s = min(now_s + _CALL_AGAIN_S, until_s)
+            while asked and (left_s := again_s - self._wall()) > 0.0:
+                for message in self._links.receive(left_s):
+                    answer = self._hear(message)
+                    if answer is None or answer.number != number or answer.sector not in asked:
+                        continue
+                    asked.discard(answer.sector)
+                    if kind is Kind.CONFIGURE and self._is_behind(answer):
+                        behind.add(answer.sector)
+                    elif self._take(answer, answers, of_run):
+                        waiting.discard(answer.sector)
+        return behind
+
+    def _is_behind(self, answer: Call) -> bool:
+        """Whether a sector has answered an earlier coordinator under a larger number."""
+        if not answer.refusal or "newest" not in answer.columns:
+            return False
+        try:
+            newest = number_of(answer.columns, "newest", "i8", 0, MOST_NUMBER)
+        except SectorError:
+            return False
+        self._last = max(self._last, newest)
+        return True
+
+    def _take(self, answer: Call, answers: dict[int, Columns], of_run: Sequence[str]) -> bool:
+        """Take over an answer; return whether the sector is there."""
+        k = answer.sector
+        if answer.refusal:
+            self.why = f"sector {k}: {answer.refusal}"
+            return True
+        try:
+            self._take_table(answer, of_run)
+        except SectorError as error:
+            self.malformed[k] = self.why = f"sector {k}: {error}"
+            return False
+        answers[k] = answer.columns
+        return True
 
     def _lose(self, k: int) -> None:
         """A sector does not answer: its robots are obstacles, at unknown places if they moved."""
@@ -187,18 +252,21 @@ class Sectors:
                 for message in self._links.receive(left_s):
                     self._hear(message)
             return
+        self._send_all(data)
+        for k in self.gone:  # it may hear, and is not waited for
+            self.conductor.give_up(k)
         moving = self.conductor.step is Step.MOVING
-        until_s = begin_s + (self._patience_s if moving else self._call_s)
+        until_s = begin_s + (self._pace.patience_s if moving else self._pace.call_s)
         while self.conductor.unanswered(beat.sent_s) and (now_s := self._wall()) < until_s:
             if all(self._links.left(k) for k in self.conductor.unanswered(beat.sent_s)):
                 break
-            self._send_all(data)
             again_s = min(now_s + _AGAIN_S, until_s)
             while (left_s := again_s - self._wall()) > 0.0:
                 for message in self._links.receive(left_s):
                     self._hear(message)
                 if not self.conductor.unanswered(beat.sent_s):
-                    break
+                    return
+            self._send_all(data)
         for k in self.conductor.unanswered(beat.sent_s):
             self.conductor.stop(f"sector {k} is silent", self.now_s(), k)
             self.gone.add(k)
@@ -206,8 +274,7 @@ class Sectors:
 
     def _send_all(self, data: bytes) -> None:
         for k in self.conductor.part:
-            if k not in self.gone:
-                self._links.send(k, data)
+            self._links.send(k, data)
 
     def finish(self, why: str = "", of_run: Sequence[str] = ()) -> None:
         """End the run, and read the tables of all sectors that took part.

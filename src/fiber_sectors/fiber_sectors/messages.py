@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What coordinator and sectors tell each other: each message says all, so that any may be lost."""
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ _BEAT = struct.Struct("<4sqqBdH")
 _ANSWER = struct.Struct("<qdd")
 _REPORT = struct.Struct("<4sHqqBdddd")
 _BEAT_MARK, _REPORT_MARK = b"FSB1", b"FSR1"
+_MOST_S = 1e10  # clocks count from 1970 or from the last boot
 
 
 class Order(IntEnum):
@@ -106,6 +108,8 @@ def decode_beat(data: bytes) -> Beat:
         raise SectorError(f"{len(data)} bytes with order {order} are no beat to {sectors} sectors")
     rows: Sequence[tuple[int, float, float]] = list(_ANSWER.iter_unpack(data[_BEAT.size :]))
     boots, answers_s, starts_s = (tuple(each) for each in zip(*rows)) if rows else ((), (), ())
+    _check_numbers("beat", run, number, *boots)
+    _check_times("beat", (sent_s,), (*answers_s, *starts_s))
     return Beat(run, number, Order(order), sent_s, boots, answers_s, starts_s)
 
 
@@ -127,6 +131,11 @@ def decode_report(data: bytes) -> Report:
     _, sector, boot, run, stage, *times = _REPORT.unpack(data)
     if stage not in tuple(Stage):
         raise SectorError(f"a report with stage {stage}: there is none")
+    sent_s, beat_s, heard_s, start_s = times
+    _check_numbers("report", boot, run)
+    _check_times("report", (sent_s,), (beat_s, heard_s, start_s))
+    if math.isnan(beat_s) != math.isnan(heard_s):
+        raise SectorError(f"a report of a beat of {beat_s:g} s, heard at {heard_s:g} s")
     return Report(sector, boot, run, Stage(stage), *times)
 
 
@@ -134,3 +143,15 @@ def _check(data: bytes, mark: bytes, least: int, name: str) -> None:
     exact = name == "report" and len(data) != least
     if len(data) < least or exact or data[: len(mark)] != mark:
         raise SectorError(f"{len(data)} bytes that begin with {data[:4]!r} are no {name}")
+
+
+def _check_numbers(name: str, *numbers: int) -> None:
+    if min(numbers) < 0:
+        raise SectorError(f"a {name} with the number {min(numbers)}")
+
+
+def _check_times(name: str, known_s: Sequence[float], may_be_unknown_s: Sequence[float]) -> None:
+    """Refuse times that are not finite; some may be nan."""
+    for time_s in (*known_s, *(each for each in may_be_unknown_s if not math.isnan(each))):
+        if not abs(time_s) <= _MOST_S:
+            raise SectorError(f"a {name} with the time {time_s:g} s")

@@ -9,7 +9,6 @@ sectors have come to the same instant, however slow their machines are. Buses of
 its clock, and nothing waits.
 """
 
-import queue
 import time
 import zlib
 from collections.abc import Callable
@@ -23,11 +22,22 @@ from fiber_core.clearance import Certificate, Safety
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
-from fiber_sectors.calls import CALL, Call, Columns, Kind, decode_call, encode_call
+from fiber_sectors.calls import (
+    CALL,
+    MOST_NUMBER,
+    Call,
+    Columns,
+    Kind,
+    column,
+    decode_call,
+    encode_call,
+    number_of,
+)
 from fiber_sectors.errors import SectorError
+from fiber_sectors.inbox import Inbox
 from fiber_sectors.member import Decision, Member
 from fiber_sectors.messages import decode_beat, encode_report
-from fiber_sectors.tables import motion_of, table_of
+from fiber_sectors.tables import motion_of, table_of, take_places
 from fiber_sectors.terms import Terms
 
 __all__ = ["Sector", "certified_elsewhere"]
@@ -76,36 +86,31 @@ class Sector:
         self._send, self._clock, self._wall = send, clock, wall
         self._patience_s = patience_s
         self.member = Member(number, boot, terms)
-        self.inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self.inbox = Inbox()
         self._at_s = 0.0
         self._call: Call | None = None  # that is answered, or was last
         self._answered: bytes | None = None
         self._later: list[bytes] = []  # calls that came during a run
-        self._asked = self._alone = False
+        self._asked = self._alone = self._ends = False
         self._tabled_s = self._sent_s = 0.0
 
     def serve(self, ended: Callable[[], bool]) -> None:
         """Serve calls and beats until `ended` says so."""
         while not ended():
             later, self._later = self._later, []
-            for data in [*later, *self._take(0.0 if later else _IDLE_S)]:
+            for data in [*later, *self.inbox.take(0.0 if later else _IDLE_S)]:
                 self._handle(data)
 
     def end(self) -> None:
         """Stop robots that move, at their next step: this process ends. From any thread."""
-        self.member.why = self.member.why or "the sector ends"
+        self._ends = True  # a run that begins in this moment ends as well
+        self._check_end()
+
+    def _check_end(self) -> None:
+        if self._ends:
+            self.member.why = self.member.why or "the sector ends"
 
     # --- messages ------------------------------------------------------------
-
-    def _take(self, wait_s: float) -> list[bytes]:
-        """Return the messages that have come, or wait for one."""
-        taken: list[bytes] = []
-        try:
-            taken.append(self.inbox.get(timeout=max(wait_s, 1e-6)))
-            while True:
-                taken.append(self.inbox.get_nowait())
-        except queue.Empty:
-            return taken
 
     def _handle(self, data: bytes) -> None:
         if data[:4] != CALL:
@@ -115,9 +120,10 @@ class Sector:
             call = decode_call(data)
         except SectorError:
             return  # is sent again
+        if call.sector != self._number:
+            return
         if self._call is not None and call.number <= self._call.number:
-            if call.number == self._call.number and self._answered is not None:
-                self._send(self._answered)
+            self._answer_again(call, self._call.number)
             return
         self._call, self._answered = call, None
         try:
@@ -125,8 +131,17 @@ class Sector:
             if self._answered is None:
                 self._answer(columns)
         except FiberError as error:
-            text = np.frombuffer(str(error).encode(), dtype=np.uint8)
-            self._answer({"text": text}, Kind.REFUSED)
+            self._answer(_text(str(error)), Kind.REFUSED)
+
+    def _answer_again(self, call: Call, newest: int) -> None:
+        """Answer a call that has come again; refuse one from before the newest."""
+        if call.number == newest:
+            if self._answered is not None:
+                self._send(self._answered)
+            return
+        refused = _text(f"call {call.number} comes after call {newest}")
+        columns = refused | {"newest": np.array(newest)}
+        self._send(encode_call(self._number, Kind.REFUSED, call.number, columns))
 
     def _answer(self, columns: Columns, kind: Kind | None = None) -> None:
         call = self._call
@@ -167,22 +182,36 @@ class Sector:
         session = self._session
         if call.kind is Kind.PREPARE:
             self._run(call)
-        elif call.kind is Kind.CONFIGURE and session.state is not SessionState.STOPPED:
-            session.configure(self._now_s())
+        elif call.kind is Kind.CONFIGURE:
+            take_places(session, call.columns, np.flatnonzero(~session.robots["placed"]))
+            if session.state is not SessionState.STOPPED:
+                session.configure(self._now_s())
+        elif call.kind is Kind.VOUCH:
+            self._vouch(call.columns)
         elif call.kind is Kind.CLEAR and session.state is not SessionState.UNCONFIGURED:
             session.clear(self._now_s())
         elif call.kind is Kind.STOP:
             session.stop(self._now_s())
         return table_of(session)
 
+    def _vouch(self, columns: Columns) -> None:
+        session = self._session
+        ids = column(columns, "ids", "i8", (None,))
+        rows = session.plane.index_of(ids)
+        rows = rows[(rows >= 0) & session.robots["lost"][rows]]
+        take_places(session, columns, rows)
+        session.robots["lost"][rows] = True  # for which it is vouched now
+        session.vouch(session.plane.ids[rows])
+
     def _run(self, call: Call) -> None:
         """Carry out a run: load, wait for the others, count down, move."""
-        session, run = self._session, int(call.columns["run"])
+        session, run = self._session, number_of(call.columns, "run", "i8", 1, MOST_NUMBER)
         motion = motion_of(session.units, call.columns)
         if session.state in (SessionState.STOPPED, SessionState.READY):
             session.clear(self._now_s())  # the coordinator has decided that
         if not self.member.begin(run, self._now_s()):
             raise SectorError(f"run {run} does not follow run {self.member.run}")
+        self._check_end()
         self._asked = self._alone = False
         complete = False
         try:
@@ -247,7 +276,7 @@ class Sector:
 
     def _listen(self, wait_s: float) -> None:
         """Hear the beats that have come, or wait for one; keep calls for later."""
-        taken = self._take(wait_s)
+        taken = self.inbox.take(wait_s)
         for data in taken:
             if data[:4] == CALL:
                 self._later.append(data)
@@ -278,11 +307,12 @@ class Sector:
             session.advance(until_s)
             if self._clock is None:
                 self._at_s = max(self._at_s, until_s)
-            else:
+            if session.state is not SessionState.MOVING:
+                return  # a beat that is answered from now on would tell that it moves
+            if self._clock is not None:
                 self._listen(period_s / 4)
             self._tell_table(now_s)
-            if session.state is SessionState.MOVING:
-                self._report()
+            self._report()
 
     def _wait_for_answer(self) -> None:
         """Wait for a beat that answers the last report; the time of the buses stands still."""
@@ -292,7 +322,7 @@ class Sector:
             if left_s <= 0.0:
                 self._alone = True  # the motion goes on to the end of the lease
                 return
-            for data in self._take(left_s):
+            for data in self.inbox.take(left_s):
                 if data[:4] == CALL:
                     self._later.append(data)
                 else:
@@ -304,3 +334,7 @@ class Sector:
         if now_s >= self._tabled_s + _TABLE_S or now_s < self._tabled_s:
             self._tabled_s = now_s
             self._send(encode_call(self._number, Kind.TABLE, 0, table_of(self._session)))
+
+
+def _text(text: str) -> Columns:
+    return {"text": np.frombuffer(text.encode(), dtype=np.uint8)}

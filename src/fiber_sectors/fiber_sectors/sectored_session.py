@@ -5,9 +5,8 @@ The protocol and its table of states are those of one bridge; the steps that use
 they call the sectors, which use theirs.
 """
 
-import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import astuple
 
 import numpy as np
@@ -29,13 +28,14 @@ from fiber_core.wire_units import WireUnits
 from fiber_sectors.calls import Columns, Kind
 from fiber_sectors.conductor import Step
 from fiber_sectors.errors import SectorError
-from fiber_sectors.exchange import Links, Sectors
-from fiber_sectors.tables import motion_columns
+from fiber_sectors.exchange import Links, Pace, Sectors
+from fiber_sectors.tables import Loaded, loaded_of, motion_columns, place_columns
 from fiber_sectors.terms import Terms
 
 __all__ = ["SectoredSession"]
 
 _ROUNDS = 6  # runs tried before nothing is started
+_VOUCH_S = 10.0
 _SPARE = 4  # periods of a countdown for the exchange of confirmations
 
 
@@ -63,10 +63,7 @@ class SectoredSession(Session):
         config: settings.
         terms: the times on which all sectors agree.
         links: the connections with the sectors.
-        clock: time of this host [s]; None for simulated buses, whose time goes on with beats.
-        patience_s: longest wait for a sector while simulated time stands still [s].
-        call_s: longest wait for the answer of a call [s].
-        wall: time of the machine [s].
+        pace: how time goes on.
 
     Raises:
         SectorError: the safety contains less than the terms allow.
@@ -81,15 +78,12 @@ class SectoredSession(Session):
         config: SessionConfig,
         terms: Terms,
         links: Links,
-        clock: Callable[[], float] | None = None,
-        patience_s: float = 5.0,
-        call_s: float = 120.0,
-        wall: Callable[[], float] = time.monotonic,
+        pace: Pace,
     ):
         _check_skews(safety, terms)
         super().__init__(plane, units, safety, _NoBuses(), assumed, config)
         self._terms = terms
-        self.sectors = Sectors(self.protocol, terms, links, clock, patience_s, call_s, wall)
+        self.sectors = Sectors(self.protocol, terms, links, pace)
         self._ahead_s = self._lasts_s = 0.0
         self.transactions.counters.table = self.sectors.counters  # type: ignore[method-assign]
         self.protocol.steps = {
@@ -116,13 +110,49 @@ class SectoredSession(Session):
 
         return run_step
 
+    def vouch(self, ids: ArrayLike) -> None:
+        """Believe that robots that do not answer rest where they were read last, or assumed.
+
+        Their sectors are told; one that is away is told when it is configured again.
+
+        Args:
+            ids: ids of the robots, shape (k,).
+
+        Raises:
+            SessionError: as of Session.vouch.
+            SectorError: a sector does not believe it.
+        """
+        robots = self.robots
+        before = robots["placed"].copy(), robots["lost"].copy()
+        super().vouch(ids)
+        vouched = np.isin(self.plane.ids, ids)
+        present = [k for k in range(self.sectors.number) if k not in self.sectors.gone]
+        columns = {
+            k: place_columns(self.protocol, rows) | {"ids": self.plane.ids[rows[vouched[rows]]]}
+            for k, rows in enumerate(self.sectors.rows)
+            if k in present and vouched[rows].any()
+        }
+        self.sectors.why = ""
+        if self.sectors.call(Kind.VOUCH, columns, _VOUCH_S).keys() != columns.keys():
+            robots["placed"], robots["lost"] = before
+            raise SectorError(self.sectors.why or "a sector does not answer")
+
     # --- steps ---------------------------------------------------------------
 
     def _configure_sectors(self, c: Context) -> Event:
-        answers = self.sectors.call(Kind.CONFIGURE, {k: {} for k in range(self.sectors.number)})
+        answers = self._ask_to_configure(range(self.sectors.number))
+        for text in self.sectors.malformed.values():
+            raise SectorError(text)
         c.robots["lost"] |= ~c.robots["placed"]
         stopped = any(bool(answer["stopped"]) for answer in answers.values())
         return Event.FOUND_STOPPED if stopped or c.was_stopped else Event.CONFIGURED
+
+    def _ask_to_configure(
+        self, sectors: Iterable[int], wait_s: float | None = None
+    ) -> dict[int, Columns]:
+        """Let sectors find their robots, and tell them where those rest that may not answer."""
+        places = {k: place_columns(self.protocol, self.sectors.rows[k]) for k in sectors}
+        return self.sectors.call(Kind.CONFIGURE, places, wait_s)
 
     def _load(self, c: Context, phase: Phase) -> Event:
         """Let the sectors with robots to move load and verify, side by side."""
@@ -140,7 +170,7 @@ class SectoredSession(Session):
                 Reason.BUS_FAILED,
                 robots["reason"][self.sectors.rows[k]],
             )
-        run = time.time_ns()
+        run = self.sectors.next_number()
         self.sectors.conductor.begin(run, self.sectors.now_s(), part)
         motion = phase.motion.only(wanted)
         columns = {
@@ -152,26 +182,37 @@ class SectoredSession(Session):
         robots["reason"] = np.where(wanted, robots["reason"], reason)
         phase.frames = encode_load(c.transactions.addresses, c.buses["sequence"][c.bus], motion)
         others: list[int] = []  # sectors that hold other orders or other terms, or do not answer
+        told: list[Loaded] = []
         for k in part:
             rows, answer = self.sectors.rows[k], answers.get(k)
-            if answer is None or not self._agrees(answer, phase.frames, rows):
-                others.append(k)
-                robots["verified"][rows] = False
-                why = Reason.BUS_FAILED if answer is None else Reason.NOT_VERIFIED
-                robots["reason"][rows[wanted[rows]]] = why
+            loaded = None if answer is None else self._agreed(answer, phase.frames, rows)
+            if loaded is not None:
+                told.append(loaded)
+                continue
+            others.append(k)
+            robots["verified"][rows] = False
+            why = Reason.BUS_FAILED if answer is None else Reason.NOT_VERIFIED
+            robots["reason"][rows[wanted[rows]]] = why
         robots["verified"] &= wanted
         robots["wanted"] &= robots["reason"] == Reason.OK
         if others:  # what they hold is not what is certified: a run that they are in never starts
             self.sectors.finish(f"sectors {others} do not hold these orders under these terms")
             return self._load(c, phase)
-        self._ahead_s = max((float(a["ahead_s"]) for a in answers.values()), default=0.0)
-        self._lasts_s = max((float(a["lasts_s"]) for a in answers.values()), default=0.0)
+        self._ahead_s = max((each.ahead_s for each in told), default=0.0)
+        self._lasts_s = max((each.lasts_s for each in told), default=0.0)
         return Event.VERIFIED
 
-    def _agrees(self, answer: Columns, frames: Frames, rows: Rows) -> bool:
+    def _agreed(self, answer: Columns, frames: Frames, rows: Rows) -> Loaded | None:
+        """What a sector has loaded; None if it holds other orders or moves under other terms."""
+        try:
+            loaded = loaded_of(answer)
+        except SectorError as error:
+            self.sectors.why = str(error)
+            return None
         # the certificate is of these bytes, and of the lease that the terms give
         terms = np.array(astuple(self._terms), dtype=float)
-        return _crc(frames, rows) == int(answer["crc"]) and np.array_equal(answer["terms"], terms)
+        agrees = _crc(frames, rows) == loaded.crc and np.array_equal(loaded.terms, terms)
+        return loaded if agrees else None
 
     def _disarm(self, c: Context, phase: Phase) -> Event:
         """Begin a new run without the unsafe robots: no sector starts what it holds."""
@@ -289,7 +330,7 @@ class SectoredSession(Session):
         present = {k: {} for k in range(self.sectors.number) if k not in self.sectors.gone}
         self.sectors.call(Kind.CLEAR, present)
         if self.sectors.gone:  # one that began anew
-            self.sectors.call(Kind.CONFIGURE, {k: {} for k in self.sectors.gone}, 1.0)
+            self._ask_to_configure(self.sectors.gone, 1.0)
         return Event.CLEARED if c.robots["known"].any() else Event.NONE_KNOWN
 
 

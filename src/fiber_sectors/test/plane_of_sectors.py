@@ -15,6 +15,7 @@ from fiber_core.clearance import Safety
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_sectors import Terms
+from fiber_sectors.exchange import Pace
 from fiber_sectors.sector import Sector, certified_elsewhere
 from fiber_sectors.sectored_session import SectoredSession
 from fiber_sectors.shares import part_of, with_sectors
@@ -72,7 +73,14 @@ class PlaneOfSectors:
             thread.start()
         own = SessionConfig(tolerance_mm=1e-3)  # folded arms move their tips little
         self.session = SectoredSession(
-            plane, self.units, Safety(), self.start, own, Terms(), self, patience_s=PATIENCE_S
+            plane,
+            self.units,
+            Safety(),
+            self.start,
+            own,
+            Terms(),
+            self,
+            pace=Pace(patience_s=PATIENCE_S),
         )
 
     def _gone(self, k):

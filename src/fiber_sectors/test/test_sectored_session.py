@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session with a plane of three sectors: one start, one stop, one outcome for each robot."""
 
+import time
+
 import numpy as np
 import pytest
 from plane_of_sectors import PlaneOfSectors, turning
 
 from fiber_bus_bridge import SessionConfig, SessionState
+from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.simulation import EVENT, Event, Faults
 from fiber_core.clearance import Safety
 from fiber_core.outcomes import Outcome, Reason
 from fiber_sectors import SectorError, Terms
-from fiber_sectors.calls import CALL
+from fiber_sectors.calls import CALL, Kind, decode_call, encode_call
+from fiber_sectors.exchange import Pace
 from fiber_sectors.sectored_session import SectoredSession
 
 pytestmark = pytest.mark.timeout(600)  # the first motion compiles
@@ -188,5 +192,95 @@ def test_a_certificate_that_does_not_contain_the_terms_is_refused(plane_of):
     safety = Safety(border_stop_skew_s=20e-3)
     with pytest.raises(SectorError, match=r"border_stop_skew_s is 0\.02 s"):
         SectoredSession(
-            plane.plane, plane.units, safety, plane.start, SessionConfig(), Terms(), plane
+            plane.plane, plane.units, safety, plane.start, SessionConfig(), Terms(), plane, Pace()
         )
+
+
+def silent(rows):
+    """Robots without power from the begin."""
+    events = [(row, 0.0, int(Event.POWER), 0) for row in rows]
+    return Faults(events=np.array(events, dtype=EVENT))
+
+
+def test_a_vouched_place_is_believed_by_its_sector_and_stays_so(plane_of):
+    plane = PlaneOfSectors(faults={1: silent([3])})
+    session = plane.session
+    try:
+        session.configure(0.0)
+        row = int(np.flatnonzero(plane.plane.sector == 1)[3])
+        assert session.robots["lost"][row] and not session.known[row]
+        session.vouch([plane.plane.ids[row]])
+        assert not plane.sectors[1]._session.robots["lost"].any()
+        session.submit(turning(session))
+        session.start(session.transactions.now_s)
+        plane.until_rest()
+        # its neighbours move, in its sector too, and it stays an obstacle
+        others = np.arange(plane.plane.n) != row
+        assert (session.result.outcome[others] == Outcome.REACHED).all()
+        assert not session.robots["lost"][row] and not session.known[row]
+    finally:
+        plane.close()
+
+
+def test_a_place_vouched_for_while_its_sector_is_away_is_told_to_the_sector(plane_of):
+    plane = PlaneOfSectors(faults={1: silent([3])})
+    session = plane.session
+    try:
+        plane.kill(1)
+        plane.join(1)
+        session.configure(0.0)
+        of_one = plane.plane.sector == 1
+        assert session.robots["lost"][of_one].all()
+        session.vouch(plane.plane.ids[of_one])
+        plane.revive(1)
+        session.configure(session.transactions.now_s)
+        assert session.known[of_one].sum() == of_one.sum() - 1
+        assert not session.robots["lost"].any()
+    finally:
+        plane.close()
+
+
+def test_vouching_for_a_robot_at_a_known_place_is_refused(plane_of):
+    plane = plane_of()
+    with pytest.raises(SessionError, match="its place is known"):
+        plane.session.vouch([plane.plane.ids[0]])
+
+
+def test_a_coordinator_whose_clock_is_behind_the_one_before_is_heard(plane_of):
+    plane = plane_of()
+    refused = []
+    session = SectoredSession(
+        plane.plane, plane.units, Safety(), plane.start, SessionConfig(tolerance_mm=1e-3), Terms(),
+        plane, Pace(patience_s=3.0, number=lambda: 1),
+    )  # fmt: skip
+    plane.sectors[0].inbox.put(encode_call(0, Kind.STOP, 5, {}))
+    begin_s = time.monotonic()
+    while not refused and time.monotonic() < begin_s + 60.0:
+        calls = [decode_call(data) for data in plane.receive(1.0) if data[:4] == CALL]
+        refused += [call.refusal for call in calls if call.number == 5]
+    assert "call 5 comes after call" in refused[0]
+    session.configure(0.0)
+    assert session.known.all()
+    session.submit(turning(session, ticks=20))
+    session.start(0.0)
+    plane.session = session
+    plane.until_rest()
+    assert (session.result.outcome == Outcome.REACHED).all()
+
+
+def test_a_sector_that_ends_as_a_run_begins_moves_nothing(plane_of, monkeypatch):
+    plane = plane_of()
+    session, member = plane.session, plane.sectors[1].member
+    begin = member.begin
+
+    def ended_just_before(*given):
+        plane.sectors[1].end()
+        return begin(*given)
+
+    monkeypatch.setattr(member, "begin", ended_just_before)
+    before = plane.buses[1].positioners.memory["position"].copy()
+    session.submit(turning(session))
+    session.start(0.0)
+    plane.until_rest()
+    np.testing.assert_array_equal(plane.buses[1].positioners.memory["position"], before)
+    assert member.why == "the sector ends"

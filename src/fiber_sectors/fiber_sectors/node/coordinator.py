@@ -15,6 +15,7 @@ from fiber_bus_bridge.node.hardware import DeclaredHardware, Hardware, simulated
 from fiber_core.clearance import Safety
 from fiber_msgs_py import Level, Status
 from fiber_node import run
+from fiber_sectors.exchange import Pace
 from fiber_sectors.node.links import TopicLinks
 from fiber_sectors.node.settings import SectorsConfig
 from fiber_sectors.sectored_session import SectoredSession
@@ -38,7 +39,7 @@ class _SectoredHardware(Hardware):
         assert self.links is not None  # made with the hardware
         return SectoredSession(
             self.plane, self.units, safety, self.start, config, self.terms, self.links,
-            patience_s=self.sectors.patience_s, call_s=self.sectors.call_s,
+            Pace(patience_s=self.sectors.patience_s, call_s=self.sectors.call_s),
         )  # fmt: skip
 
     def close(self) -> None:

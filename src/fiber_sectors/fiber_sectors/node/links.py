@@ -2,7 +2,6 @@
 """The connections of a coordinator with its sectors, by topics."""
 
 import array
-import queue
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +12,7 @@ from std_msgs.msg import UInt8MultiArray
 
 from fiber_msgs_py import topics
 from fiber_msgs_py.topics import Topic
+from fiber_sectors.inbox import Inbox
 from fiber_sectors.node.settings import namespace_of
 
 __all__ = ["TopicLinks", "as_message"]
@@ -46,7 +46,7 @@ class TopicLinks:
             enable_rosout=False,
             use_global_arguments=False,
         )
-        self._came: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._came = Inbox()
         self._to = [_of(topics.TO_SECTOR, k).publisher(self._node) for k in range(sectors)]
         for k in range(sectors):
             _of(topics.FROM_SECTOR, k).subscription(self._node, self._hear)
@@ -71,13 +71,7 @@ class TopicLinks:
 
     def receive(self, wait_s: float) -> list[bytes]:
         """Return what has come from any sector, or wait for it [s]."""
-        taken: list[bytes] = []
-        try:
-            taken.append(self._came.get(timeout=max(wait_s, 1e-6)))
-            while True:
-                taken.append(self._came.get_nowait())
-        except queue.Empty:
-            return taken
+        return self._came.take(wait_s)
 
     def left(self, sector: int) -> bool:
         """Return whether a sector was in the graph, and is not any more."""

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command that measures sectors fails when a promise is broken."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+GOOD = {
+    "start_skew_ms_max": 0.03, "start_skew_bound_ms": 0.14, "contacts": 0, "unverified": 0,
+    "without_outcome": 0,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sectors():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(Path(__file__).parents[1] / "bench")
+        import sectors
+
+        yield sectors
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "found"),
+    [
+        ("contacts", 1, ["contacts"]),
+        ("unverified", 1, ["unverified"]),
+        ("without_outcome", 1, ["without_outcome"]),
+        ("start_skew_ms_max", 0.2, ["start_skew"]),
+        ("start_skew_ms_max", math.nan, ["start_skew"]),
+        ("contacts", 0, []),
+    ],
+)
+def test_each_broken_promise_ends_the_command_with_an_error(
+    sectors, monkeypatch, capsys, name, value, found
+):
+    monkeypatch.setattr(sectors, "_measure", lambda args: GOOD | {name: value})
+    assert sectors.main([]) == bool(found)
+    assert json.loads(capsys.readouterr().out)["broken"] == found
