@@ -151,6 +151,11 @@ wheel: $(ENV_STAMP) ## build the wheel of the packages that need no ROS, into di
 paper: build ## make docs/paper.md from runs: what the two papers print, and what comes out (minutes)
 	@$(INSTALLED) && $(PYTHON) bench/paper.py
 
+KAIJU ?= $(PYTHON)
+.PHONY: rivals
+rivals: build ## the planner of SDSS-V on the same problems as ours (KAIJU=python that has sdss-kaiju)
+	@$(INSTALLED) && $(PYTHON) bench/rivals.py --kaiju-python $(KAIJU) --out bench/results/rivals.md
+
 .PHONY: bench-bus
 bench-bus: build ## load, verify and start 5000 robots, on bad buses too, and print a table
 	@$(INSTALLED) && $(PYTHON) bench/bus.py --out bench/results/bus.md

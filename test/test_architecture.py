@@ -108,6 +108,7 @@ ARROWS = {
     "bench.drive_checker": {"numpy", "scipy"},  # shares no code with what it judges
     "bench.listed": {"bench", "listed_checker"},
     "bench.listed_checker": {"numpy"},  # neither
+    "bench.kaiju_adapter": {"kaiju", "numpy"},  # runs in the Python of the rival
     "bench.kill_others": {"fiber_client"},
 }
 # Compartments that may import the simulated plant directly. Run-time code for real buses may not;
