@@ -45,6 +45,11 @@ _ARGUMENTS = {
         "sectors of the plane, each with a share of its buses and a process of its own, with "
         "robots in that process; 0: one bridge",
     ),
+    "sectors_clock": (
+        "0.0",
+        "seconds of the sectors' buses in one of their hosts, 1: real time; 0: time goes on when "
+        "all sectors have come to one instant",
+    ),
     "planner": ("direct", "name of the planner, such as direct, dnf_priority, dnf"),
     "time_scale": ("1.0", "simulated seconds per second; 0: as fast as possible"),
     "plant": (
@@ -219,7 +224,11 @@ def _sectors(context: LaunchContext) -> list[Node]:
         "preset": str, "robots": int, "seed": int, "layout": str, "starts": str,
         "spacing_mm": float, "problem": str,
     }  # fmt: skip
-    own = {"sectors.shares": ParameterValue(shares, value_type=str)}
+    scale = ParameterValue(LaunchConfiguration("sectors_clock"), value_type=float)
+    own = {
+        "sectors.shares": ParameterValue(shares, value_type=str),
+        "sectors.clock_scale": scale,
+    }
     of_coordinator = of_plane | {"time_scale": float, "disabled_file": str}
     return [
         *(

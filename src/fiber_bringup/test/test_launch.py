@@ -154,8 +154,9 @@ def declared(new_domain):
 def test_every_argument_is_declared_and_used(description, defaults, nodes, plant_arguments):
     of_nodes = {name for typed in nodes.values() for name in typed}
     of_all = {"namespace", "params_file", "use_sim_time", "log_level", "use_respawn"}
-    of_all |= {"sectors", "camera", "console"}  # which nodes are started
+    of_all |= {"sectors", "sectors_clock", "camera", "console"}  # which nodes are started
     used = {each.args[0] for each in all_of(description, "LaunchConfiguration")}
+    used |= {"sectors_clock"}  # by _sectors, which is called at the launch
     assert of_all <= used == set(defaults)
     assert set(defaults) - of_all == of_nodes | set(plant_arguments) - of_all
 
@@ -250,6 +251,8 @@ def test_a_plane_of_sectors_has_a_node_for_each_and_a_coordinator(launch_file, s
     own = [each["parameters"][1] for each in others]
     assert [each["sectors.number"] for each in own] == list(range(sectors))
     assert {each["sectors.shares"].args[0] for each in own} == {shares}
+    scales = [each["sectors.clock_scale"].args[0] for each in own]
+    assert {each.args[0] for each in scales} == {"sectors_clock"}
     # for clients the coordinator is the bridge
     assert (coordinator["executable"], coordinator["name"]) == ("coordinator", "bridge")
     setup = (SHARE.parent / "fiber_sectors" / "setup.py").read_text()

@@ -24,7 +24,8 @@ COMPILE_S, WAIT_S, ROBOTS = 600.0, 120.0, 40
 class Nodes:
     """Processes of nodes, ended at the end of `with`."""
 
-    def __init__(self, folder, domain):
+    def __init__(self, folder, domain, clock_scale=0.0, commands=((), ())):
+        self._clock, self._commands = {"sectors.clock_scale": clock_scale}, commands
         plane, rows = preset("desi", ROBOTS), np.arange(ROBOTS)
         plane = replace(plane, bus=rows // 10, address=rows % 10 + 8)
         start = np.stack([np.linspace(-1.0, 1.0, ROBOTS), np.full(ROBOTS, 3.1)], axis=1)
@@ -33,7 +34,7 @@ class Nodes:
         self._environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
         self.processes = {}
 
-    def start(self, name, module, namespace="", **parameters):
+    def start(self, name, module, namespace="", command=(), **parameters):
         given = (
             {"problem": self._problem, "sectors.shares": "0-1; 2-3"}
             if "fiber_sectors" in module
@@ -45,15 +46,19 @@ class Nodes:
             arguments += ["-p", f"{each}:={value}"]
         code = f"import sys; from {module} import main; sys.exit(main())"
         self.processes[name] = subprocess.Popen(
-            [sys.executable, "-c", code, *arguments], env=self._environment
+            [*command, sys.executable, "-c", code, *arguments], env=self._environment
         )
 
     def __enter__(self):
         for k in range(2):
             where = "fiber_sectors.node.sector_node"
-            own = {"sectors.number": k, "sectors.patience_s": 3.0}
-            self.start(f"sector_{k}", where, f"sector_{k}", **own)
-        of_coordinator = {"time_scale": 0.0, "sectors.patience_s": 3.0, "sectors.call_s": 600.0}
+            own = {"sectors.number": k, "sectors.patience_s": 3.0} | self._clock
+            self.start(f"sector_{k}", where, f"sector_{k}", self._commands[k], **own)
+        of_coordinator = self._clock | {
+            "time_scale": 0.0,
+            "sectors.patience_s": 3.0,
+            "sectors.call_s": 600.0,
+        }
         self.start("coordinator", "fiber_sectors.node.coordinator", **of_coordinator)
         self.start("planner", "fiber_planner.node")
         self.start("discretizer", "fiber_discretizer.node")
@@ -73,6 +78,27 @@ class Nodes:
 def new_targets(client, seed):
     drawn = random_field(client.plane, np.random.default_rng(seed), start=client.angles).problem
     return client.plane.ids[drawn.asked], drawn.targets[drawn.asked]
+
+
+AHEAD_S = 5000
+ELSEWHERE = ("unshare", "--time", f"--monotonic={AHEAD_S}")  # a host with another clock
+
+
+def test_sectors_follow_the_clocks_of_their_hosts(tmp_path, new_domain):
+    if subprocess.run([*ELSEWHERE, "true"], capture_output=True).returncode:
+        pytest.skip("this user cannot make a time namespace: one machine has one steady clock")
+    domain, scale = new_domain(), 0.1  # slow motion: the processes share few cores
+    nodes = Nodes(tmp_path, domain, scale, ((), ELSEWHERE))
+    with nodes, PlaneClient(domain) as client:
+        client.wait_for_graph(COMPILE_S)
+        client.reconfigure(*new_targets(client, 1), COMPILE_S)  # loops compile as robots move
+        client.call_service(topics.CLEAR, WAIT_S)
+        ended = client.reconfigure(*new_targets(client, 2), WAIT_S)
+        assert ended.count(Outcome.REACHED) >= ROBOTS - 2
+        assert ended.count(Outcome.FAILED) == 0
+        told = client.statuses["bridge: sector 1"].values
+        assert abs(float(told["clock_ahead_s"]) - scale * AHEAD_S) < 1e-3
+        assert 0.0 < float(told["clock_bound_ms"]) <= 1.0
 
 
 def test_two_sectors_are_one_plane(tmp_path, new_domain):

@@ -109,6 +109,22 @@ class Conductor:
             self._counts_s[k] = min(self._counts_s[k], now_s)
         self._reports[k], self._heard_s[k] = report, now_s
 
+    def beats_go_on(self, now_s: float) -> None:
+        """No beat was sent for a while: the silence of the sectors counts from now on [s]."""
+        self._heard_s = [max(heard_s, now_s) for heard_s in self._heard_s]
+        self._now_s = max(self._now_s, now_s)
+
+    def clocks_known(self, now_s: float) -> bool:
+        """Whether the clocks of all sectors to be started are known as well as the start needs."""
+        return self._unknown_clock(now_s) is None
+
+    def _unknown_clock(self, now_s: float) -> int | None:
+        for k in self._part:
+            bound_s = self.clocks[k].offset(now_s).bound_s
+            if self.stage(k) is Stage.READY and bound_s > self._terms.start_error_s:
+                return k
+        return None
+
     def stage(self, sector: int) -> Stage:
         """Return the stage of a sector by its newest report."""
         report = self._reports[sector]
@@ -166,13 +182,12 @@ class Conductor:
         """
         if not self.ready:
             raise SectorError("not all sectors are ready")
-        for k in self._part:
+        if (k := self._unknown_clock(now_s)) is not None:
             bound_s = self.clocks[k].offset(now_s).bound_s
-            if self.stage(k) is Stage.READY and bound_s > self._terms.start_error_s:
-                raise SectorError(
-                    f"the clock of sector {k} is known to {1e3 * bound_s:.3g} ms, the certificate "
-                    f"contains {1e3 * self._terms.start_error_s:.3g} ms"
-                )
+            raise SectorError(
+                f"the clock of sector {k} is known to {1e3 * bound_s:.3g} ms, the certificate "
+                f"contains {1e3 * self._terms.start_error_s:.3g} ms"
+            )
         self._start_s, self._ahead_s, self.step = start_s, ahead_s, Step.COUNTING
 
     def stop(self, why: str, now_s: float, sector: int | None = None) -> None:

@@ -101,6 +101,11 @@ class Sectors:
         self._last = 0
         self._at_s = 0.0
 
+    @property
+    def in_real_time(self) -> bool:
+        """Whether the time of the buses is that of the hosts."""
+        return self._clock is not None
+
     def counters(self) -> dict[int, dict[str, float]]:
         """Return the counters of each bus, as of BusCounters.table."""
         nothing: dict[str, float] = dict.fromkeys(COUNTERS, 0)

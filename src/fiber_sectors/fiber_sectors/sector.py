@@ -44,6 +44,7 @@ __all__ = ["Sector", "certified_elsewhere"]
 
 _TABLE_S = 0.1  # between two tables while robots move
 _INSTANT_S = 1e-8
+_GO_AFTER_S = 2e-3  # until a GO is sent whose instant is computed now
 _IDLE_S = 0.2  # between two looks at whether to end
 
 
@@ -243,6 +244,7 @@ class Sector:
         return table_of(session) | {
             "crc": np.array(zlib.crc32(data)),
             "terms": np.array(astuple(self._terms), dtype=float),
+            "in_real_time": np.array(self._clock is not None),
             "lasts_s": np.array(lasts_s),
             "ahead_s": np.array(self._ahead_s),
         }
@@ -269,6 +271,10 @@ class Sector:
             decision = self.member.decide(self._now_s())
             if decision is Decision.GO:
                 self._session.protocol.start_at_s = self.member.start_s
+                phase = self._session.protocol.phase
+                if phase is not None and self._clock is not None:
+                    # the buses have waited: a GO that is late would begin the motion late
+                    phase.t = max(phase.t, self._now_s() + _GO_AFTER_S)
                 return True
             if decision is Decision.STOP:
                 return False
@@ -289,7 +295,7 @@ class Sector:
 
     def _move(self) -> None:
         session, member, period_s = self._session, self.member, self._terms.period_s
-        phase = session.protocol.phase
+        c, phase = session.protocol, session.protocol.phase
         assert phase is not None  # robots count down
         deadline_s = phase.start_s - self._ahead_s
         member.confirmed(phase.start_s, deadline_s, self._now_s())
@@ -310,7 +316,9 @@ class Sector:
             if session.state is not SessionState.MOVING:
                 return  # a beat that is answered from now on would tell that it moves
             if self._clock is not None:
-                self._listen(period_s / 4)
+                # to the next step of the supervision; a beat is heard in between
+                due_s = period_s / 4 if c.watch is None else c.watch.now_s - self._now_s()
+                self._listen(min(max(due_s, 0.0), period_s / 4))
             self._tell_table(now_s)
             self._report()
 

@@ -36,6 +36,7 @@ __all__ = ["SectoredSession"]
 
 _ROUNDS = 6  # runs tried before nothing is started
 _VOUCH_S = 10.0
+_MEASURED = 100  # beats by which the clocks are measured before a start is given up
 _SPARE = 4  # periods of a countdown for the exchange of confirmations
 
 
@@ -158,6 +159,7 @@ class SectoredSession(Session):
         """Let the sectors with robots to move load and verify, side by side."""
         if self.sectors.conductor.step is not Step.OVER:
             self.sectors.finish("the orders are loaded again")
+        self.sectors.why = ""
         if phase.rounds == _ROUNDS:
             return Event.EXHAUSTED
         phase.rounds += 1
@@ -212,6 +214,7 @@ class SectoredSession(Session):
         # the certificate is of these bytes, and of the lease that the terms give
         terms = np.array(astuple(self._terms), dtype=float)
         agrees = _crc(frames, rows) == loaded.crc and np.array_equal(loaded.terms, terms)
+        agrees &= loaded.in_real_time == self.sectors.in_real_time
         return loaded if agrees else None
 
     def _disarm(self, c: Context, phase: Phase) -> Event:
@@ -229,11 +232,14 @@ class SectoredSession(Session):
             commit(c, phase)
             return Event.NONE_LEFT
         conductor, terms = self.sectors.conductor, self._terms
+        conductor.beats_go_on(self.sectors.now_s())  # the plane was certified
         while not conductor.ready and conductor.step is Step.LOADING:
             self.sectors.exchange()
-        for _ in range(_SPARE):  # the clocks are measured
-            if conductor.step is Step.LOADING:
-                self.sectors.exchange()
+        for measured in range(_MEASURED):
+            known = measured >= _SPARE and conductor.clocks_known(self.sectors.now_s())
+            if known or conductor.step is not Step.LOADING:
+                break
+            self.sectors.exchange()
         extra_s = self._ahead_s + (terms.spare + _SPARE) * terms.period_s
         phase.go_s = self.sectors.now_s()
         phase.start_s = phase.go_s + self._lasts_s + extra_s
@@ -280,7 +286,7 @@ class SectoredSession(Session):
     def _drop(self, c: Context, phase: Phase) -> Event:
         robots = c.robots
         robots["reason"][robots["wanted"]] = Reason.STOPPED
-        self.sectors.finish("the start was refused")
+        self.sectors.finish(self.sectors.why or "the start was refused")
         robots["verified"] = robots["started"] = False
         phase.loaded = phase.motion.only(robots["verified"])
         _, _, phase.certificate = c.certify(c.plane, phase.loaded.decoded(), c.safety)

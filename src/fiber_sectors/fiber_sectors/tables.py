@@ -153,12 +153,14 @@ class Loaded(NamedTuple):
     Args:
         crc: checksum of its LOAD frames.
         terms: the terms under which it moves.
+        in_real_time: whether its time is that of its host.
         lasts_s: time that its countdown takes [s].
         ahead_s: time before the start after which a STOP may come too late for it [s].
     """
 
     crc: int
     terms: NDArray
+    in_real_time: bool
     lasts_s: float
     ahead_s: float
 
@@ -172,6 +174,7 @@ def loaded_of(columns: Columns) -> Loaded:
     return Loaded(
         number_of(columns, "crc", "i8", 0, _NUMBER),
         column(columns, "terms", "f8", (None,)),
+        number_of(columns, "in_real_time", "?"),
         number_of(columns, "lasts_s", "f8", 0.0, _MOST_S),
         number_of(columns, "ahead_s", "f8", 0.0, _MOST_S),
     )

@@ -16,6 +16,7 @@ from fiber_core.presets import preset
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_sectors import Terms
 from fiber_sectors.exchange import Pace
+from fiber_sectors.paced import PacedBuses
 from fiber_sectors.sector import Sector, certified_elsewhere
 from fiber_sectors.sectored_session import SectoredSession
 from fiber_sectors.shares import part_of, with_sectors
@@ -44,10 +45,16 @@ class PlaneOfSectors:
     Args:
         faults: by sector, the faults of its buses.
         robots, on_bus, shares: the plane.
+        slowly: seconds of the clocks in one of this machine; 0 for time that waits for the sectors.
+        ahead_s: how far the clock of each sector is ahead.
+        late_s: for which each message to a sector is under way, on the clocks.
         lossy: called with the sender (-1 the coordinator) and the bytes; whether they are lost.
     """
 
-    def __init__(self, faults=None, robots=42, on_bus=7, shares="3", lossy=lambda *_: False):
+    def __init__(
+        self, faults=None, robots=42, on_bus=7, shares="3", lossy=lambda *_: False, slowly=0.0,
+        ahead_s=(0.0, 0.0, 0.0), late_s=0.0,
+    ):  # fmt: skip
         plane = preset("desi", robots)
         rows = np.arange(robots)
         plane = replace(plane, bus=rows // on_bus, address=rows % on_bus + 8)
@@ -55,6 +62,7 @@ class PlaneOfSectors:
         self.plane, self.units, self._lossy = plane, WireUnits.for_plane(plane), lossy
         # folded: arms are clear of each other at every theta
         self.start = np.stack([np.linspace(-1.0, 1.0, robots), np.full(robots, 3.1)], axis=1)
+        self._slowly, self._late_s = slowly, late_s
         self._inbox = queue.SimpleQueue()
         self.dead, self._ended = set(), threading.Event()
         self.buses, self.sectors, self._threads = [], [], []
@@ -64,8 +72,12 @@ class PlaneOfSectors:
             counts = self.units.encoder_counts(part, start)
             robots_of = Positioners(addresses_of(part), part.ids, self.units.quantum_prad, counts)
             buses = SimulatedBuses(robots_of, faults=(faults or {}).get(k))
-            session = Session(part, self.units, Safety(), buses, start, config, certified_elsewhere)
-            sector = Sector(k, session, Terms(), k + 1, self._sender(k), patience_s=PATIENCE_S)
+            clock = self._clock(ahead_s[k]) if slowly else None
+            backend = PacedBuses(buses, clock, self._wait) if clock else buses
+            session = Session(
+                part, self.units, Safety(), backend, start, config, certified_elsewhere
+            )
+            sector = Sector(k, session, Terms(), k + 1, self._sender(k), clock, PATIENCE_S)
             thread = threading.Thread(target=sector.serve, args=(self._gone(k),), daemon=True)
             self.buses.append(buses)
             self.sectors.append(sector)
@@ -80,8 +92,14 @@ class PlaneOfSectors:
             own,
             Terms(),
             self,
-            pace=Pace(patience_s=PATIENCE_S),
+            Pace(self._clock(0.0) if slowly else None, PATIENCE_S),
         )
+
+    def _clock(self, ahead_s):
+        return lambda: ahead_s + self._slowly * time.monotonic()
+
+    def _wait(self, clock_s):
+        time.sleep(clock_s / self._slowly)
 
     def _gone(self, k):
         return lambda: self._ended.is_set() or k in self.dead
@@ -97,7 +115,11 @@ class PlaneOfSectors:
 
     def send(self, sector, data):
         if sector not in self.dead and not self._lossy(-1, data):
-            self.sectors[sector].inbox.put(data)
+            put = self.sectors[sector].inbox.put
+            if self._late_s:
+                threading.Timer(self._late_s / self._slowly, put, [data]).start()
+            else:
+                put(data)
 
     def receive(self, wait_s):
         try:
@@ -136,4 +158,4 @@ class PlaneOfSectors:
         session, begin_s = self.session, time.monotonic()
         while session.state.name == "MOVING":
             assert time.monotonic() - begin_s < 120.0
-            session.advance(session.transactions.now_s + 0.1)
+            session.advance(max(session.transactions.now_s, session.sectors.now_s()) + 0.1)

@@ -57,7 +57,7 @@ def test_sectors_start_together_and_reach_the_ends_of_their_orders(plane_of):
     assert all(figures["frames"] > 0 for figures in frames.values()) and len(frames) == 6
 
 
-@pytest.mark.parametrize("what", ["crc", "terms"])
+@pytest.mark.parametrize("what", ["crc", "terms", "in_real_time"])
 def test_a_sector_that_holds_other_orders_or_terms_moves_nothing(plane_of, monkeypatch, what):
     plane = plane_of()
     session, orders = plane.session, turning(plane.session)

@@ -24,6 +24,7 @@ from fiber_sectors.terms import Terms
 
 __all__ = ["CoordinatorNode", "main"]
 
+_SLICE_S = 0.01  # time of the buses after which a waiting stop is served
 _POLLS = 1200  # a minute, for sectors that compile their loops
 
 
@@ -39,7 +40,7 @@ class _SectoredHardware(Hardware):
         assert self.links is not None  # made with the hardware
         return SectoredSession(
             self.plane, self.units, safety, self.start, config, self.terms, self.links,
-            Pace(patience_s=self.sectors.patience_s, call_s=self.sectors.call_s),
+            Pace(self.sectors.clock, self.sectors.patience_s, self.sectors.call_s),
         )  # fmt: skip
 
     def close(self) -> None:
@@ -77,9 +78,11 @@ class CoordinatorNode(BridgeNode):
         if missing:
             links.close()
             raise BridgeError(f"sectors {missing} are not in the graph")
+        clock = own["sectors"].clock
+        follows = {} if clock is None else {"clock": clock, "slice_s": _SLICE_S}
         return _SectoredHardware(
             plane, found.units, found.start, found.buses, found.timing, lines=found.lines,
-            links=links, terms=own["terms"], sectors=own["sectors"],
+            links=links, terms=own["terms"], sectors=own["sectors"], **follows,
         )  # fmt: skip
 
     def statuses(self) -> Iterable[Status]:
@@ -92,12 +95,15 @@ class CoordinatorNode(BridgeNode):
 def _of_sectors(session: SectoredSession) -> Iterable[Status]:
     sectors = session.sectors
     for k, rows in enumerate(sectors.rows):
-        gone = k in sectors.gone
+        gone, clock = k in sectors.gone, sectors.conductor.clocks[k]
         figures = {
             "robots": len(rows),
             "found": int(session.known[rows].sum()),
             "buses": len(np.unique(session.plane.bus[rows])),
             "stage": sectors.conductor.stage(k).name.lower(),
+            "clock_ahead_s": round(clock.newest.middle_s, 6),
+            "clock_bound_ms": round(1e3 * clock.newest.bound_s, 4),
+            "clock_jumps": clock.jumps,
         }
         level, text = (Level.ERROR, "does not answer") if gone else (Level.OK, "good")
         yield Status(f"bridge: sector {k}", level, text, figures, f"sector_{k}")

@@ -9,7 +9,8 @@ from typing import Any
 from std_msgs.msg import UInt8MultiArray
 
 from fiber_bus_bridge import SessionConfig
-from fiber_bus_bridge.node.hardware import declare_hardware, open_hardware
+from fiber_bus_bridge.bus import BusBackend
+from fiber_bus_bridge.node.hardware import Hardware, declare_hardware, open_hardware
 from fiber_bus_bridge.session import Session
 from fiber_core.clearance import Safety
 from fiber_core.focal_plane import FocalPlane
@@ -18,6 +19,7 @@ from fiber_node import PlaneNode, run
 from fiber_sectors.errors import SectorError
 from fiber_sectors.node.links import as_message
 from fiber_sectors.node.settings import SectorsConfig
+from fiber_sectors.paced import PacedBuses
 from fiber_sectors.sector import Sector, certified_elsewhere
 from fiber_sectors.shares import part_of, with_sectors
 from fiber_sectors.terms import Terms
@@ -26,6 +28,18 @@ __all__ = ["SectorNode", "main"]
 
 _ENDS_S = 30.0  # longest wait for the end of a run when the node is destroyed
 _CHECK_S = 0.2
+
+
+def _paced(hardware: Hardware, sectors: SectorsConfig) -> BusBackend:
+    """The buses, in the time of this host where the parameters say so.
+
+    Robots of a plant outlive this process: their time is the clock, not the time since its begin.
+    """
+    clock = sectors.clock
+    if clock is None:
+        return hardware.buses
+    origin_s = None if hardware.plant is None else 0.0
+    return PacedBuses(hardware.buses, clock, sectors.wait, origin_s)
 
 
 class SectorNode(PlaneNode):
@@ -58,13 +72,13 @@ class SectorNode(PlaneNode):
         hardware, plane = self._hardware, self._hardware.plane
         # the coordinator decides whether the others resume after a stop
         session = Session(
-            plane, hardware.units, safety, hardware.buses, hardware.start,
+            plane, hardware.units, safety, _paced(hardware, own), hardware.start,
             replace(config, resumes=0), certified_elsewhere,
         )  # fmt: skip
         self._publisher = topics.FROM_SECTOR.publisher(self)
         self.sector = Sector(
             own.number, session, terms, time.time_ns(), self._send,
-            hardware.clock if hardware.in_real_time else None, own.patience_s,
+            own.clock, own.patience_s,
         )  # fmt: skip
         topics.TO_SECTOR.subscription(self, self._hear)
         self._ended, self._error = threading.Event(), None
