@@ -113,7 +113,11 @@ def test_every_topic_is_shown_as_csv_and_json(graph, monkeypatch):
 def test_a_topic_without_a_message_is_an_error(new_domain, monkeypatch, capsys):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(new_domain()))
     assert main(["show", "targets", "--timeout", "0.5"]) == 1
-    assert "focal_plane/targets did not come within 0.5 s" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "/focal_plane/targets, of which none is kept, did not come within 0.5 s" in err
+    north = ["--ros-args", "-r", "__ns:=/north"]
+    assert main(["show", "outcome", "--timeout", "0.5", *north]) == 1
+    assert "a message of /north/focal_plane/outcome did not come" in capsys.readouterr().err
 
 
 def test_the_page_of_codes_has_every_code():

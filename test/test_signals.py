@@ -3,11 +3,13 @@
 
 import importlib.util
 import os
+import resource
 import signal
 import subprocess
 import sys
 import time
 from contextlib import ExitStack
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,15 +41,38 @@ def started(module, domain, *arguments, said="settings: "):
     raise AssertionError(f"{module} has ended with code {process.wait()}")
 
 
+def processor_s(pid):
+    """The time that a process has had of the processors."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def of_children_s():
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def ends_with_code_0(process, how):
-    begin = time.monotonic()
+    """Tell a process to end; return the time of the processors that this takes."""
+    begin, before, earlier = time.monotonic(), processor_s(process.pid), of_children_s()
     process.send_signal(how)
     try:
         _, text = process.communicate(timeout=ENDS_S)
     finally:
         process.kill()
-    print(f"{how.name}: ended after {time.monotonic() - begin:.2f} s")
+    took = of_children_s() - earlier - before
+    print(f"{how.name}: ended after {time.monotonic() - begin:.2f} s, processors {took:.2f} s")
     assert process.returncode == 0 and "Traceback" not in text, text
+    return took
+
+
+@pytest.mark.parametrize(
+    "module", ["fiber_planner.node", "fiber_discretizer.node", "fiber_viewer.node"]
+)
+def test_a_node_that_waits_needs_little_to_end(new_domain, module):
+    # of the second in which it ends, on a machine with other work
+    process = started(module, new_domain(), said="waits for")
+    assert ends_with_code_0(process, signal.SIGTERM) < 0.15
 
 
 @pytest.mark.parametrize("how", SIGNALS)

@@ -66,8 +66,14 @@ _ARGUMENTS = {
     "namespace": ("", "namespace of all nodes, as north"),
     "use_sim_time": ("false", "follow the time on /clock"),
     "log_level": ("info", "level of the log: debug, info, warn"),
+    "autostart": (
+        "true",
+        "configure and activate the managed nodes; false: they wait for `ros2 lifecycle set`",
+    ),
     "use_respawn": ("false", "start nodes again that end; false: such a node ends the launch"),
 }
+
+_MANAGED: Mapping[str, type] = {"autostart": bool}
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -119,7 +125,16 @@ def _node_ended(event: ProcessExited, context: LaunchContext) -> list[Shutdown] 
         RuntimeError: the node has failed; `ros2 launch` shows the text, and ends with code 1.
     """
     respawn = LaunchConfiguration("use_respawn").perform(context).lower() in ("true", "1")
-    if respawn or context.is_shutdown:
+    return None if respawn else _process_ended(event, context)
+
+
+def _process_ended(event: ProcessExited, context: LaunchContext) -> list[Shutdown] | None:
+    """End the launch with a process without which the others would wait for ever.
+
+    Raises:
+        RuntimeError: the process has failed.
+    """
+    if context.is_shutdown:
         return None
     text = f"{event.process_name} has ended with code {event.returncode}"
     if event.returncode:
@@ -178,6 +193,7 @@ def _plant() -> ExecuteProcess:
         ],
         name="plant",
         output="screen",
+        on_exit=_process_ended,
         condition=IfCondition(
             AndSubstitution(
                 _one_bridge(),
@@ -192,12 +208,12 @@ def _control() -> list[Node]:
     of_bridge = {
         "preset": str, "robots": int, "seed": int, "layout": str, "starts": str,
         "spacing_mm": float, "problem": str, "time_scale": float, "plant": str,
-        "disabled_file": str,
+        "disabled_file": str, "autostart": bool,
     }  # fmt: skip
     return [
         _node("fiber_bus_bridge", "bridge", of_bridge, condition=IfCondition(_one_bridge())),
-        _node("fiber_planner", "planner", {"planner": str}),
-        _node("fiber_discretizer", "discretizer"),
+        _node("fiber_planner", "planner", {"planner": str} | _MANAGED),
+        _node("fiber_discretizer", "discretizer", _MANAGED),
     ]
 
 
@@ -205,8 +221,13 @@ def _camera() -> list[Node]:
     """Return the nodes that see the robots."""
     wanted = IfCondition(LaunchConfiguration("camera"))
     return [
-        _node("fiber_metrology", "metrology", condition=wanted),
-        _node("fiber_metrology", "camera", {"plant": str, "seed": int}, condition=wanted),
+        _node("fiber_metrology", "metrology", _MANAGED, condition=wanted),
+        _node(
+            "fiber_metrology",
+            "camera",
+            {"plant": str, "seed": int} | _MANAGED,
+            condition=wanted,
+        ),
     ]
 
 
@@ -229,7 +250,7 @@ def _sectors(context: LaunchContext) -> list[Node]:
         "sectors.shares": ParameterValue(shares, value_type=str),
         "sectors.clock_scale": scale,
     }
-    of_coordinator = of_plane | {"time_scale": float, "disabled_file": str}
+    of_coordinator = of_plane | {"time_scale": float, "disabled_file": str, "autostart": bool}
     return [
         *(
             _node(

@@ -187,12 +187,19 @@ def test_the_end_of_a_node_ends_the_launch_and_its_failure_fails_it(launch_file)
     node_ended = module["_node_ended"]
     of_the_plane = [n for n in all_of(description, "Node") if n.given["name"] != "console"]
     assert all(node.given["on_exit"] is node_ended for node in of_the_plane)
+    (plant,) = all_of(description, "ExecuteProcess")
+    plant_ended = plant.given["on_exit"]
     with pytest.raises(RuntimeError, match="bridge-2 has ended with code 2"):
         node_ended(ended(2), LaunchEnd("false"))
     (shutdown,) = node_ended(ended(0), LaunchEnd("false"))
     assert shutdown.kind == "Shutdown"
     for context in (LaunchEnd("true"), LaunchEnd("True"), LaunchEnd("false", is_shutdown=True)):
         assert node_ended(ended(2), context) is None
+    # a bridge would wait for ever for a plant that has ended, which is not started again
+    for respawn in ("true", "false"):
+        with pytest.raises(RuntimeError, match="bridge-2 has ended with code 2"):
+            plant_ended(ended(2), LaunchEnd(respawn))
+    assert plant_ended(ended(2), LaunchEnd("false", is_shutdown=True)) is None
 
 
 def test_the_environment_is_set_for_the_nodes_of_this_launch_alone(description):

@@ -15,6 +15,7 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
+from rclpy.qos import DurabilityPolicy
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import PointCloud2, PointField
 
@@ -116,7 +117,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _newest(client: RosClient, name: str, timeout_s: float) -> list[PointCloud2]:
     """Return the newest message of each topic of a name that has one."""
     received = [client.collect(topic) for topic in _TOPICS[name]]
-    what = f"a message of {' or '.join(topic.name for topic in _TOPICS[name])}"
+    names = " or ".join(client.node.resolve_topic_name(topic.name) for topic in _TOPICS[name])
+    kept = all(t.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for t in _TOPICS[name])
+    what = f"a message of {names}{'' if kept else ', of which none is kept,'}"
     client.wait_for(lambda: any(received), timeout_s, what)
     client.wait_quietly(_SETTLED_S, lambda: sum(map(len, received)))
     return [max(messages, key=PlanStamp.of) for messages in received if messages]

@@ -85,6 +85,7 @@ class Declared(Generic[_Config]):
         config_class: the dataclass.
         prefix: put before the name of each field, with a dot.
         read_only: whether the parameters cannot be set while the node runs.
+        effect: when a change is in effect, for the log.
         entries: field and encoding of each parameter by its name.
         value: the dataclass with the values that are in effect.
     """
@@ -94,10 +95,12 @@ class Declared(Generic[_Config]):
         config_class: type[_Config],
         prefix: str,
         read_only: bool,
+        effect: str,
         entries: Mapping[str, _Entry],
         value: _Config,
     ):
-        self.config_class, self.prefix, self.read_only = config_class, prefix, read_only
+        self.config_class, self.prefix = config_class, prefix
+        self.read_only, self.effect = read_only, effect
         self.entries, self.value = entries, value
 
     def with_values(self, values: Mapping[str, Any]) -> _Config:
@@ -132,7 +135,11 @@ class NodeParameters:
         self._others: set[str] = set()
 
     def declare(
-        self, config_class: type[_Config], prefix: str = "", read_only: bool = False
+        self,
+        config_class: type[_Config],
+        prefix: str = "",
+        read_only: bool = False,
+        effect: str = "from the next plan",
     ) -> Declared[_Config]:
         """Declare the fields of a dataclass; return them with the values that were given.
 
@@ -142,6 +149,7 @@ class NodeParameters:
             config_class: the dataclass.
             prefix: put before the name of each field, with a dot.
             read_only: whether the parameters cannot be set while the node runs.
+            effect: when a change is in effect, for the log.
 
         Raises:
             FiberError: a value is of the wrong type, or the dataclass refuses it.
@@ -152,7 +160,7 @@ class NodeParameters:
             name = f"{prefix}.{entry.field}" if prefix else entry.field
             entries[name] = entry
             values[name] = entry.coerce(self._given(name), name)
-        declared = Declared(config_class, prefix, read_only, entries, config_class())
+        declared = Declared(config_class, prefix, read_only, effect, entries, config_class())
         declared.value = declared.with_values(values)
         for name, entry in entries.items():
             descriptor = _descriptor(config_class, entry, about.get(entry.field, ""), read_only)
@@ -192,17 +200,22 @@ class NodeParameters:
         self._node.undeclare_parameter(name)
         return value
 
+    def missing(self, name: str) -> str:
+        """Return what to say of a parameter that does not exist, with the nearest that do."""
+        known = sorted(self._known())
+        like = [each for each in known if each.split(".")[-1] == name.split(".")[-1]]
+        like = like or difflib.get_close_matches(name, known, n=1)
+        hint = f"; did you mean {' or '.join(like)}?" if like else ""
+        return f"parameter {name} does not exist and has no effect{hint}"
+
+    def _known(self) -> set[str]:
+        return {name for group in self._groups for name in group.entries} | self._others
+
     def _name_unknown(self) -> None:
-        known = {name for group in self._groups for name in group.entries} | self._others
-        for name in sorted(set(self._node.get_parameters_by_prefix("")) - known):
+        for name in sorted(set(self._node.get_parameters_by_prefix("")) - self._known()):
             if name.split(".")[0] in _OF_ROS:
                 continue
-            like = [each for each in sorted(known) if each.split(".")[-1] == name.split(".")[-1]]
-            like = like or difflib.get_close_matches(name, known, n=1)
-            hint = f"; did you mean {' or '.join(like)}?" if like else ""
-            self._node.get_logger().warning(
-                f"parameter {name} does not exist and has no effect{hint}"
-            )
+            self._node.get_logger().warning(self.missing(name))
             self._node.undeclare_parameter(name)
 
     def _changed(self) -> Iterator[str]:
@@ -244,12 +257,13 @@ class NodeParameters:
 
     def _put_into_effect(self, parameters: list[Parameter]) -> None:
         for group, values in self._touched(parameters):
-            group.value = group.with_values(values)
+            before, group.value = group.value, group.with_values(values)
             for each in parameters:
-                if each.name in group.entries:
+                entry = group.entries.get(each.name)
+                if entry and getattr(before, entry.field) != getattr(group.value, entry.field):
                     self._node.get_logger().info(
                         f"parameter {each.name} is now {_plain(each.value)!r}, "
-                        "in effect from the next plan"
+                        f"in effect {group.effect}"
                     )
 
 

@@ -6,7 +6,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from fiber_node.parameters import NodeParameters
 from fiber_node.worker import Worker
@@ -63,6 +65,16 @@ class PlaneNode(Node):
         self.end_workers()
         self.ended = not self._workers
         super().destroy_node()
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters, all or none, as rclpy does; an unknown one is refused by its name."""
+        # the answer of rclpy does not say which one it is
+        unknown = [each.name for each in parameter_list if not self.has_parameter(each.name)]
+        if unknown:
+            reason = "; ".join(map(self.parameters.missing, unknown))
+            self.get_logger().warning(f"parameter change refused: {reason}")
+            return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
 
     def declare_parameters(
         self, namespace: str, parameters: Sequence[Any], ignore_override: bool = False

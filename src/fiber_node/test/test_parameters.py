@@ -168,7 +168,8 @@ def test_a_change_is_in_effect_or_refused_with_the_reason(rig, capfd):
         ({"core__method": "bogus"}, "no method is called 'bogus'"),
         ({"core__gain": "much"}, "type"),
         ({"fixed__gain": 3.0}, "read-only"),
-        ({"unknown": 3.0}, "undeclared"),
+        ({"unknown": 3.0}, "parameter unknown does not exist"),
+        ({"gain": 3.0}, "did you mean core.gain or fixed.gain?"),
     ):
         result = rig.set(**change)
         assert not result.successful and word in result.reason, result.reason
@@ -176,6 +177,14 @@ def test_a_change_is_in_effect_or_refused_with_the_reason(rig, capfd):
     log = capfd.readouterr().err
     assert "parameter core.gain is now 4.0, in effect from the next plan" in log
     assert "parameter change refused: no method is called 'bogus'" in log
+    assert "parameter change refused: parameter unknown does not exist" in log
+
+
+def test_a_value_that_a_parameter_has_already_is_no_change_in_the_log(rig, capfd):
+    assert rig.set(core__gain=2.0, core__method="plain", core__horizon_s=0.0).successful
+    assert rig.set(core__rounds=4).successful
+    log = capfd.readouterr().err
+    assert "parameter core.rounds is now 4" in log and log.count("is now") == 1
 
 
 def test_changes_are_checked_together(rig):

@@ -100,7 +100,7 @@ class ViewerNode(PlaneNode):
     def __init__(self, **options: Any):
         super().__init__("viewer", **options)
         rate = self.parameters.declare(ViewRate, read_only=True).value
-        self._watch = self.parameters.declare(WatchedRobots)
+        self._watch = self.parameters.declare(WatchedRobots, effect="in the next picture")
         self.parameters.finish()
         self._plane: FocalPlane | None = None
         self._outcome: Codes | None = None

@@ -64,7 +64,7 @@ def declare_bridge(
         parameters.declare(Safety, "safety", read_only=True).value,
         parameters.declare(ExecutionConfig, read_only=True).value,
         parameters.declare(AttemptConfig),
-        parameters.declare(StartConfig),
+        parameters.declare(StartConfig, effect="for the next call of the service start"),
         parameters.declare(SessionConfig, "session", read_only=True).value,
         parameters.declare(MemoryConfig, read_only=True).value,
         declare_disabled(node, parameters),

@@ -7,6 +7,7 @@ the plane are those of the bridge, and must describe the same plane.
 """
 
 import argparse
+import gc
 import logging
 import signal
 import sys
@@ -47,6 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         _LOG.info("interrupted: the plant ends")
+    gc.freeze()  # as nodes do when they end: the end of Python takes 0.2 s less
     return 0
 
 
