@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The launch file under the real launch, where it is installed: it is not among the wheels.
 
-launch and launch_testing run in processes of their own, because the pytest plugins of launch_testing
-need an older pytest than ours.
+launch and launch_testing run in processes of their own: the pytest plugins of launch_testing need an
+older pytest than ours.
 """
 
 import importlib.util
