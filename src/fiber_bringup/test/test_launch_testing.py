@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The launch file under the real launch, where it is installed: it is not among the wheels.
 
-launch and launch_testing run in processes of their own: the pytest plugins of launch_testing need an
+launch and launch_testing run in processes of their own: their pytest plugins need an
 older pytest than ours.
 """
 
