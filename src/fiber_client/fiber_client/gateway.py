@@ -205,6 +205,7 @@ def main(args: Sequence[str] | None = None) -> int:
     executor = ThreadExecutor(_THREADS, context)
     node = GatewayNode(context=context)
     keep_memory_private()
+    watch_hearing()
     warn_of_sections(node, given)
     executor.add_node(node)
     loop = threading.Thread(target=executor.spin, name="gateway", daemon=True)

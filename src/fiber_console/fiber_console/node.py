@@ -200,6 +200,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         node = ConsoleNode()
         keep_memory_private()
+        watch_hearing()
         warn_of_sections(node, given)
         executor.add_node(node)
         thread.start()

@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.utilities import get_default_context, try_shutdown
 
 from fiber_core.errors import FiberError
+from fiber_node.deafness import watch_hearing
 from fiber_node.params_files import warn_of_sections
 from fiber_node.ros_environment import keep_memory_private, keep_private, use_loopback
 from fiber_node.thread_executor import ThreadExecutor
@@ -43,6 +44,7 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
     try:
         node = make_node()
         keep_memory_private()
+        watch_hearing()
         warn_of_sections(node, given)
         executor.add_node(node)
         executor.spin()

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A process whose thread of the middleware does not receive any more ends; any other goes on."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from fiber_node.deafness import DEAF_CODE
+
+pytestmark = [
+    pytest.mark.timeout(60),
+    pytest.mark.skipif(not os.path.isdir("/proc/self/task"), reason="NOT TESTED: needs Linux"),
+]
+
+# a thread with the name of one of Fast DDS, at a socket to which something is sent all the time
+PROCESS = """
+import socket, sys, threading, time
+from pathlib import Path
+from fiber_node import deafness
+
+deafness._LOOK_S = 0.1
+inbox, other = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+inbox.bind(("127.0.0.1", 0))
+place = inbox.getsockname()
+kind = sys.argv[1]
+
+def receive():
+    name = "dds.udp." if kind != "another" else "dds.shm."
+    Path(f"/proc/self/task/{threading.get_native_id()}/comm").write_text(f"{name}{place[1]}")
+    while kind == "hears":
+        inbox.recv(100)
+    while kind == "slow":
+        inbox.recv(100)
+        time.sleep(0.3)
+    never = threading.Lock()
+    never.acquire()
+    never.acquire()
+
+threading.Thread(target=receive, daemon=True).start()
+deafness.watch_hearing()
+end = time.monotonic() + 3.0
+while time.monotonic() < end:
+    other.sendto(b"announcement", place)
+    time.sleep(0.01)
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"), [("deaf", DEAF_CODE), ("hears", 0), ("slow", 0), ("another", 0)]
+)
+def test_a_process_that_does_not_receive_any_more_ends(kind, code):
+    done = subprocess.run(
+        [sys.executable, "-c", PROCESS, kind], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code, done.stderr
+    assert ("has not received at port" in done.stderr) == (kind == "deaf")
