@@ -28,6 +28,7 @@ from fiber_interfaces.srv import Start  # pyright: ignore[reportMissingModuleSou
 from fiber_msgs_py import PlanStamp, Progress, topics
 from fiber_msgs_py.stamps import ns_from_time
 from fiber_node import PlaneNode, ThreadExecutor, warn_of_sections
+from fiber_node.deafness import watch_hearing
 from fiber_node.ros_environment import keep_memory_private, keep_private, use_loopback
 
 __all__ = ["RECONFIGURE", "START_PLAN", "GatewayNode", "main"]

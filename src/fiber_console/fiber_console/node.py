@@ -39,6 +39,7 @@ from fiber_msgs_py import (
     topics,
 )
 from fiber_node import PlaneNode, Reporter, SessionGate, ThreadExecutor, warn_of_sections
+from fiber_node.deafness import watch_hearing
 from fiber_node.ros_environment import keep_memory_private, keep_private, use_loopback
 
 __all__ = ["ConsoleConfig", "ConsoleNode", "main", "serve"]
