@@ -65,14 +65,19 @@ _ARGUMENTS = {
     "robot_model": ("-1", "id of a robot whose URDF is on robot_description; -1: none"),
     "namespace": ("", "namespace of all nodes, as north"),
     "use_sim_time": ("false", "follow the time on /clock"),
-    "log_level": ("info", "level of the log: debug, info, warn"),
+    "log_level": ("info", "level of the log: debug, info, warn; of one node: planner:=debug"),
     "autostart": (
         "true",
         "configure and activate the managed nodes; false: they wait for `ros2 lifecycle set`",
     ),
-    "use_respawn": ("false", "start nodes again that end; false: such a node ends the launch"),
+    "use_respawn": (
+        "false",
+        "start nodes again that end, unless they refuse their settings; false: such a node ends "
+        "the launch",
+    ),
 }
 
+_REFUSED = 2  # exit code of a node whose parameters are refused
 _MANAGED: Mapping[str, type] = {"autostart": bool}
 
 
@@ -121,11 +126,13 @@ def _environment() -> list[SetEnvironmentVariable]:
 def _node_ended(event: ProcessExited, context: LaunchContext) -> list[Shutdown] | None:
     """End the launch with a node, unless nodes are started again.
 
+    A node that has refused its settings would refuse them again.
+
     Raises:
         RuntimeError: the node has failed; `ros2 launch` shows the text, and ends with code 1.
     """
     respawn = LaunchConfiguration("use_respawn").perform(context).lower() in ("true", "1")
-    return None if respawn else _process_ended(event, context)
+    return None if respawn and event.returncode != _REFUSED else _process_ended(event, context)
 
 
 def _process_ended(event: ProcessExited, context: LaunchContext) -> list[Shutdown] | None:

@@ -194,7 +194,9 @@ def test_the_end_of_a_node_ends_the_launch_and_its_failure_fails_it(launch_file)
     (shutdown,) = node_ended(ended(0), LaunchEnd("false"))
     assert shutdown.kind == "Shutdown"
     for context in (LaunchEnd("true"), LaunchEnd("True"), LaunchEnd("false", is_shutdown=True)):
-        assert node_ended(ended(2), context) is None
+        assert node_ended(ended(1), context) is None
+    with pytest.raises(RuntimeError, match="bridge-2 has ended with code 2"):
+        node_ended(ended(2), LaunchEnd("true"))  # it has refused its settings
     # a bridge would wait for ever for a plant that has ended, which is not started again
     for respawn in ("true", "false"):
         with pytest.raises(RuntimeError, match="bridge-2 has ended with code 2"):
