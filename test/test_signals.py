@@ -84,6 +84,19 @@ def test_a_bridge_ends_while_it_waits_for_its_plant(new_domain, tmp_path, how):
     )
 
 
+@pytest.mark.parametrize("how", SIGNALS)
+def test_a_coordinator_ends_while_it_waits_for_its_sectors(new_domain, how):
+    domain = new_domain()
+    process = started("fiber_sectors.node.coordinator", domain, "-p", "robots:=61")
+    with ExitStack() as stack:
+        stack.callback(process.kill)
+        peer = stack.enter_context(RosClient("peer", domain))
+        peer.wait_for(
+            lambda: ("bridge_links", "/") in peer.node.get_node_names_and_namespaces(), ENDS_S
+        )
+        ends_with_code_0(process, how)
+
+
 @pytest.mark.parametrize("module", ["fiber_console.node", "fiber_client.gateway"])
 def test_a_node_with_a_main_of_its_own_names_sections_that_do_not_apply(
     new_domain, tmp_path, module

@@ -155,6 +155,8 @@ class ManagedNode(LifecycleNodeMixin, PlaneNode):
             self.reporter.refuse(f"transition {hook.__name__} refused: {error}")
             return TransitionCallbackReturn.FAILURE
         except Exception as error:
+            if not self.context.ok():
+                raise KeyboardInterrupt from None  # after a signal whatever is sent fails
             text = f"transition {hook.__name__}: unexpected {type(error).__name__}: {error}"
             self._refusal = FiberError(text)
             self.get_logger().error(traceback.format_exc())

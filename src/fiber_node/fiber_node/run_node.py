@@ -10,7 +10,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.node import Node
-from rclpy.utilities import get_default_context, try_shutdown
+from rclpy.utilities import get_default_context, remove_ros_args, try_shutdown
 
 from fiber_core.errors import FiberError
 from fiber_node.deafness import watch_hearing
@@ -33,12 +33,16 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
     read by its owner only.
 
     Args:
-        make_node: called once rclpy is initialised.
-        args: command line for ROS; by default that of the process.
+        make_node: called once rclpy is initialised; its docstring is the help.
+        args: command line for ROS, with the name of the program first; by default that of the
+            process. Any other argument ends the process with code 2.
     """
+    given = sys.argv if args is None else list(args)
+    code = _of_ros_alone(make_node, given)
+    if code is not None:
+        return code
     use_loopback()
     keep_private()
-    given = sys.argv if args is None else list(args)
     rclpy.init(args=given)
     executor, code = ThreadExecutor(3), 0
     try:
@@ -70,3 +74,22 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         sys.stderr.flush()
         os._exit(code)
     return code
+
+
+def _of_ros_alone(make_node: Callable[[], Node], given: Sequence[str]) -> int | None:
+    """Return the exit code of a command line that asks for help, or has what is not for ROS."""
+    others = remove_ros_args(given)[1:]
+    if not others:
+        return None
+    asked = any(each in ("-h", "--help") for each in others)
+    if not asked:
+        print(f"unknown arguments: {' '.join(others)}", file=sys.stderr)
+    name = os.path.basename(given[0])
+    about = (make_node.__doc__ or "A node.").splitlines()[0]
+    print(
+        f"usage: {name} [--ros-args [-p PARAMETER:=VALUE] [--params-file FILE] [-r __ns:=/NAME] "
+        f"[--log-level LEVEL]]\n\n{about}\n\nIts parameters are in docs/interfaces.md; while it "
+        f"runs, `ros2 param describe {name} PARAMETER` explains one.",
+        file=sys.stdout if asked else sys.stderr,
+    )
+    return 0 if asked else 2

@@ -285,3 +285,18 @@ def test_parameters_that_a_core_refuses_end_the_process_with_code_2():
         raise FiberError("gain is -1.0")
 
     assert run(make, args=[]) == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "code"), [("--help", 0), ("-h", 0), ("robots:=61", 2), ("--robots=61", 2)]
+)
+def test_a_node_is_not_made_for_help_or_for_arguments_that_ros_does_not_know(given, code, capsys):
+    def make():
+        """A node that is never made."""
+        raise AssertionError
+
+    assert run(make, args=["bridge", given, "--ros-args", "-p", "seed:=3"]) == code
+    out, err = capsys.readouterr()
+    assert "A node that is never made." in (err if code else out)
+    assert (f"unknown arguments: {given}\n" in err) == bool(code)
+    assert "-p PARAMETER:=VALUE" in out + err

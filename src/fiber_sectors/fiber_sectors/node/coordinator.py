@@ -74,10 +74,13 @@ class CoordinatorNode(BridgeNode):
         found = simulated_hardware(declared.plane)
         plane = with_sectors(found.plane, own["sectors"].shares)
         links = TopicLinks(self, int(plane.sector.max(initial=0)) + 1)
-        missing = links.wait(pause, _POLLS)
-        if missing:
+        try:
+            missing = links.wait(pause, _POLLS)
+            if missing:
+                raise BridgeError(f"sectors {missing} are not in the graph")
+        except BaseException:  # also an interrupt
             links.close()
-            raise BridgeError(f"sectors {missing} are not in the graph")
+            raise
         clock = own["sectors"].clock
         follows = {} if clock is None else {"clock": clock, "slice_s": _SLICE_S}
         return _SectoredHardware(
