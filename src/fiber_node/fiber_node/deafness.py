@@ -30,8 +30,8 @@ def watch_hearing(end: Callable[[int], None] = os._exit) -> None:
 
     In Fast DDS 2.14 the thread that receives and the thread of timers can wait for each other for
     ever, when another process leaves at the wrong moment (eProsima/Fast-DDS issue 6502). The node
-    then lives, hears nothing, a stop neither, and nobody finds it. Robots whose bridge has ended
-    stop by themselves; a launch notices the end, or starts the node again.
+    then lives and hears nothing, not even a stop, and no other node finds it. Robots whose bridge
+    has ended stop by themselves; a launch notices the end, or starts the node again.
 
     Args:
         end: called with the exit code.
