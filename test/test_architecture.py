@@ -100,6 +100,7 @@ ARROWS = {
     "bench.kill": {"fiber_bringup", "forked_processes", "kill_jobs", "kill_others", "kill_table"},
     "bench.kill_jobs": {"fiber_node"},
     "bench.memory": {"fiber_bringup", "forked_processes"},
+    "bench.manners": {"fiber_bringup"},
     "bench.forked_preload": {"bench", "forked_processes"},
     "bench.forked_processes": {"fiber_bringup"},
     "bench.paper": {"bench", "paper_runs"},
