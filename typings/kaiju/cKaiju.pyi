@@ -1,2 +1,3 @@
+# SPDX-License-Identifier: Apache-2.0
 class RobotGrid:
     def addRobot(self, **arguments: object) -> None: ...
