@@ -169,8 +169,8 @@ soak: build ## campaigns of faults (CAMPAIGNS= of each kind, MIXED=, LINES=file 
 
 RUNS ?= 90
 .PHONY: kill
-kill: build ## kill, pause and disturb the processes of a small plane (RUNS=, SEED=, JOBS=), into bench/results/kill.md
-	@$(INSTALLED) && $(PYTHON) bench/kill.py --runs $(RUNS) $(if $(SEED),--seed $(SEED)) \
+kill: build ## kill, pause and disturb the processes of a small plane (RUNS= more, SEED=, JOBS=), into bench/results/kill.md
+	@trap : INT; $(INSTALLED) && $(PYTHON) bench/kill.py --runs $(RUNS) $(if $(SEED),--seed $(SEED)) \
 	$(if $(JOBS),--jobs $(JOBS)); failed=$$?; \
 	$(PYTHON) bench/kill_table.py bench/results/kill.jsonl --out bench/results/kill.md; exit $$failed
 

@@ -25,7 +25,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from forked_processes import ForkedProcesses
-from kill_jobs import run_jobs
+from kill_jobs import first_left, run_jobs
+from kill_judge import count_false
 from kill_others import OTHERS, SERVICES, Others
 from kill_table import commit_of_sources
 
@@ -33,9 +34,8 @@ from fiber_bus_bridge.plant import PlantTruth, Truth, plant_socket, touching
 from fiber_client.client import PlaneClient
 from fiber_core.errors import FiberError
 from fiber_core.fields import random_field
-from fiber_core.kinematics import forward
 from fiber_core.outcomes import Outcome, PlanOutcome
-from fiber_msgs_py import PlanStamp, Progress, targets, topics
+from fiber_msgs_py import PlanStamp, Progress, topics
 from fiber_node import WaitError
 from fiber_node.ros_environment import own_domain, use_loopback
 
@@ -51,7 +51,6 @@ _END_S = 6.0  # for which a plan should go on at most when all processes are bac
 _NEVER_S = 40.0  # after which a plan without outcome has no end
 _CLIENT, _SENT_KEPT = "reconfigure", 400
 _NEXT_S, _GIVE_UP_S = 5.0, 40.0  # goal for the next reconfiguration, and the longest try
-_TOLERANCE_MM = 0.1 + 1e-3  # session.tolerance_mm, and the rounding of the targets' message
 
 
 class _Over(FiberError):
@@ -142,7 +141,8 @@ class Campaign:
             chosen: `names`, `stage` or `how`, instead of those drawn.
 
         Returns:
-            What was done, and `counted`: the number of each event that must not happen.
+            What was done; `counted`: the number of each event that must not happen; `unjudged`: the
+            number of plans with an outcome whose robots could not be compared with their targets.
         """
         self._rng = np.random.default_rng([self._seed, number])
         line = self._draw(number) | chosen
@@ -156,17 +156,16 @@ class Campaign:
             strike.start()
         strike.join()
         assert "back_s" in line, "the strike was not carried out"
-        self._back_s = np.inf
+        self._back_s, line["unjudged"] = np.inf, 0
         first = 0 if self._is_new(line) else begin.next
         after = self._truth.since(first)
         unordered = after.controller > begin.bridge
         # the bridge that was killed before the client called start is not the one that it called
         ordered = self._is_new(line) or line.get("called_s", -np.inf) > line["back_s"]
-        # after a plan beside other clients the robots may have moved on
-        false_reached = self._count_false(outcome if line["how"] != "services" else None, after)
+        false_reached = self._count_false(outcome, after, line, line["how"] == "services")
         line["next_s"], then = self._recover(line)
         truth = self._truth.since(first)
-        false_reached += self._count_false(then, truth)
+        false_reached += self._count_false(then, truth, line)
         line["gone"] = [name for name in self._processes.ended() if name != _CLIENT]
         for name in line["gone"]:
             self._processes.restart(name)
@@ -334,24 +333,18 @@ class Campaign:
             with suppress(FiberError):
                 self._client.call_service(service, _WAIT_S)
 
-    def _count_false(self, outcome: PlanOutcome | None, truth: Truth) -> int:
-        """Robots that are said to have reached their targets, and stand elsewhere."""
+    def _count_false(
+        self, outcome: PlanOutcome | None, truth: Truth, line: _Line, moved_on: bool = False
+    ) -> int:
+        """As count_false; what it cannot tell, or not for robots that have moved on, is counted."""
         if outcome is None:
             return 0
-        plane = self._client.plane
-        wanted = np.full((plane.n, 2), np.nan)
-        for message in self._sent:
-            with suppress(FiberError):  # of a stranger
-                if PlanStamp.of(message).ns == outcome.stamp_ns:
-                    ids, xy_mm = targets.decode(message)
-                    wanted[plane.index_of(ids)] = xy_mm
+        known = None
+        if not moved_on:  # by the call of another client
+            known = count_false(self._client.plane, outcome, self._sent, truth)
         del self._sent[:-_SENT_KEPT]
-        if np.isnan(wanted).all():  # targets of another process, which did not come here
-            return 0
-        reached = plane.index_of(outcome.ids[outcome.outcome == Outcome.REACHED])
-        at = forward(plane, truth.position * truth.quantum_rad)[1]
-        off_mm = np.hypot(*(at[reached] - wanted[reached]).T)
-        return int((~(off_mm <= _TOLERANCE_MM)).sum())
+        line["unjudged"] += known is None
+        return known or 0
 
 
 def parse(argv: list[str] | None) -> argparse.Namespace:
@@ -360,7 +353,10 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument("--runs", type=int, default=90)
-    parser.add_argument("--first", type=int, default=0, help="number of the first run")
+    parser.add_argument(
+        "--first", type=int, help="number of the first run, by default the next of the seed"
+    )
+    parser.add_argument("--step", type=int, default=1, help="from one number to the next")
     parser.add_argument("--jobs", type=int, default=1, help="planes at the same time")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robots", type=int, default=37)
@@ -372,25 +368,30 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
 def main(argv: list[str] | None = None) -> int:
     """Run the command; return 1 when something happened that must not."""
     args = parse(argv)
+    first = first_left(args.lines, args.seed) if args.first is None else args.first
     if args.jobs > 1:
         given = {"seed": args.seed, "robots": args.robots, "lines": args.lines}
-        return run_jobs(Path(__file__), args.jobs, args.first, args.runs, given, args.logs)
+        return run_jobs(Path(__file__), args.jobs, first, args.runs, given, args.logs)
     for ends in (signal.SIGINT, signal.SIGTERM):  # the processes end with this one
         signal.signal(ends, signal.default_int_handler)
     use_loopback()
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     failed, commit = 0, commit_of_sources()
+    numbers = range(first, first + args.runs * args.step, args.step)
     with tempfile.TemporaryDirectory() as folder:
         logs = args.logs or Path(folder)
         logs.mkdir(parents=True, exist_ok=True)
         with Campaign(logs, args.robots, args.seed) as campaign:
-            for number in range(args.first, args.first + args.runs):
+            for done, number in enumerate(numbers, 1):
                 line = campaign.run(number) | {"commit": commit, "seed": args.seed}
                 args.lines.parent.mkdir(parents=True, exist_ok=True)
                 with open(args.lines, "a", encoding="utf-8") as file:
-                    file.write(json.dumps(line) + "\n")
-                failed += any(line["counted"].values())
-                print(number, line["how"], line["names"], line["stage"], line["counted"])
+                    file.write(json.dumps(line, separators=(",", ":")) + "\n")
+                found = {name: count for name, count in line["counted"].items() if count}
+                failed += bool(found)
+                what = " ".join([line["how"], *line["names"], line["stage"]])
+                print(f"{done} of {args.runs}: run {number}, {what}, next in {line['next_s']} s",
+                      found or "", flush=True)  # fmt: skip
     print(json.dumps({"runs": args.runs, "failed": failed, "robots": args.robots}))
     return 1 if failed else 0
 

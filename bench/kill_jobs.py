@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A kill campaign on several planes at the same time, each in a ROS domain of its own."""
 
+import json
 import os
 import subprocess
 import sys
@@ -9,9 +10,22 @@ from pathlib import Path
 
 from fiber_node.ros_environment import own_domain
 
-__all__ = ["run_jobs"]
+__all__ = ["first_left", "run_jobs"]
 
 _DOMAINS = 101
+
+
+def first_left(lines: Path, seed: int) -> int:
+    """Return the number after the last run of a seed, so that a campaign goes on where it ended.
+
+    Args:
+        lines: the file of its runs, a line each; it may not exist yet.
+        seed: seed of the campaign.
+    """
+    if not lines.exists():
+        return 0
+    made = map(json.loads, lines.read_text("utf-8").splitlines())
+    return max((run["number"] + 1 for run in made if run["seed"] == seed), default=0)
 
 
 def run_jobs(
@@ -28,16 +42,15 @@ def run_jobs(
         logs: folder for the logs, one folder in it for each process.
     """
     started: list[subprocess.Popen[bytes]] = []
-    domain, end = own_domain(), first + runs
-    for k in range(jobs):
-        share = (end - first) // (jobs - k)
-        options = {"first": first, "runs": share} | dict(given)
+    domain = own_domain()
+    for k in range(jobs):  # in turn, so that an interrupted campaign leaves no part out
+        share = len(range(k, runs, jobs))
+        options = {"first": first + k, "step": jobs, "runs": share} | dict(given)
         if logs is not None:
             options["logs"] = logs / str(k)
         command = [sys.executable, str(script), *(f"--{n}={v}" for n, v in options.items())]
         of_its_own = {"ROS_DOMAIN_ID": str((domain + k - 1) % _DOMAINS + 1)}
         started.append(subprocess.Popen(command, env=os.environ | of_its_own))
-        first += share
     try:
         return max(abs(job.wait()) for job in started)
     except KeyboardInterrupt:

@@ -33,23 +33,30 @@ those of a machine that is busy with them. Columns:
 - late: the next reconfiguration took more than 5 s, with its motion and a restarted process's start
 - died: processes that ended by themselves
 
+458 runs of earlier code, whose lines were not kept, are counted apart in
+[kill_earlier.md](kill_earlier.md). Each line of [kill.jsonl](kill.jsonl) names its commit, and the
+third table counts by commit.
+
 """
 
 
 def table(lines: Sequence[_Line]) -> str:
-    """Return the tables of a campaign, in markdown: by process, by stage, and the memory."""
+    """Return the tables of a campaign, in markdown: by process, stage and commit, and memory."""
     late = sum("missed" in line for line in lines)
     load = statistics.median(line["load"] for line in lines)
     of = Counter(line.get("commit", "unknown") for line in lines)
     commits = ", ".join(f"{count} of {commit}" for commit, count in of.items())
     text = [
         f"{len(lines)} runs ({commits}), at a load of {load} (median); in {late} of them "
-        "the plan ended before the stage of the strike.",
+        f"the plan ended before the stage of the strike. Of {sum(map(_unjudged, lines))} plans the "
+        "robots are not compared with their targets, because other clients moved them on, or the "
+        "targets did not come to the judge.",
         "",
     ]
     groups: dict[str, Callable[[_Line], str]] = {
         "process": lambda line: " ".join([line["how"], *line["names"][:1]]),
         "stage": lambda line: line["stage"],
+        "commit": lambda line: line.get("commit", "unknown"),
     }
     for name, group in groups.items():
         rows: dict[str, list[_Line]] = {}
@@ -57,6 +64,10 @@ def table(lines: Sequence[_Line]) -> str:
             rows.setdefault(group(line), []).append(line)
         text += [*_rows(name, [*sorted(rows.items()), ("all", list(lines))]), ""]
     return "\n".join([*text, *_memory(lines), ""])
+
+
+def _unjudged(line: _Line) -> int:
+    return line.get("unjudged", 0)
 
 
 def commit_of_sources() -> str:

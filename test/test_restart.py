@@ -93,7 +93,10 @@ class Killed(BaseException):
 
 
 def killed_before_the_resume(path, remembers=True):
-    """A night whose bridge has stopped all robots after a failure, and dies before they resume."""
+    """A night whose bridge has stopped all robots after a failure, and dies before they resume.
+
+    Without `remembers` it dies before it has written its memory again, too.
+    """
     made, asked = Night(2, path), []
     made.restart()
 
@@ -129,20 +132,19 @@ def new_session(made):
     return session.state
 
 
-def test_a_bridge_that_dies_between_its_own_stop_and_the_resume_needs_no_clear(tmp_path):
-    made = killed_before_the_resume(tmp_path / "robots.json")
+@pytest.mark.parametrize("remembers", [True, False])
+def test_a_bridge_that_dies_between_its_own_stop_and_the_resume_needs_no_clear(tmp_path, remembers):
+    made = killed_before_the_resume(tmp_path / "robots.json", remembers)
     assert new_session(made) is SessionState.IDLE
     assert not (made.robots.memory["state"] == RobotState.STOPPED).any()
     made.plan(made.next_orders())
     assert not len(made.touching()) and (made.result.outcome == 0).sum() > ROBOTS / 2
 
 
-@pytest.mark.parametrize("why", ["an operator's stop", "no word of the bridge"])
-def test_any_other_stop_waits_for_an_operator(tmp_path, why):
-    made = killed_before_the_resume(tmp_path / "robots.json", remembers="operator" in why)
-    if "operator" in why:
-        made.t = made.session.stop(made.t)
-        made.save()
+def test_a_stop_of_an_operator_waits_for_one(tmp_path):
+    made = killed_before_the_resume(tmp_path / "robots.json")
+    made.t = made.session.stop(made.t)
+    made.save()
     assert new_session(made) is SessionState.STOPPED
 
 

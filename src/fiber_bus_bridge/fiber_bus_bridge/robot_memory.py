@@ -43,7 +43,8 @@ class RobotMemory:
         failed: Reason for which the robot is left out of plans, else OK, shape (n,).
         sequence: sequence number of the last orders on each bus, 0 for none, shape (b,).
         stopped: whether all robots were stopped and nothing has cleared them since.
-        resuming: whether the controller has stopped the robots itself, to resume the others.
+        moving: whether robots move by orders of the controller, so that a STOP found later is its
+            own, after a failure, if no other was asked for.
     """
 
     counts: Counts
@@ -53,7 +54,7 @@ class RobotMemory:
     failed: Codes
     sequence: Ints
     stopped: bool = False
-    resuming: bool = False
+    moving: bool = False
 
     def same(self, other: "RobotMemory") -> bool:
         """Return whether another memory has the same content."""
@@ -96,7 +97,7 @@ def save_memory(path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad
         "failed": memory.failed.tolist(),
         "sequence": memory.sequence.tolist(),
         "stopped": int(memory.stopped),
-        "resuming": int(memory.resuming),
+        "moving": int(memory.moving),
     }
     content["checksum"] = _checksum(content)
     fresh = path.with_name(path.name + ".new")
@@ -163,7 +164,7 @@ def _memory(content: object, plane: FocalPlane, quantum_prad: int, buses: int) -
         failed,
         _column(content, "sequence", buses),
         _flag(content, "stopped"),
-        _flag(content, "resuming"),
+        _flag(content, "moving"),
     )
 
 

@@ -180,7 +180,7 @@ class Session:
             robots["counts"].copy(), robots["placed"].copy(), lost, robots["boot"].copy(),
             failed.copy(), self.buses["sequence"].copy(),
             self.state is SessionState.STOPPED,
-            starting and self.protocol.state is State.STOPPING,
+            starting or self.state is SessionState.MOVING,
         )  # fmt: skip
 
     def recall(self, memory: RobotMemory) -> None:
@@ -200,7 +200,7 @@ class Session:
         robots["boot"] = memory.boot
         self.buses["sequence"] = memory.sequence
         self.protocol.was_stopped = memory.stopped
-        self.protocol.was_resuming = memory.resuming
+        self.protocol.was_moving = memory.moving
 
     def vouch(self, ids: ArrayLike) -> None:
         """Believe that robots that do not answer rest where they were read last, or assumed.

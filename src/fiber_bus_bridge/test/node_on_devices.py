@@ -18,18 +18,6 @@ from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import joint_states, topics
 from fiber_node import RosClient
 
-PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
-<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
-  <transport_descriptors><transport_descriptor>
-    <transport_id>udp</transport_id><type>UDPv4</type>
-    <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
-  </transport_descriptor></transport_descriptors>
-  <participant profile_name="udp" is_default_profile="true"><rtps>
-    <userTransports><transport_id>udp</transport_id></userTransports>
-    <useBuiltinTransports>false</useBuiltinTransports>
-  </rtps></participant>
-</profiles></dds>
-"""
 # a message takes longer on a mock device than on a bus, and the machine is shared
 PATIENT = {
     "session__silence_ms": 400,
@@ -39,11 +27,8 @@ PATIENT = {
 
 
 @pytest.fixture
-def rest(tmp_path, monkeypatch):
+def rest(tmp_path):
     """A bridge on a mock device with robots that are not at their assumed angles."""
-    # umockdev intercepts every file below /dev, also the shared memory of Fast DDS in /dev/shm
-    (tmp_path / "udp.xml").write_text(PROFILE)
-    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(tmp_path / "udp.xml"))
     moved = COUNTS + [30, 0]
     robots = Positioners(addresses_of(PLANE), PLANE.ids, UNITS.quantum_prad, moved)
     kernel = Kernel(SimulatedBuses(robots), time.monotonic)

@@ -9,7 +9,7 @@ from rclpy.parameter import Parameter
 from rest_of_graph import COUNTS, PLANE, UNITS, Rest, problem_file, turning
 
 import fiber_bus_bridge.node.hardware
-from fiber_bus_bridge import BridgeError
+from fiber_bus_bridge import BridgeError, SessionState
 from fiber_bus_bridge.robot_memory import RobotMemory, load_memory, save_memory
 from fiber_core.outcomes import Reason
 from fiber_msgs_py import diagnostics, topics
@@ -128,6 +128,21 @@ def test_without_a_place_on_disk_no_robot_is_started(night, monkeypatch):
     assert set(reason.tolist()) <= {Reason.STOPPED, Reason.OK}
     assert np.array_equal(night.counts(), COUNTS)
     night.until(lambda: "no space left on device" in night.status().text)
+
+
+def test_a_stop_that_the_bridge_does_not_survive_still_waits_for_an_operator(night, monkeypatch):
+    night.ready(9, turning(ticks=300))
+    assert night.call(topics.START).success
+    assert load_memory(night.path, PLANE, QUANTUM, 1).moving
+    with monkeypatch.context() as patch:  # the bridge dies before it can write the file
+        patch.setattr("fiber_bus_bridge.node.remembered.Remembered.save", lambda *_, **__: None)
+        assert night.call(topics.STOP).success
+        night.restart()
+    assert night.bridge._session.state is SessionState.STOPPED
+    assert night.call(topics.CLEAR).success
+    assert [each.name for each in night.path.parent.glob("robots*")] == ["robots.json"]
+    night.restart()
+    assert night.bridge._session.state is SessionState.IDLE
 
 
 def test_vouching_at_the_start_has_no_effect_and_is_named(peer_log, night):

@@ -77,15 +77,24 @@ def test_the_settings_of_the_environment_win(lonely):
     assert set(sockets(lonely(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET"))) != {LOOPBACK}
 
 
+def shared(pid):
+    """Return the segments of Fast DDS in shared memory that a process has mapped."""
+    maps = Path(f"/proc/{pid}/maps").read_text()
+    return set(map(Path, re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps)))
+
+
+def test_no_message_passes_through_shared_memory(lonely):
+    # its ports lose a process that is paused while others send
+    assert not shared(lonely())
+
+
 def test_what_a_node_writes_is_readable_by_its_owner_only(lonely, tmp_path):
-    pid = lonely()
+    pid = lonely(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")  # with shared memory
 
     def modes():
-        maps = Path(f"/proc/{pid}/maps").read_text()
-        found = map(Path, set(re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps)))
-        shared = [path for path in found if path.exists()]  # not that of the observer, which left
-        assert shared, "no shared memory is in use, so this test shows nothing"
-        written = [tmp_path / "written", *(tmp_path / "log").glob("*.log"), *shared]
+        found = [path for path in shared(pid) if path.exists()]
+        assert found, "no shared memory is in use, so this test shows nothing"
+        written = [tmp_path / "written", *(tmp_path / "log").glob("*.log"), *found]
         return {path.name: stat.S_IMODE(path.stat().st_mode) & 0o077 for path in written}
 
     with RosClient("waits") as waits:  # the node may still be at it

@@ -272,7 +272,7 @@ class BridgeNode(ManagedNode):
         return self._report_started()
 
     def _may_go(self) -> bool:
-        if self._stop_requested.is_set():  # the file must not say that robots resume
+        if self._stop_requested.is_set():  # the file must not say that robots move
             return False
         try:
             self._check_role()  # it may have changed since the first attempt, or in motion
@@ -295,6 +295,7 @@ class BridgeNode(ManagedNode):
     def _stopping(self) -> Iterator[None]:
         """Let no start send its GO, and end planning and discretizing."""
         self._stop_requested.set()  # a start that is still checking will not send GO
+        self._remembered.note_stop()
         now, newest = PlanStamp(self._outgoing.now_ns()), self._attempts.newest
         self._stopped.publish((now if newest is None else max(now, newest)).to_time())
         try:

@@ -136,7 +136,7 @@ class Context:
     start_at_s: float | None = None
     state: State = State.UNCONFIGURED
     was_stopped: bool = False  # an earlier session left the robots stopped; nothing cleared them
-    was_resuming: bool = False  # the last STOP of an earlier session was its own, to resume
+    was_moving: bool = False  # an earlier session moved robots; a STOP since then was its own
     log: list[Transition] = field(default_factory=list)
     t: float = -np.inf  # earliest time of the next message [s]
     now_s: float = -np.inf  # time of the last transition [s]

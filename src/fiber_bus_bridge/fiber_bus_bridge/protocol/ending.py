@@ -58,9 +58,9 @@ def _found(c: Context) -> Event:
     state, known = c.robots["state"], c.robots["known"]
     alone = known & (state == RobotState.FAULT)
     stopped = known & (state == RobotState.STOPPED)
-    if c.was_resuming:
+    if c.was_moving:
         alone, stopped = alone | stopped, np.zeros_like(stopped)
-        c.was_resuming = False
+        c.was_moving = False
     if c.was_stopped or stopped.any() or (alone.any() and (state == RobotState.MOVING).any()):
         return Event.FOUND_STOPPED
     return Event.FOUND_ALONE if alone.any() else Event.CONFIGURED
