@@ -106,6 +106,7 @@ ARROWS = {
         "kill_table",
     },
     "bench.kill_jobs": {"fiber_node"},
+    "bench.kill_judge": {"fiber_bus_bridge.plant", "fiber_msgs_py"},
     "bench.memory": {"fiber_bringup", "forked_processes"},
     "bench.manners": {"fiber_bringup"},
     "bench.forked_preload": {"bench", "forked_processes"},

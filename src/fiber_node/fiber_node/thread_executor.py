@@ -18,6 +18,10 @@ from rclpy.task import Future, Task
 
 __all__ = ["ThreadExecutor"]
 
+# rclpy wakes the loop at a signal just before it shuts the context down: a loop that is quicker
+# finds the context well, and waits again
+_LOOK_S = 0.5
+
 
 class ThreadExecutor(Executor):
     """Runs callbacks in threads of its own, and shuts down only after the last has returned.
@@ -45,7 +49,7 @@ class ThreadExecutor(Executor):
             BaseException: what escaped a callback.
         """
         while self.context.ok() and not self._stopping.is_set():
-            self.spin_once()
+            self.spin_once(_LOOK_S)
         if self._errors:
             raise self._errors[0]
 

@@ -112,3 +112,20 @@ def test_no_more_callbacks_are_at_work_than_there_are_threads(running):
     thread.join(WAIT_S)
     executor.shutdown()
     assert most == 2 and at_work == 0
+
+
+def test_a_context_that_is_shut_down_without_a_wake_ends_the_loop(running):
+    # so rclpy does it at a signal, when the loop is quicker than its thread
+    node, executor, thread, errors = running()
+    idle = threading.Event()
+
+    def rest():
+        timer.cancel()
+        idle.set()
+
+    timer = node.create_timer(0.01, rest)
+    assert idle.wait(WAIT_S)
+    threading.Event().wait(0.1)  # the loop waits again; without that the test shows less
+    executor.context.handle.shutdown()
+    thread.join(WAIT_S)
+    assert not thread.is_alive() and not errors

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live view shows arms in their places, and costs nothing without a subscriber."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
@@ -194,3 +197,9 @@ def test_only_watched_robots_have_outlines(scene, plane, angles):
     peer.wait_for(lambda: shown, WAIT_S)
     rows = np.frombuffer(shown[-1].data, plane_cloud(plane).dtype)
     np.testing.assert_allclose(points(rows) * 1e3, xy_mm, atol=1e-4)
+
+
+def test_the_node_loads_no_library_of_figures():
+    # it takes a second, for which a restarted viewer would be missing
+    code = "import sys, fiber_viewer.node; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
