@@ -6,9 +6,11 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 
 from fiber_msgs_py import (
@@ -33,10 +35,11 @@ _PROGRESS_PERIOD_S = 0.1  # least time between two messages about one piece of w
 class Reporter:
     """Publishes progress and diagnostics of a node, and logs what is done and refused.
 
-    Diagnostics are published every second, and at once when something is refused or dropped. An
-    exception that escapes a callback of the node counts as a refusal. A refusal stays the node's
-    message until the node reports progress again. `counters` are figures by name that go into the
-    diagnostics, beside the numbers of messages refused and dropped.
+    Diagnostics are published every second, and at once when something is refused or dropped, or for
+    a subscription that is new. An exception that escapes a callback of the node counts as a
+    refusal. A refusal stays the node's message until the node reports progress again. `counters`
+    are figures by name that go into the diagnostics, beside the numbers of messages refused and
+    dropped.
 
     Args:
         node: the node.
@@ -52,7 +55,8 @@ class Reporter:
         self.counters: dict[str, object] = {}
         self.session: str | None = None  # of the attempts that progress is reported of
         self._progress = topics.PROGRESS.publisher(node)
-        self._diagnostics = topics.DIAGNOSTICS.publisher(node)
+        met = PublisherEventCallbacks(matched=guarded(node, "diagnostics", self._on_matched))
+        self._diagnostics = topics.DIAGNOSTICS.publisher(node, event_callbacks=met)
         self._limit = RateLimit()
         # a client that waits for this node must not wait for what failed
         report_failures_to(node, self._count_refusal)
@@ -158,6 +162,10 @@ class Reporter:
             )
         self._warn_of_missing_clock()
         self.publish()
+
+    def _on_matched(self, status: Any) -> None:
+        if status.current_count_change > 0:  # a client may wait for this node
+            self.publish()
 
     def _warn_of_missing_clock(self) -> None:
         if self._node.get_parameter("use_sim_time").value and not self._now_ns():

@@ -67,6 +67,17 @@ def graph():
     context.try_shutdown()
 
 
+def test_a_subscription_that_is_new_hears_the_diagnostics_at_once(graph, monkeypatch):
+    monkeypatch.setattr("fiber_node.reporter._PERIOD_S", 1e6)
+    report = Reporter(graph("node"), "planner")
+    report.publish()
+    heard = {"early": [], "late": []}
+    for name, messages in heard.items():
+        topics.DIAGNOSTICS.subscription(graph(name), messages.append)
+        graph.until(heard[name].__len__)
+        assert diagnostics.decode(messages[0])[0].name == "planner"
+
+
 def test_a_refusal_reaches_the_diagnostics_at_once(graph):
     received = []
     topics.DIAGNOSTICS.subscription(graph("listener"), received.append)
