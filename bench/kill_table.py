@@ -42,6 +42,8 @@ third table counts by commit.
 
 def table(lines: Sequence[_Line]) -> str:
     """Return the tables of a campaign, in markdown: by process, stage and commit, and memory."""
+    ended = sum("error" in line for line in lines)
+    lines = [line for line in lines if "error" not in line]
     late = sum("missed" in line for line in lines)
     load = statistics.median(line["load"] for line in lines)
     of = Counter(line.get("commit", "unknown") for line in lines)
@@ -50,7 +52,8 @@ def table(lines: Sequence[_Line]) -> str:
         f"{len(lines)} runs ({commits}), at a load of {load} (median); in {late} of them "
         f"the plan ended before the stage of the strike. Of {sum(map(_unjudged, lines))} plans the "
         "robots are not compared with their targets, because other clients moved them on, or the "
-        "targets did not come to the judge.",
+        f"targets did not come to the judge. {ended} further runs ended with an error and are not "
+        "in the tables.",
         "",
     ]
     groups: dict[str, Callable[[_Line], str]] = {

@@ -25,7 +25,7 @@ def load(name):
 def campaign(tmp_path_factory, new_domain):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(new_domain()))
-        with load("kill").Campaign(tmp_path_factory.mktemp("kill"), 37, seed=1) as made:
+        with load("kill_campaign").Campaign(tmp_path_factory.mktemp("kill"), 37, seed=1) as made:
             yield made
 
 
@@ -96,7 +96,9 @@ def test_runs_of_different_code_are_counted_apart():
     lines = [line, line, line | {"commit": "bbbbbbb", "counted": {"contacts": 3}}]
     text = load("kill_table").table(lines)
     assert "| aaaaaaa | 2 | 0 |" in text and "| bbbbbbb | 1 | 3 |" in text
-    assert "Of 3 plans" in text
+    assert "Of 3 plans" in text and "0 further runs ended" in text
+    text = load("kill_table").table([*lines, {"number": 4, "error": "WaitError: no plant"}])
+    assert "3 runs" in text and "1 further runs ended" in text
 
 
 def test_a_campaign_goes_on_after_its_last_run(tmp_path):
