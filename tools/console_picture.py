@@ -8,7 +8,6 @@ prints the pictures that the page drew each second while robots moved. `make scr
 
 import argparse
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from headless_chromium import start_chromium
 from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.common.by import By
@@ -28,10 +28,6 @@ from fiber_node.ros_environment import own_domain, use_loopback
 
 _WAIT_S = 300.0
 _SIZE = 1440, 1000
-_FLAGS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --hide-scrollbars "
-    "--disable-background-networking --disable-component-update --disable-sync"
-).split()
 
 
 def main() -> int:
@@ -51,7 +47,7 @@ def main() -> int:
         try:
             assert live.stdout is not None
             address = next(line for line in live.stdout if line.startswith("console: "))
-            browser = _browser(Path(folder) / "profile")
+            browser = start_chromium(Path(folder) / "profile", _SIZE)
             browser.get(address.removeprefix("console: ").strip())
             with PlaneClient() as client:
                 _take(browser, client, args.out)
@@ -88,21 +84,6 @@ def _until(browser: webdriver.Chrome, condition: str) -> None:
     WebDriverWait(browser, _WAIT_S, poll_frequency=0.02).until(
         lambda driver: driver.execute_script(condition)
     )
-
-
-def _browser(profile: Path) -> webdriver.Chrome:
-    options = webdriver.ChromeOptions()
-    options.binary_location = shutil.which("chromium") or "chromium"
-    for flag in (*_FLAGS, f"--user-data-dir={profile}"):
-        options.add_argument(flag)
-    # without the libraries of the ROS wheels
-    clean = {name: value for name, value in os.environ.items() if not name.startswith("LD_")}
-    driver = webdriver.Chrome(
-        options, webdriver.ChromeService(shutil.which("chromedriver"), env=clean)
-    )
-    metrics = {"width": _SIZE[0], "height": _SIZE[1], "deviceScaleFactor": 1, "mobile": False}
-    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-    return driver
 
 
 if __name__ == "__main__":

@@ -8,13 +8,13 @@ this script with both.
 """
 
 import argparse
-import os
 import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
+from headless_chromium import FLAGS, clean_environment
 from PIL import Image
 
 from fiber_core.outcomes import Outcome
@@ -29,11 +29,7 @@ _SHOTS = {
     "player-phone.png": ((500, 980), 0.40, "theme=light"),
 }
 _FAULTS_SHOT = ("player-faults.png", (1440, 1010), "theme=light")
-_FLAGS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --hide-scrollbars "
-    "--disable-background-networking --disable-component-update --disable-sync "
-    "--virtual-time-budget=4000"
-).split()
+_TIME = "--virtual-time-budget=4000"  # of the page [ms]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -105,13 +101,11 @@ def _take_picture(
 def _run_browser(
     browser: str, address: str, picture: Path, size: tuple[int, int], profile: Path
 ) -> None:
-    command = [browser, *_FLAGS, f"--user-data-dir={profile}", f"--screenshot={picture}"]
-    # without the libraries of the ROS wheels
-    clean = {name: value for name, value in os.environ.items() if not name.startswith("LD_")}
+    command = [browser, *FLAGS, _TIME, f"--user-data-dir={profile}", f"--screenshot={picture}"]
     subprocess.run(
         [*command, "--window-size={},{}".format(*size), address],
         check=True,
-        env=clean,
+        env=clean_environment(),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         timeout=120,

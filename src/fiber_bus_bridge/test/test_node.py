@@ -20,6 +20,7 @@ from fiber_msgs_py import (
     Stage,
     frames,
     held,
+    joint_states,
     layout,
     progress,
     session_of,
@@ -59,6 +60,16 @@ def test_orders_wait_for_start_and_are_executed_to_the_last_quantum(rest):
     assert {ns for ns, _ in logs} == {9}
     opcodes = {int(data) >> 4 for _, log in logs for data in log.data[log.offsets[:-1]]}
     assert Opcode.LOAD in opcodes and any(np.any(log.read) for _, log in logs)
+
+
+def test_the_encoders_are_told_twenty_times_in_a_second_of_motion(rest):
+    heard = rest.received[topics.JOINT_STATES.name]
+    rest.ready(9, turning(ticks=200))
+    heard.clear()
+    assert rest.call(topics.START).success
+    rest.end(9)
+    moving = [each for each in heard if joint_states.decode(each)[2].any()]
+    assert len(moving) >= 19 * 200e-6 * UNITS.tick_us
 
 
 def test_a_capture_is_written_of_each_plan(tmp_path):

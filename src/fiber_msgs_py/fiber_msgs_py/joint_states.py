@@ -11,7 +11,7 @@ from fiber_core.array_types import Angles, Ids, Velocities
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.ids import refuse
 from fiber_msgs_py.joints import joint_columns, joint_names
-from fiber_msgs_py.sessions import checked_session, is_session
+from fiber_msgs_py.sessions import checked_session
 from fiber_msgs_py.stamps import PlanStamp, check_frame, header
 
 __all__ = ["decode", "encode"]
@@ -65,7 +65,7 @@ def decode(message: JointState) -> tuple[Ids, Angles, Velocities, int]:
     """
     check_frame(message, "joint_states")
     ids, columns = joint_columns(message.name, "joint_states")
-    joints = columns.size + sum(map(is_session, message.name))
+    joints = len(message.name)  # that of a session has values too
     tables = []
     for field in ("position", "velocity"):
         values = np.asarray(getattr(message, field), dtype=float)

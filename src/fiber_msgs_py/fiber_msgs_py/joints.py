@@ -3,6 +3,7 @@
 
 import re
 from collections.abc import Iterable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,7 @@ from fiber_msgs_py.sessions import is_session
 __all__ = ["joint_columns", "joint_names"]
 
 _JOINTS = {"theta": 0, "phi": 1}
+_KEPT = 4  # lists of names; a plane has the same one in each of its messages
 _PATTERN = re.compile(r"p([0-9]{4}|[1-9][0-9]{4,9})/(theta|phi)")
 
 
@@ -28,9 +30,13 @@ def joint_names(ids: ArrayLike, name: str) -> list[str]:
     Raises:
         MessageError: an id is out of range or appears twice.
     """
-    return [
-        f"p{robot:04d}/{joint}" for robot in checked_ids(ids, name).tolist() for joint in _JOINTS
-    ]
+    return list(_names(checked_ids(ids, name).tobytes()))
+
+
+@lru_cache(_KEPT)
+def _names(ids: bytes) -> tuple[str, ...]:
+    robots = np.frombuffer(ids, dtype=np.int64).tolist()
+    return tuple(f"p{robot:04d}/{joint}" for robot in robots for joint in _JOINTS)
 
 
 def joint_columns(names: Iterable[str], name: str) -> tuple[Ids, Ints]:
@@ -42,14 +48,18 @@ def joint_columns(names: Iterable[str], name: str) -> tuple[Ids, Ints]:
 
     Returns:
         Robot ids, increasing, shape (n,), and the index of theta and phi of each robot
-        among the names, shape (n, 2).
+        among the names, shape (n, 2); both cannot be written to, as they are kept.
 
     Raises:
         MessageError: a name is malformed or appears twice, or a robot has only one joint.
     """
-    names = list(names)
+    return _columns(tuple(names), name)
+
+
+@lru_cache(_KEPT)
+def _columns(names: tuple[str, ...], name: str) -> tuple[Ids, Ints]:
     place = [i for i, each in enumerate(names) if not is_session(each)]
-    names = [names[i] for i in place]
+    names = tuple(names[i] for i in place)
     keys = np.empty(len(names), dtype=np.int64)
     for i, joint in enumerate(names):
         match = _PATTERN.fullmatch(joint)
@@ -74,4 +84,7 @@ def joint_columns(names: Iterable[str], name: str) -> tuple[Ids, Ints]:
         problem = f"has no matching {other} joint"
         raise MessageError(name, problem, field="joint", robot=int(ids[at]), value=only)
     checked_ids(ids, name)
-    return ids, np.array(place, dtype=np.int64)[order].reshape(-1, 2)
+    columns = np.array(place, dtype=np.int64)[order].reshape(-1, 2)
+    for each in (ids, columns):
+        each.flags.writeable = False
+    return ids, columns

@@ -18,7 +18,8 @@ from fiber_msgs_py.errors import MessageError
 
 __all__ = ["checked_session", "is_session", "new_session", "session_of"]
 
-_PATTERN = re.compile(r"session_[0-9a-f]{24}")
+_PREFIX = "session_"
+_PATTERN = re.compile(_PREFIX + "[0-9a-f]{24}")
 
 
 def new_session(opened_ns: int, random: bytes) -> str:
@@ -28,12 +29,13 @@ def new_session(opened_ns: int, random: bytes) -> str:
         opened_ns: time at which it is opened [ns].
         random: four random bytes.
     """
-    return checked_session(f"session_{opened_ns:016x}{random.hex()}")
+    return checked_session(f"{_PREFIX}{opened_ns:016x}{random.hex()}")
 
 
 def is_session(name: str) -> bool:
     """Return whether a name is the id of a session."""
-    return _PATTERN.fullmatch(name) is not None
+    # nearly all names are those of joints
+    return name.startswith(_PREFIX) and _PATTERN.fullmatch(name) is not None
 
 
 def checked_session(name: str) -> str:

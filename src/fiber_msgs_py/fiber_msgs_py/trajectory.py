@@ -14,7 +14,7 @@ from fiber_core.errors import MotionError
 from fiber_core.motion import SampledMotion
 from fiber_msgs_py.errors import MessageError
 from fiber_msgs_py.joints import joint_columns, joint_names
-from fiber_msgs_py.sessions import checked_session, is_session
+from fiber_msgs_py.sessions import checked_session
 from fiber_msgs_py.stamps import PlanStamp, check_frame, header
 
 __all__ = ["decode", "encode"]
@@ -85,7 +85,7 @@ def decode(message: JointTrajectory) -> tuple[Ids, SampledMotion, Floats | None]
         [p.time_from_start.sec * _SECOND + p.time_from_start.nanosec for p in points]
     )
     _check_times(times_ns)
-    joints = columns.size + sum(map(is_session, message.joint_names))
+    joints = len(message.joint_names)  # that of a session has values too
     angles = _gather(points, "positions", ids, columns, joints)
     velocities = None
     if any(len(point.velocities) for point in points):

@@ -23,6 +23,7 @@ from fiber_msgs_py import (
     outcome,
     progress,
 )
+from fiber_msgs_py.joints import joint_columns, joint_names
 
 
 @given(
@@ -37,6 +38,18 @@ def test_joint_states_round_trip(ids, time_ns, random):
     assert got_ids.tolist() == ids and got_ns == time_ns
     np.testing.assert_array_equal(got_angles, angles)
     np.testing.assert_array_equal(got_speeds, 2 * angles)
+
+
+def test_the_names_of_a_plane_are_read_once():
+    ids = np.arange(5)
+    first, second = (joint_columns(joint_names(ids, "test"), "test") for _ in range(2))
+    for one, other in zip(first, second):
+        assert one is other
+        with pytest.raises(ValueError, match="read-only"):
+            one[0] = 7
+    kept = joint_names(ids, "test")
+    kept.append("p0009/phi")  # the list belongs to the caller
+    assert len(joint_names(ids, "test")) == 10
 
 
 def test_joint_states_without_speeds_are_at_rest():

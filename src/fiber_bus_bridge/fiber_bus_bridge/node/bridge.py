@@ -39,7 +39,7 @@ from fiber_node import BRIDGE, ManagedNode, run
 
 __all__ = ["BridgeNode", "main"]
 
-_TICK_S = 0.1  # time of the buses between two publications while robots move
+_TICK_S = 0.05  # time of the buses between two publications while robots move
 _SOON_S = 1e-3
 _CHECK_PERIOD_S = 0.25
 _REPEAT_PERIOD_S = 1.0  # of layout and joint states at rest

@@ -26,7 +26,7 @@ from fiber_bus_bridge.wire.commands import (
     PLACE_FIELDS,
     command_fault,
 )
-from fiber_bus_bridge.wire.fields import Bytes, field_offset
+from fiber_bus_bridge.wire.fields import Bytes, Whole, field_offset
 from fiber_bus_bridge.wire.replies import (
     IDENTITY_BYTES,
     STATUS_BYTES,
@@ -35,7 +35,7 @@ from fiber_bus_bridge.wire.replies import (
 )
 from fiber_bus_bridge.wire.roll_call import write_present
 
-__all__ = ["receive", "reply", "reply_to_roll_call"]
+__all__ = ["obey", "receive", "reply", "reply_to_roll_call"]
 
 _LOAD, _GO, _STOP = int(Opcode.LOAD), int(Opcode.GO), int(Opcode.STOP)
 _CLEAR, _RESET = int(Opcode.CLEAR), int(Opcode.RESET)
@@ -77,34 +77,53 @@ def receive(
         Whether the robot acknowledges the last byte. A refused frame changes nothing but the
         robot's fault and alerts.
     """
+    if (address or ten_bit) and last > first and data[first] >> 4 == _LOAD:
+        advance_robot(r, t)
+        return not r.busy and _taken(r, _load(r, data, first, last, t))
+    fault, head = command_fault(address, ten_bit, data, first, last)
+    return obey(r, fault, head, data, last, t)
+
+
+@njit(cache=True)
+def obey(r: Robot, fault: int, head: Whole, data: Bytes, last: int, t: float) -> bool:
+    """Let a robot receive a frame other than LOAD, as `receive` does, after it was checked.
+
+    Args:
+        r: the robot.
+        fault: Fault of the frame, as command_fault returns it.
+        head: opcode byte of the frame.
+        data: bytes of the frame, which ends before data[last].
+        last: its end.
+        t: time at which it is complete [s].
+    """
     advance_robot(r, t)
     if r.busy:
         return False
-    called = address == 0 and not ten_bit
-    if not called and last > first and data[first] >> 4 == _LOAD:
-        fault = _load(r, data, first, last, t)
-    else:
-        fault, head = command_fault(address, ten_bit, data, first, last)
-        if fault == _NONE:
-            opcode, low = head >> 4, head & 15
-            if opcode == _GO:
-                _go(r, low, _number(data, last - GO_BYTES + _COUNTDOWN, 2), t)
-            elif opcode == _STOP:
-                _stop(r, t)
-            elif opcode == _CLEAR:
-                fault = _clear(r)
-            elif opcode == _RESET:
-                reboot(r, t)
-            elif opcode == _IDENTIFY:
-                r.identity_requested = True
-            elif opcode == _HEARTBEAT:
-                r.heartbeat_s = t
-            elif opcode == _ADDRESS:
-                fault = _change_address(r, data, last - ADDRESS_BYTES)
-            elif opcode == _PLACE:
-                fault = _place(r, data, last - PLACE_BYTES)
-            elif opcode == _CONFIG:
-                fault = _configure(r, low, data, last - CONFIG_BYTES)
+    if fault == _NONE:
+        opcode, low = head >> 4, head & 15
+        if opcode == _GO:
+            _go(r, low, _number(data, last - GO_BYTES + _COUNTDOWN, 2), t)
+        elif opcode == _STOP:
+            _stop(r, t)
+        elif opcode == _CLEAR:
+            fault = _clear(r)
+        elif opcode == _RESET:
+            reboot(r, t)
+        elif opcode == _IDENTIFY:
+            r.identity_requested = True
+        elif opcode == _HEARTBEAT:
+            r.heartbeat_s = t
+        elif opcode == _ADDRESS:
+            fault = _change_address(r, data, last - ADDRESS_BYTES)
+        elif opcode == _PLACE:
+            fault = _place(r, data, last - PLACE_BYTES)
+        elif opcode == _CONFIG:
+            fault = _configure(r, low, data, last - CONFIG_BYTES)
+    return _taken(r, fault)
+
+
+@njit(cache=True)
+def _taken(r, fault):
     if fault != _NONE:
         r.fault = fault
         r.alerts |= _REFUSED

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.simulation.drive import encoder
 from fiber_bus_bridge.simulation.events import EVENT, apply_events, events_in_order, set_power
-from fiber_bus_bridge.simulation.firmware import receive, reply, reply_to_roll_call
+from fiber_bus_bridge.simulation.firmware import obey, receive, reply, reply_to_roll_call
 from fiber_bus_bridge.simulation.memory import new_memory
 from fiber_bus_bridge.simulation.noise import Received
 from fiber_bus_bridge.wire import ROLL_CALL_ADDRESS, Addresses, Bytes
+from fiber_bus_bridge.wire.commands import command_fault
 from fiber_core.array_types import Bools, Codes, Counts, Floats, Ints, Mask, Offsets
 
 __all__ = ["Positioners", "Responses"]
@@ -171,21 +172,28 @@ def _exchange(
     for f in range(len(low)):
         first, last = firsts[f], lasts[f]
         called = address[f] == 0 and not ten_bit[f]
+        fault, head = 0, np.int64(0)
+        if called and last > first:  # the same for all robots
+            fault, head = command_fault(address[f], ten_bit[f], sent, first, last)
         for k in range(low[f], high[f]):
             row = order[k]
-            apply_events(m, events, next_event, last_event, row, start_s[f])
+            eventful = next_event[row] < last_event[row]
+            if eventful:  # else `obey`, `receive` and `reply` bring the robot to their time
+                apply_events(m, events, next_event, last_event, row, start_s[f])
             r = m[row]
             off = not r.powered or start_s[f] < r.boots_until_s
             if off or r.deaf or (called and r.call_deaf):
                 continue
-            if last > first:
+            if last > first and eventful:
                 # the robot may lose power before the frame is complete
                 apply_events(m, events, next_event, last_event, row, end_s[f])
                 if not r.powered:
                     continue
             acknowledged[f] = True
             ok = True
-            if last > first:
+            if last > first and called:
+                ok = obey(r, fault, head, sent, last, end_s[f])
+            elif last > first:
                 ok = receive(r, address[f], ten_bit[f], sent, first, last, end_s[f])
             if ok and reads[f]:
                 at = end_s[f] if last > first else start_s[f]
