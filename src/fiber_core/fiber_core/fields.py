@@ -158,8 +158,9 @@ def _arrange(
     if len(left):
         ids = np.sort(plane.ids[left])
         more = ", ..." if len(ids) > _NAMED else ""
+        tips = f", with tips {spacing_mm:g} mm apart" if spacing_mm else ""
         raise FieldError(
-            f"{len(ids)} of {plane.n} robots found no {what} {gap_mm} mm apart from the others: "
+            f"{len(ids)} of {plane.n} robots found no {what} {gap_mm:g} mm from the others{tips}: "
             f"robot {', '.join(map(str, ids[:_NAMED]))}{more}",
             ids,
         )

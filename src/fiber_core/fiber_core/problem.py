@@ -114,6 +114,8 @@ def problem_columns(problem: Problem) -> dict[str, NDArray[Any]]:
         "envelope_mm": np.array(plane.envelope_mm),
         "name": np.array(plane.name),
     }
+    if plane.sector.any():
+        columns["sector"] = plane.sector
     if plane.fibres.shape[1]:
         columns |= {
             "fibre_mm": plane.fibres,
@@ -231,6 +233,7 @@ def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
         obstacles=data.get("disc_mm", np.zeros((0, 3))),
         bus=data.get("bus"),
         address=data.get("address"),
+        sector=data.get("sector"),
         spacing_mm=float(frozen_array(spacing, np.float64, (), "spacing_mm", LayoutError)),
         envelope_mm=float(frozen_array(envelope, np.float64, (), "envelope_mm", LayoutError)),
         name=str(data.get("name", name)),

@@ -13,6 +13,7 @@ from fiber_core.drive import (
     ListedSpeeds,
     most_motors_on,
     motors_allowed,
+    motors_turning,
     overloading,
     rules_broken,
     why_broken,
@@ -120,6 +121,24 @@ def test_robots_that_are_one_too_many_for_their_supply_are_found():
     assert not overloading(both, groups, 1.0).any()
     kept = both.without(overloading(both, groups, 0.7))
     assert (most_motors_on(kept, groups) <= 0.7).all()
+
+
+def test_motors_that_turn_at_once_are_counted_in_bins_of_time():
+    late = motion_of([(0.3, 0.0), (0.4, 1.0)], [(0.5, 0.0), (0.01, 1.0)])
+    assert motors_turning(late, [7], [0.0, 0.1, 0.32, 0.4, 0.6, 2.0]).tolist() == [[0, 1, 1, 2, 1]]
+    rng = np.random.default_rng(1)
+    lengths = rng.uniform(0.01, 0.3, (24, 3))
+    speeds = rng.choice([0.0, 0.0, 2.0, -1.0], lengths.shape)
+    motion = SegmentMotion(np.zeros((12, 2)), np.arange(25) * 3, lengths.ravel(), speeds.ravel())
+    groups, edges_s = np.arange(12) % 3, np.linspace(0.0, 0.8, 41)
+    found = motors_turning(motion, groups, edges_s)
+    times = np.arange(0.0005, 0.8, 0.001)
+    turns = np.array([(motion.velocity(t) != 0).sum(axis=1) for t in times])
+    for group in range(3):
+        on = turns[:, groups == group].sum(axis=1).reshape(40, 20).max(axis=1)
+        assert (found[group] >= on).all() and (found[group] == on).mean() > 0.9
+    most = most_motors_on(motion, groups)
+    assert (found.max(axis=1) / 8).tolist() == most.tolist()
 
 
 def test_the_certificate_refuses_orders_that_motors_or_supplies_do_not_allow():

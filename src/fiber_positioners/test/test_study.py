@@ -63,6 +63,13 @@ def test_the_share_of_disabled_robots_is_drawn_with_the_seed():
     assert 60 <= (~first.enabled).sum() <= 140
 
 
+def test_targets_of_narrow_arms_may_be_closer_than_those_of_the_preset():
+    # the targets of the preset are 4 mm apart, which 2000 robots with a pitch of 4.4 mm are not
+    narrow = Case(robots=200, pitch_mm=4.4, arms_mm=(1.8, 1.8), radius_mm=0.5)
+    assert narrow.plane(np.random.default_rng(1)).envelope_mm == 2.0
+    assert narrow.run(1)["reached"] == 200
+
+
 def test_a_field_that_cannot_be_drawn_is_a_row_with_an_error():
     case = Case(robots=61, pitch_mm=0.5)
     carried_out = case.run(1)

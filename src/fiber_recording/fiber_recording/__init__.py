@@ -7,6 +7,7 @@ No module that this file imports needs ROS. The recorder (`node`), `bag` and `se
 from fiber_recording.build_recording import build_recording
 from fiber_recording.closest import closest_approaches
 from fiber_recording.errors import BagError, RecordingError
+from fiber_recording.images import Images
 from fiber_recording.phases import Phase, counts_at, executed_motion
 from fiber_recording.recording import (
     SOFTWARE,
@@ -27,6 +28,7 @@ __all__ = [
     "BusLoad",
     "EventKind",
     "Events",
+    "Images",
     "Measured",
     "Phase",
     "Recording",

@@ -13,12 +13,14 @@ and then ``ros2 run fiber_viewer player example.npz``.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from fiber_core import kinematics
 from fiber_core.clearance import Safety, certify
 from fiber_core.corridor import JointCorridors
+from fiber_core.drive import Drive
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.metrics import plan_metrics
 from fiber_core.motion import SampledMotion, SegmentMotion
@@ -28,6 +30,7 @@ from fiber_core.problem import Problem
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.closest import closest_approaches
+from fiber_recording.images import Images
 from fiber_recording.phases import Phase, counts_at, executed_motion
 from fiber_recording.recording import (
     SOFTWARE,
@@ -38,13 +41,15 @@ from fiber_recording.recording import (
     Recording,
 )
 
-__all__ = ["random_recording"]
+__all__ = ["random_recording", "seen_by_a_camera"]
 
 _ROBOTS = 37
 _NO_TARGET, _HELD, _FAILED, _DISABLED = 3, 5, 11, 20  # rows of robots with another outcome
 _MOST_SEGMENTS, _MOST_TICKS, _MOST_SPEED = 4, 200, 500  # of a motor; [ticks]; [quanta a tick]
 _STOP_US, _RESUME_US = 300_300, 455_001  # of an interrupted motion [us]
 _FAILED_STOP_US = 211_000  # the failed robot has stopped by itself [us]
+_BLIND_MM, _CORRECTED_MM, _CAMERA_MM = 0.05, 0.006, 0.003  # errors of images
+_STILL, _DARK = 4, 7  # rows of robots with a remark in the last image
 _PLAN_NS = 1_790_000_000_000_000_000
 
 
@@ -200,3 +205,26 @@ def _report_and_certificate(
         report | {"bytes_mean": 10.0, "bus_time_s": 0.02},
         {"margin_mm": safety.margin_mm, "ok": certificate.ok},
     )
+
+
+def seen_by_a_camera(recording: Recording, seed: int) -> Recording:
+    """Return a recording with two images, of a plane of three sectors and four power supplies.
+
+    One robot did not move in the last image, one is dark.
+
+    Args:
+        recording: the recording; it must have at least 8 robots.
+        seed: of the random numbers.
+    """
+    plane, targets = recording.problem.plane, recording.problem.targets
+    rng, n = np.random.default_rng(seed), plane.n
+    true = targets + rng.normal(size=(2, n, 2)) * np.reshape([_BLIND_MM, _CORRECTED_MM], (2, 1, 1))
+    place = true + _CAMERA_MM * rng.normal(size=true.shape)
+    verdict = np.zeros((2, n), dtype=np.int64)
+    verdict[1, _STILL], verdict[:, _DARK] = 2, 1
+    place[:, _DARK] = np.nan
+    images = Images(place, verdict, true, {0: "ok", 1: "dark", 2: "did_not_move"})
+    drive = Drive(n, supply=4 * np.arange(n) // n, motors_on=0.55)
+    plane = replace(plane, sector=3 * np.arange(n) // n, drive=drive)
+    problem = replace(recording.problem, plane=plane)
+    return replace(recording, problem=problem, images=images)

@@ -17,6 +17,7 @@ from fiber_core.problem import Problem
 from fiber_core.validation import frozen_array
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.errors import RecordingError
+from fiber_recording.images import Images
 from fiber_recording.phases import Phase, executed_motion
 
 __all__ = [
@@ -198,6 +199,7 @@ class Recording:
         about: plain values for JSON: `software`, `plan_ns`, `seed`, `planner`, `report` (the
             metrics of fiber_core.metrics.plan_metrics), `certificate`, `notes`, and `codes`:
             names of the details of fault and line events (a number) and of alerts (flags).
+        images: what a camera told, None without one.
 
     Raises:
         RecordingError: a shape does not fit the plane; names the array.
@@ -217,6 +219,7 @@ class Recording:
     error_mm: Floats
     approaches: Approaches
     about: dict[str, Any]  # JSON: a value may be of any type
+    images: Images | None = None
 
     def __post_init__(self):
         n = self.problem.plane.n
@@ -228,6 +231,8 @@ class Recording:
             rows_of_part.append(("planned", self.planned.n))
         if self.corridors is not None:
             rows_of_part.append(("corridors", len(self.corridors)))
+        if self.images is not None:
+            rows_of_part.append(("images", self.images.robots))
         for name, rows in rows_of_part or [("phases", 0)]:
             if rows != n:
                 raise RecordingError(f"{name} has {rows} robots, the plane has {n}")

@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiber_core.corridor import JointCorridors
+from fiber_core.drive import carried_out, motors_turning
 from fiber_core.errors import FiberError
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.problem import problem_columns, problem_of
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.errors import RecordingError
+from fiber_recording.images import Images
 from fiber_recording.phases import Phase, counts_at
 from fiber_recording.recording import (
     Approaches,
@@ -39,6 +41,7 @@ __all__ = ["FORMAT", "VERSION", "load_recording", "save_recording"]
 FORMAT = "fiber recording"
 VERSION = 2
 _PLANNED_STEP_RAD = 1e-6  # to which planned angles are rounded
+_MOTOR_BINS = 400  # in which the motors that turn at once are counted
 _CORRIDOR_STEP_RAD = 1e-3  # to which corridors are rounded, inwards
 _ENUMERATIONS = {"outcome": Outcome, "reason": Reason, "event": EventKind}
 _EVENT_COLUMNS = {"time_s": "<f8", "kind": "u1", "bus": "<i4", "row": "<i4", "detail": "<i4"}
@@ -75,6 +78,8 @@ def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
         "bus_begin_s": recording.load.begin_s,
         "bus_bin_s": recording.load.bin_s,
     }
+    if recording.images is not None:
+        about["names"]["verdict"] = dict(recording.images.names)
     phases, measured = recording.phases, recording.measured
     off = measured.counts - counts_at(phases, measured.row, measured.time_us)
     sizes = np.cumsum([0] + [len(phase.motion.ticks) for phase in phases])
@@ -118,7 +123,35 @@ def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
         ]
         columns["margin_lasts_s"] = corridors.lasts_s.astype("<f4")
         columns["margin_step_mrad"] = _differences(np.stack(bounds, axis=2), "<i2")
+    return columns | _image_columns(recording.images) | _motor_columns(recording)
+
+
+def _image_columns(images: Images | None) -> dict[str, NDArray[Any]]:
+    if images is None:
+        return {}
+    columns: dict[str, NDArray[Any]] = {
+        "image_place_mm": images.place_mm.astype("<f4"),
+        "image_verdict": images.verdict.astype("u1"),
+    }
+    if images.true_mm is not None:
+        columns["image_true_mm"] = images.true_mm.astype("<f4")
     return columns
+
+
+def _motor_columns(recording: Recording) -> dict[str, NDArray[Any]]:
+    """How many motors of each supply turn at once, for a plane with a cap on them."""
+    plane = recording.problem.plane
+    if plane.drive.motors_on == 1.0:
+        return {}
+    motion = carried_out(plane.drive, recording.executed)
+    edges_s = np.linspace(0.0, max(motion.makespan_s, 1e-3), _MOTOR_BINS + 1)
+    supplies, robots = np.unique(plane.supply, return_counts=True)
+    return {
+        "supply_id": supplies.astype("<i4"),
+        "supply_motors": (2 * robots).astype("<i4"),
+        "supply_turning": motors_turning(motion, plane.supply, edges_s).astype("<i4"),
+        "supply_bin_s": np.array(edges_s[1]),
+    }
 
 
 def _differences(values: NDArray[Any], kind: str = "<i4") -> NDArray[Any]:
@@ -198,6 +231,7 @@ def _recording(data: _Columns, about: dict[str, Any], name: str) -> Recording:
     if "planned_time_s" in data:
         angles = np.cumsum(data["planned_step_urad"], axis=-1, dtype=np.int64) * _PLANNED_STEP_RAD
         planned = SampledMotion(data["planned_time_s"], angles)
+    images = _images(data, about)
     for key in ("format", "version", "names"):  # they describe the file
         del about[key]
     begin_s, bin_s = about.pop("bus_begin_s"), about.pop("bus_bin_s")
@@ -217,7 +251,16 @@ def _recording(data: _Columns, about: dict[str, Any], name: str) -> Recording:
         error_mm=data["error_mm"],
         approaches=Approaches(data["pair_row"], data["pair_gap_mm"], data["pair_time_s"]),
         about=about,
+        images=images,
     )
+
+
+def _images(data: _Columns, about: dict[str, Any]) -> Images | None:
+    if "image_place_mm" not in data:
+        return None
+    names = {int(code): name for code, name in about["names"]["verdict"].items()}
+    places, verdict = data["image_place_mm"], data["image_verdict"]
+    return Images(places, verdict, data.get("image_true_mm"), names)
 
 
 def _phases(data: _Columns, units: WireUnits) -> tuple[Phase, ...]:

@@ -8,8 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fiber_core.drive import most_motors_on
 from fiber_core.problem import load_problem
-from fiber_recording import Recording, RecordingError, counts_at, load_recording, save_recording
+from fiber_recording import (
+    Images,
+    Recording,
+    RecordingError,
+    counts_at,
+    load_recording,
+    save_recording,
+)
+from fiber_recording.examples import seen_by_a_camera
 from fiber_recording.recording_file import VERSION
 
 DATA = Path(__file__).parent / "data"
@@ -55,6 +64,49 @@ def test_planned_and_corridors_are_optional(recording, tmp_path):
     path = tmp_path / "no_curves.npz"
     save_recording(path, replace(recording, planned=None, corridors=None))
     assert load_recording(path).planned is None and load_recording(path).corridors is None
+
+
+def test_images_sectors_and_supplies_come_back(recording, tmp_path):
+    seen = seen_by_a_camera(recording, 1)
+    path = tmp_path / "seen.npz"
+    save_recording(path, seen)
+    read = load_recording(path)
+    assert same(seen.images, read.images) == 4
+    assert read.images.names == seen.images.names
+    assert read.problem.plane.sector.tolist() == seen.problem.plane.sector.tolist()
+    assert read.problem.plane.drive == seen.problem.plane.drive
+    save_recording(path, replace(seen, images=replace(seen.images, true_mm=None)))
+    assert load_recording(path).images.true_mm is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"place_mm": np.zeros((2, 37))}, "image places"),
+        ({"verdict": np.zeros((1, 37))}, "image verdict"),
+        ({"true_mm": np.zeros((2, 36, 2))}, "image true_mm"),
+        ({"verdict": np.full((2, 37), 9)}, "verdict 9 of an image has no name"),
+    ],
+)
+def test_images_that_do_not_fit_are_refused(recording, changes, words):
+    with pytest.raises(RecordingError, match=words):
+        replace(seen_by_a_camera(recording, 1).images, **changes)
+
+
+def test_images_of_another_plane_are_refused(recording):
+    few = Images(np.zeros((1, 5, 2)), np.zeros((1, 5)))
+    with pytest.raises(RecordingError, match="images has 5 robots, the plane has 37"):
+        replace(recording, images=few)
+
+
+def test_the_motors_of_each_supply_are_counted(recording, recording_file, tmp_path):
+    seen = seen_by_a_camera(recording, 1)
+    path = tmp_path / "seen.npz"
+    save_recording(path, seen)
+    data, plane = np.load(path), seen.problem.plane
+    most = data["supply_turning"].max(axis=1) / data["supply_motors"]
+    np.testing.assert_allclose(most, most_motors_on(seen.executed, plane.supply))
+    assert "supply_turning" not in np.load(recording_file)  # without a cap
 
 
 def test_a_recording_opens_as_a_problem(recording, recording_file):

@@ -18,8 +18,8 @@ _SOURCES = Path(__file__).parent / "player"
 # a module may import from the modules before it
 SCRIPTS = (
     "npz", "kinematics", "phases", "clearance", "recording", "theme", "coloring", "camera",
-    "drawing", "plane", "neighbourhood", "axes", "profiles", "buses", "timeline", "headline",
-    "roving", "lists", "address", "keys", "app",
+    "drawing", "plane", "neighbourhood", "axes", "profiles", "buses", "motors", "images",
+    "timeline", "headline", "roving", "lists", "address", "keys", "app",
 )  # fmt: skip
 # those of the console, which shows a running plane
 CONSOLE_SCRIPTS = (

@@ -9,7 +9,7 @@ from fiber_core.array_types import Floats, Ints, Mask
 from fiber_core.drive.curves import CurveMotion
 from fiber_core.motion import SegmentMotion
 
-__all__ = ["most_motors_on", "motors_allowed", "overloading"]
+__all__ = ["most_motors_on", "motors_allowed", "motors_turning", "overloading"]
 
 _SAME_S = 1e-9  # a motor that ends this near to the begin of another one is off by then
 _REST_RAD_S = 1e-12
@@ -36,6 +36,35 @@ def most_motors_on(motion: SegmentMotion | CurveMotion, groups: ArrayLike) -> Fl
     most = np.zeros(len(numbers), dtype=np.int64)
     np.maximum.at(most, owner[order], on)
     return most / (2.0 * np.bincount(group, minlength=len(numbers)))
+
+
+def motors_turning(
+    motion: SegmentMotion | CurveMotion, groups: ArrayLike, edges_s: ArrayLike
+) -> Ints:
+    """Return the largest number of motors of each group that turn at once in each bin of time.
+
+    Args:
+        motion: true joint profiles of all robots.
+        groups: number of the group of each robot, as its bus or its supply, shape (n,).
+        edges_s: begins of k bins and the end of the last [s], increasing, shape (k + 1,).
+
+    Returns:
+        Numbers in the order of the group numbers, shape (g, k).
+    """
+    edges = np.asarray(edges_s, dtype=float)
+    numbers, group = np.unique(np.asarray(groups), return_inverse=True)
+    robot, instant, change = _switches(motion)
+    order = np.lexsort([change, instant])
+    owner, instant_s, change = group[robot[order]], _SAME_S * instant[order], change[order]
+    most = np.zeros((len(numbers), len(edges) - 1), dtype=np.int64)
+    for g, own in enumerate(most):
+        at_s, on = instant_s[owner == g], np.cumsum(change[owner == g])
+        before = np.searchsorted(at_s, edges[:-1], side="left")
+        own[:] = np.where(before > 0, on[before - 1] if len(on) else 0, 0)
+        place = np.searchsorted(edges, at_s, side="right") - 1
+        within = (place >= 0) & (place < len(own))
+        np.maximum.at(own, place[within], on[within])
+    return most
 
 
 def motors_allowed(groups: ArrayLike, share: float) -> Ints:

@@ -85,11 +85,15 @@ class Case:
         figures = PRESETS[self.preset]
         base = preset(self.preset, self.robots)
         pitch = figures.pitch_mm if self.pitch_mm is None else self.pitch_mm
+        radius = figures.radius_mm if self.radius_mm is None else self.radius_mm
+        # random targets of narrow arms may be closer to each other than those of wide ones
+        wider = radius / figures.radius_mm if figures.radius_mm else 1.0
         figures = replace(
             figures,
             pitch_mm=pitch,
             arms_mm=self.arms_mm or figures.arms_mm,
-            radius_mm=figures.radius_mm if self.radius_mm is None else self.radius_mm,
+            radius_mm=radius,
+            envelope_mm=wider * figures.envelope_mm,
         )
         centers = base.centers * (pitch / PRESETS[self.preset].pitch_mm)
         plane = plane_from(figures, base.ids, centers, name=self.preset)

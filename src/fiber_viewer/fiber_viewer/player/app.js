@@ -12,6 +12,8 @@ import { PlanePanel } from "./plane.js";
 import { NeighbourhoodPanel, SnapshotsPanel, closestApproach } from "./neighbourhood.js";
 import { PositionPanel, VelocityPanel } from "./profiles.js";
 import { BusesPanel } from "./buses.js";
+import { MotorsPanel } from "./motors.js";
+import { ImagesPanel } from "./images.js";
 import { Timeline } from "./timeline.js";
 import { listenToKeys } from "./keys.js";
 
@@ -45,6 +47,8 @@ class App {
       new VelocityPanel(byId("velocity"), byId("velocity-note"), this),
       new PositionPanel(byId("position"), byId("position-note"), this),
       new BusesPanel(byId("buses"), byId("buses-note"), this),
+      new MotorsPanel(byId("motors"), byId("motors-note"), this),
+      new ImagesPanel(byId("images"), byId("images-note"), this, byId("image")),
       new Timeline(byId("timeline"), this),
     ];
     [this.plane] = this.panels;
@@ -150,6 +154,11 @@ class App {
     const pair = closestApproach(this.recording, [row]);
     this.play(false);
     this.seek(this.recording.started[row] && pair ? pair.time : this.t);
+  }
+
+  /** The number of the image that is shown. */
+  get image() {
+    return this.panels.find((panel) => panel instanceof ImagesPanel).shown;
   }
 
   /** Shows one panel alone, or all panels if it is alone already. */

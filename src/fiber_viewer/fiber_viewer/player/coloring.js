@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The colours of robots in panel 1: by state, outcome, bus, speed, arrival, clearance or error.
+// The colours of robots in panel 1: by state, outcome, bus, sector, speed, arrival, clearance or error.
 import { velocityAt } from "./kinematics.js";
 import { STATE_NAMES, isAsked, stateAt } from "./recording.js";
 import { colors } from "./theme.js";
@@ -27,21 +27,33 @@ export function modesOf(recording) {
   return {
     state: stateMode("state now", (row, t) => stateAt(recording, row, t)),
     outcome: stateMode("outcome", (row) => stateAt(recording, row, Infinity)),
-    bus: busMode(plane.bus),
+    ...placeModes(plane),
     speed: speedMode(plane, (profile, t) => velocityAt(motion, profile, t)),
     arrival: scale("arrival", "s", arrival),
     clearance: scale("least clearance", "mm", clearance),
     error: scale("error at the end", "um", error),
+    ...(recording.images && { verdict: verdictMode(recording.images) }),
   };
+}
+
+// What the last image tells of each robot.
+function verdictMode({ verdicts, names, count }) {
+  const codes = Object.keys(names).map(Number), place = new Map(codes.map((code, at) => [code, at]));
+  return { name: "camera", groups: codes.map((code) => names[code].replaceAll("_", " ")), groupOf: (row) => place.get(verdicts[count - 1][row]) };
 }
 
 export function stateMode(name, groupOf) {
   return { name, groups: STATE_NAMES, groupOf, states: true };
 }
 
-export function busMode(bus) {
-  const ids = [...new Set(bus)].sort((a, b) => a - b), place = new Map(ids.map((id, at) => [id, at]));
-  return { name: "bus", groups: ids.map((id) => `bus ${id}`), groupOf: (row) => place.get(bus[row]) };
+/** Returns the modes of what a robot is wired to: its bus, and the sector of a plane that has some. */
+export function placeModes({ bus, sector }) {
+  return { bus: numberMode("bus", bus), ...(sector && { sector: numberMode("sector", sector) }) };
+}
+
+function numberMode(name, numbers) {
+  const ids = [...new Set(numbers)].sort((a, b) => a - b), place = new Map(ids.map((id, at) => [id, at]));
+  return { name, groups: ids.map((id) => `${name} ${id}`), groupOf: (row) => place.get(numbers[row]) };
 }
 
 /** Returns the mode of the present speed: that of the faster joint, as a part of its limit. */

@@ -3,7 +3,7 @@
 import { STATE_NAMES, stateAt } from "./recording.js";
 import { placesOfAll } from "./kinematics.js";
 import { setTheme } from "./theme.js";
-import { Coloring, busMode, speedMode, stateMode } from "./coloring.js";
+import { Coloring, placeModes, speedMode, stateMode } from "./coloring.js";
 import { reachOf } from "./drawing.js";
 import { PlanePanel } from "./plane.js";
 import { NeighbourhoodPanel } from "./neighbourhood.js";
@@ -64,7 +64,7 @@ class Console {
       this.neighbours = { get: (row) => neighboursOf(this.recording.plane, row) };
       this.coloring = new Coloring({
         state: stateMode("state", (row, t) => stateAt(this.recording, row, t)),
-        bus: busMode(plane.bus),
+        ...placeModes(plane),
         speed: speedMode(plane, (profile) => this.recording.speeds[profile]),
       });
       element("coloring").replaceChildren(...Object.entries(this.coloring.modes).map(([key, { name }]) => new Option(name, key)));

@@ -31,7 +31,9 @@ export function listenToKeys(current, { search, keys, otherTheme }) {
       "?": () => keys.showModal(),
       Escape: () => app.panel && app.alone(app.panel),
     };
-    for (const number of [1, 2, 3, 4, 5, 6]) actions[number] = () => app.alone(number);
+    for (const panel of document.querySelectorAll(".panel:not([hidden])")) {
+      actions[panel.dataset.panel] = () => app.alone(Number(panel.dataset.panel));
+    }
     // the space key presses a focused button
     if (event.target.tagName === "BUTTON" && event.key === " ") return;
     if (!actions[event.key]) return;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lists to choose from: closest approaches, faults, robots that did not reach their targets, and
-// disabled robots with a target.
+// Lists to choose from: closest approaches, faults, robots that did not reach their targets, those
+// that a camera has a remark about, and disabled robots with a target.
+import { flaggedOf } from "./images.js";
 import { HELD, FAILED, bodyName, eventText, faultsOf, historyOf, isAsked, reasonOf, stateAt } from "./recording.js";
 import { listenToArrows, setTabStop } from "./roving.js";
 
@@ -21,6 +22,7 @@ export class Lists {
       closest: { name: "Closest", entries: pairs.map((pair) => this.approachEntry(pair)) },
       faults: { name: "Faults", count: this.faults.length, entries: this.faultAndStopEntries() },
       missed: { name: "Not reached", entries: missed.map((row) => this.robotEntry(row)) },
+      ...(recording.images && { flagged: { name: "Flagged", entries: flaggedOf(recording).map((each) => this.flaggedEntry(each)) } }),
       disabled: { name: "Disabled, with a target", entries: disabled.map((row) => this.robotEntry(row)) },
     };
     tabs.replaceChildren(...Object.entries(this.contents).map(([key, { name, entries, count }]) => {
@@ -65,6 +67,11 @@ export class Lists {
     return { cells: [`${recording.plane.ids[row]}`, "", reasonOf(recording, row) + distance], action: () => this.app.goToRobot(row) };
   }
 
+  /** A robot about which the camera has a remark. */
+  flaggedEntry({ row, text }) {
+    return { cells: [`${this.app.recording.plane.ids[row]}`, "", text], action: () => this.app.goToRobot(row) };
+  }
+
   show(key) {
     for (const tab of this.tabs.children) tab.setAttribute("aria-selected", String(tab.dataset.tab === key));
     setTabStop(this.tabs);
@@ -87,7 +94,7 @@ export class Lists {
       return item;
     });
     const rest = entries.length - rows.length;
-    const text = rest > 0 ? `and ${rest} more` : { closest: "no robot has neighbours", faults: "none", missed: "none", disabled: "none" }[key];
+    const text = rest > 0 ? `and ${rest} more` : { closest: "no robot has neighbours", faults: "none", missed: "none", flagged: "none", disabled: "none" }[key];
     if (rest > 0 || !entries.length) {
       const item = document.createElement("li");
       item.className = "none";

@@ -5,7 +5,7 @@ import { bodyName } from "./recording.js";
 import { Camera } from "./camera.js";
 import { cleared, colors, label, write } from "./theme.js";
 import { gapBetween } from "./clearance.js";
-import { drawFixtures, drawGap, drawMark, drawRing, drawRobot, drawScale, drawTarget, hullsOf, reachOf } from "./drawing.js";
+import { disc, drawFixtures, drawGap, drawMark, drawRing, drawRobot, drawScale, drawTarget, hullsOf, reachOf } from "./drawing.js";
 
 const MOMENTS = 6;
 
@@ -54,7 +54,28 @@ export class NeighbourhoodPanel {
       const [x, y] = this.camera.toPixel(plane.center[2 * row], plane.center[2 * row + 1]);
       label(ctx, String(plane.ids[row]), x, y + 14, colors.ink, "center");
     }
+    this.drawMeasured(ctx);
     drawScale(ctx, this.camera);
+  }
+
+  /** Draws where the chosen image shows the fibres, and where simulated fibres truly are. */
+  drawMeasured(ctx) {
+    const { recording, image } = this.app, { images, plane } = recording;
+    if (!images) return;
+    const mark = (places, draw) => {
+      for (let row = 0; row < plane.n; row++) {
+        const [x, y] = this.camera.toPixel(places[2 * row], places[2 * row + 1]);
+        if (x > 0 && y > 0 && x < this.camera.width && y < this.camera.height) draw([x, y]); // not of nan
+      }
+    };
+    if (images.truths) mark(images.truths[image], (at) => disc(ctx, at, 2.4, colors.gap));
+    ctx.strokeStyle = colors.ink;
+    ctx.lineWidth = 1.6;
+    mark(images.places[image], ([x, y]) => {
+      ctx.beginPath();
+      ctx.arc(x, y, 5, 0, 2 * Math.PI);
+      ctx.stroke();
+    });
   }
 
   /** Draws the smallest gap of the first watched robot now; returns all its gaps, smallest first. */

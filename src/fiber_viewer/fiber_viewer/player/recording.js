@@ -37,6 +37,8 @@ export async function openRecording(bytes) {
     outcome: arrays.outcome.data,
     reason: arrays.reason.data,
     error: arrays.error_mm.data,
+    images: imagesOf(arrays, about, plane.n),
+    motors: motorsOf(arrays),
   };
   const late = recording.events.at(-1)?.time ?? 0;
   recording.end = Math.max(motion.makespan, late, 1e-3);
@@ -63,6 +65,7 @@ export function planeOf(arrays) {
     limits: arrays.limits_rad.data,
     speeds: arrays.speed_rad_s.data,
     bus: arrays.bus.data,
+    sector: arrays.sector?.data ?? null, // null: there is one
     discs: arrays.disc_mm.data,
     walls: wallsOf(arrays.wall_mm),
     phi: outline("phi_outline_mm", "radius_mm"),
@@ -145,6 +148,30 @@ function pairsOf(arrays) {
   return Array.from(arrays.pair_gap_mm.data, (gap, i) => ({
     a: rows[2 * i], b: rows[2 * i + 1], gap, time: arrays.pair_time_s.data[i],
   }));
+}
+
+// Images of a camera: place x of robot `row` in image k is places[k][2 * row]; null without a camera.
+function imagesOf(arrays, about, n) {
+  if (!arrays.image_place_mm) return null;
+  const count = arrays.image_place_mm.shape[0];
+  const split = (array, width) => array && Array.from({ length: count }, (_, k) => array.data.subarray(k * n * width, (k + 1) * n * width));
+  return {
+    count,
+    places: split(arrays.image_place_mm, 2),
+    truths: split(arrays.image_true_mm, 2) ?? null,
+    verdicts: split(arrays.image_verdict, 1),
+    names: about.names.verdict,
+  };
+}
+
+// Motors of each power supply that turn at once, in bins; null for a plane without a cap on them.
+function motorsOf(arrays) {
+  if (!arrays.supply_turning) return null;
+  const [supplies, bins] = arrays.supply_turning.shape;
+  return {
+    ids: arrays.supply_id.data, all: arrays.supply_motors.data, turning: arrays.supply_turning.data,
+    supplies, bins, bin: arrays.supply_bin_s.data[0], cap: arrays.motors_on.data[0],
+  };
 }
 
 /** Returns the state of a robot at a time; a running plane has states of its own. */
