@@ -197,6 +197,7 @@ def main(argv: list[str] | None = None) -> int:
     except FiberError as error:
         print(f"bag: {error}", file=sys.stderr)
         return 1
+    print(args.folder)
     return 0
 
 
