@@ -137,9 +137,12 @@ screenshots: build ## take the pictures of docs/images from the last demo, and o
 		$(addprefix --faults ,$(wildcard out/faults/recording.npz))
 	@$(INSTALLED) && $(PYTHON) tools/console_picture.py
 
+.PHONY: without-faults
+without-faults:
+	@[ -z '$(FAULTS)' ] || { echo "bench moves no robots: FAULTS=$(FAULTS) has no effect, use make demo" >&2; exit 1; }
+
 .PHONY: bench
-bench: inputs build ## plan one field with no ROS and print one JSON line, into OUT
-	@$(if $(FAULTS),echo "bench moves no robots, so FAULTS=$(FAULTS) has no effect: use make demo" >&2; exit 1,true)
+bench: without-faults inputs build ## plan one field with no ROS and print one JSON line, into OUT
 	@$(INSTALLED) && $(PYTHON) bench/plan_field.py $(OPTIONS) \
 		--out $(if $(filter file,$(origin OUT)),out/bench,$(OUT))
 

@@ -47,6 +47,46 @@ def test_a_file_that_is_missing_is_named(tmp_path):
     assert ran.returncode == 1 and ran.stderr == "missing.csv: there is no such file\n"
 
 
+NO_NETWORK = ["unshare", "--map-root-user", "--net"]
+
+
+@pytest.mark.skipif(
+    shutil.which("unshare") is None
+    or subprocess.run([*NO_NETWORK, "true"], check=False).returncode,
+    reason="NOT TESTED: a machine without loopback: needs unshare",
+)
+def test_a_machine_without_loopback_is_refused_in_one_line(tmp_path):
+    command = [*NO_NETWORK, ROOT / "tools/check_inputs.sh", ROOT, tmp_path, "", ""]
+    ran = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ran.returncode == 1 and ran.stderr.count("\n") == 1
+    assert "the loopback interface is down" in ran.stderr
+
+
+def make(*words):
+    environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
+    # the whole of it is built again if anything is built
+    command = ["make", "-W", "requirements.lock", *words]
+    return subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment, timeout=60
+    )
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="NOT TESTED: make is not installed")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["bench", "FAULTS=stall:2"], "FAULTS=stall:2 has no effect"),
+        (["bench", "TARGETS=missing.csv"], "missing.csv: there is no such file"),
+        (["console", "SEED=-1"], "SEED=-1"),
+        (["demo", "OUT=README.md"], "OUT=README.md cannot be written"),
+    ],
+    ids=lambda value: value[1] if isinstance(value, list) else "",
+)
+def test_nothing_is_built_before_a_refusal(words, said):
+    ran = make(*words)
+    assert ran.returncode != 0 and said in ran.stderr and ran.stdout == ""
+
+
 @pytest.mark.skipif(shutil.which("make") is None, reason="NOT TESTED: make is not installed")
 def test_a_clone_in_a_path_with_a_space_is_refused_in_one_line(tmp_path):
     clone = tmp_path / "a clone"

@@ -12,7 +12,7 @@ import { Connection, openPlane, setStates } from "./live.js";
 import { Orders } from "./orders.js";
 
 const MOST_WATCHED = 3;
-const GLIDE_MS = 100; // from one reading of the encoders to the next
+const GLIDE_MS = 50; // from one reading of the encoders to the next
 const ALERTS_SHOWN = 30;
 
 const element = (id) => document.getElementById(id);
