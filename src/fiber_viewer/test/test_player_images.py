@@ -10,6 +10,11 @@ from fiber_recording import save_recording
 from fiber_recording.examples import seen_by_a_camera
 from fiber_viewer import write_player
 
+try:
+    from selenium_axe_python import Axe
+except ImportError:
+    Axe = None
+
 pytestmark = needs_browser("images and motors in player.html")
 STILL, DARK = 4, 7  # robots with a remark in the last image
 
@@ -125,6 +130,25 @@ def test_the_motors_at_once_are_drawn_against_the_cap(opened_images, seen):
     opened_images.find_element(By.TAG_NAME, "body").send_keys("7")
     shown = opened_images.find_elements(By.CSS_SELECTOR, ".panel.alone")
     assert [panel.get_attribute("data-panel") for panel in shown] == ["7"]
+
+
+def test_a_phone_shows_images_and_motors_in_one_column(browser, page_of_images):
+    size(browser, 390, 844)
+    open_at(browser, page_of_images, "")
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
+    panels = browser.find_elements(By.CSS_SELECTOR, "main .panel")
+    assert len(panels) == 8 and len({panel.rect["x"] for panel in panels}) == 1
+
+
+@pytest.mark.skipif(Axe is None, reason="NOT TESTED: accessibility: needs selenium-axe-python")
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_checker_finds_no_fault_of_accessibility(browser, page_of_images, theme):
+    size(browser, 1440, 1000)
+    open_at(browser, page_of_images, f"#theme={theme}")
+    axe = Axe(browser)
+    axe.inject()
+    found = axe.run()["violations"]
+    assert not [(each["id"], [n["html"][:120] for n in each["nodes"]]) for each in found]
 
 
 def test_a_plan_without_camera_and_cap_has_neither_panel(opened):
