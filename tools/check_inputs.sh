@@ -28,7 +28,7 @@ for files in "$@"; do
     [ -e "$file" ] && [ ! -d "$file" ] || refuse "$file: there is no such file"
   done
 done
-# a port that nobody listens on is refused where there is a loopback interface
+# a port without a listener is refused where there is a loopback interface
 case $({ LC_ALL=C exec 3<>/dev/tcp/127.0.0.1/1; } 2>&1 || true) in
 *unreachable*) refuse "the loopback interface is down, and the nodes talk over it: 'ip link set lo up'" ;;
 esac

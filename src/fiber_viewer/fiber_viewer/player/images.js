@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Panel 8: how far fibres are from their targets in each image of a camera, and who is flagged.
+// Panel 8: how far fibres are from their targets in each image of a camera, and which robots have a remark.
 import { Camera } from "./camera.js";
 import { cleared, colors, write } from "./theme.js";
 import { line } from "./drawing.js";
