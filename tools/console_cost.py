@@ -60,6 +60,7 @@ def _measure(
     processes.start("fiber_discretizer", "discretizer", {})
     follower = _follower(processes, folder, setting)
     used, pauses, spans, stops = [], [], [], []
+    motions, pictures = [], []
     try:
         with PlaneClient(guard=processes.check) as client:
             client.wait_for_graph(_WAIT_S)

@@ -40,14 +40,14 @@ class Images:
             self.place_mm, np.float64, (None, None, 2), "image places", RecordingError
         )
         object.__setattr__(self, "place_mm", place)
-        for name, kind, shape in (
-            ("verdict", np.int64, place.shape[:2]),
-            ("true_mm", np.float64, place.shape),
-        ):
-            value = getattr(self, name)
-            if value is not None:
-                value = frozen_array(value, kind, shape, f"image {name}", RecordingError)
-                object.__setattr__(self, name, value)
+        shape = place.shape[:2]
+        verdict = frozen_array(self.verdict, np.int64, shape, "image verdict", RecordingError)
+        object.__setattr__(self, "verdict", verdict)
+        if self.true_mm is not None:
+            true = frozen_array(
+                self.true_mm, np.float64, place.shape, "image true_mm", RecordingError
+            )
+            object.__setattr__(self, "true_mm", true)
         unnamed = sorted(set(np.unique(self.verdict).tolist()) - set(self.names))
         if unnamed:
             raise RecordingError(f"verdict {unnamed[0]} of an image has no name")
