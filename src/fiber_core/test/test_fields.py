@@ -143,7 +143,7 @@ def test_narrow_joint_ranges_are_kept():
 
 def test_a_plane_without_space_is_refused_with_the_robots_left():
     plane = preset("desi", 19)
-    with pytest.raises(FieldError, match="of 19 robots found no start 9.0 mm apart") as refusal:
+    with pytest.raises(FieldError, match="of 19 robots found no start 9 mm from the others: ") as refusal:
         random_field(plane, np.random.default_rng(0), gap_mm=9.0)
     assert 0 < len(refusal.value.ids) < 19
     assert str(refusal.value.ids[0]) in str(refusal.value)
@@ -154,3 +154,9 @@ def test_a_plane_without_space_is_refused_with_the_robots_left():
     assert refusal.value.ids.tolist() == [7]
     with pytest.raises(FieldError, match="asked"):
         random_field(plane, np.random.default_rng(0), asked=np.ones(18))
+
+
+def test_the_spacing_of_targets_that_leaves_no_space_is_named():
+    plane = replace(preset("desi", 19), envelope_mm=15.0)
+    with pytest.raises(FieldError, match="found no goal 0.15 mm from the others, with tips 15 mm"):
+        random_field(plane, np.random.default_rng(0))
