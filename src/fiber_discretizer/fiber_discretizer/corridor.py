@@ -1,49 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """The corridor of a joint: how far it can turn at each sample without touching a neighbour.
 
-A turn by x changes the gap by lever * x at most, so a step of gap / lever touches no neighbour:
-the bounds are approached in such steps (sphere tracing, Hart 1996) and never crossed.
+Most bounds of a corridor are never needed: the path that is fitted stays far from them. So bounds
+are traced where the desired angle is not free, and elsewhere as far as a path wants to go.
 """
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from fiber_core.array_types import Bools, Floats, Rows
-from fiber_core.clearance import Neighbours, most_neighbours, posed_gap
+from fiber_core.clearance import Neighbours, most_neighbours
 from fiber_core.motion import MotionArrays
+from fiber_discretizer.tracing import FINEST_RAD, move_out, pose_bodies, turn_from
 
-__all__ = ["FINEST_RAD", "corridor_bounds", "free_intervals"]
+__all__ = [
+    "FINEST_RAD",
+    "Corridors",
+    "Task",
+    "free_intervals",
+    "keep_inside",
+    "open_corridors",
+]
 
-FINEST_RAD = 2e-3  # a smaller step ends the approach
 _SEARCH_STEPS = 24  # largest number of steps to a bound in a search, which looks for any path
 _ALL_STEPS = 1 << 30  # each step is FINEST_RAD or more, so the approach ends by itself
-_OUT_RAD = 0.02  # least step out of a neighbour
-_FAR_MM = 1e-6  # far above the rounding of a gap
 
 
-@njit(cache=True, nogil=True)
-def corridor_bounds(
-    table: Floats,
-    levers: Floats,
-    limits: Floats,
-    motion: MotionArrays,
-    neighbours: Neighbours,
-    required: Floats,
-    rows: Rows,
-    joint: int,
-    times: Floats,
-    desired: Floats,
-    side: int,
-    reach: float,
-) -> tuple[Floats, Floats, Bools]:
-    """Return the bounds of a corridor that one joint can pass, all other joints as they are.
-
-    Where the desired angle is not free, the corridor passes on one side of the neighbour that is
-    in the way, and intervals before it are traced again on that side if they do not connect. The
-    corridor holds at the samples only. Along a neighbour a bound can be too close: it is where 24
-    steps end.
+class Task(NamedTuple):
+    """One joint of some robots, to be turned among all others as they move.
 
     Args:
         table: outlines, from bodies_of.
@@ -56,212 +42,200 @@ def corridor_bounds(
         joint: the joint that turns, 0 theta, 1 phi.
         times: sample times of each robot [s], shape (m, t).
         desired: desired angles of both joints at these times [rad], shape (m, 2, t).
-        side: where to pass a neighbour: +1 at higher angles, -1 at lower ones, 0 not at all.
         reach: largest distance of a bound from the desired angle, or from the nearest free
             angle [rad].
-
-    Returns:
-        Low and high bounds [rad], shape (m, t), and whether each corridor is open, shape (m,).
     """
-    m, t = times.shape
-    low, high = desired[:, joint].copy(), desired[:, joint].copy()
-    is_open = np.ones(m, np.bool_)
-    most = most_neighbours(neighbours)
+
+    table: Floats
+    levers: Floats
+    limits: Floats
+    motion: MotionArrays
+    neighbours: Neighbours
+    required: Floats
+    rows: Rows
+    joint: int
+    times: Floats
+    desired: Floats
+    reach: float
+
+
+class Corridors(NamedTuple):
+    """The corridors of a task, as far as they are traced.
+
+    Args:
+        begin: a free angle at each sample, from which the bounds are traced [rad], shape (m, t).
+        free: the lowest and the highest angle down to and up to which the joint is known to be
+            free [rad], shape (2, m, t).
+        bounds: low and high bounds [rad], shape (2, m, t): equal to `free` where they are traced
+            to their end, else at the reach or at the limit of the joint.
+        is_open: which of the corridors can be passed as far as is known, shape (m,).
+    """
+
+    begin: Floats
+    free: Floats
+    bounds: Floats
+    is_open: Bools
+
+
+@njit(cache=True, nogil=True)
+def open_corridors(task: Task, side: int) -> Corridors:
+    """Return the corridors of a task, traced where the desired angle is not free.
+
+    There a corridor passes on one side of the neighbour that is in the way, and the intervals
+    before it are found again on that side if they do not connect.
+
+    Args:
+        task: what turns among what.
+        side: where to pass a neighbour: +1 at higher angles, -1 at lower ones, 0 not at all.
+    """
+    m, t = task.times.shape
+    begin = task.desired[:, task.joint].copy()
+    corridors = Corridors(begin, np.empty((2, m, t)), np.empty((2, m, t)), np.ones(m, np.bool_))
+    corridors.free[:], corridors.bounds[:] = begin, begin
+    most = most_neighbours(task.neighbours)
     poses, work = np.empty((most, 4)), np.empty((2, most))
     for r in range(m):
-        i = rows[r]
-        first, stop = neighbours.offsets[i], neighbours.offsets[i + 1]
-        bodies, pairs = neighbours.body[first:stop], neighbours.pair[first:stop]
-        scene = (table, i, bodies, required[pairs], poses, work)
-        axis = (
-            joint, levers[i, joint], limits[i, joint, 0], limits[i, joint, 1], reach,
-            _SEARCH_STEPS,
-        )  # fmt: skip
-        diverted, begin = False, desired[r, joint, 0]
-        for k in range(t):
-            # Begin at the desired angle, after a diversion at the free angle before.
-            begin = begin if diverted and k < t - 1 else desired[r, joint, k]
-            _pose_bodies(motion, bodies, times[r, k], poses)
-            passing = side if 0 < k < t - 1 else 0
-            begin, low[r, k], high[r, k] = _free_interval(
-                scene, axis, desired[r, 1 - joint, k], begin, passing
-            )
-            diverted = not low[r, k] <= desired[r, joint, k] <= high[r, k]
-            if begin == np.inf:
-                is_open[r] = False
-                break
-            # An interval on the other side of a neighbour has to connect to the ones before.
-            back, begin_back = k, begin
-            while back > 0 and (
-                low[r, back] > high[r, back - 1] or high[r, back] < low[r, back - 1]
-            ):
-                back -= 1
-                _pose_bodies(motion, bodies, times[r, back], poses)
-                begin_back, low[r, back], high[r, back] = _free_interval(
-                    scene, axis, desired[r, 1 - joint, back], begin_back, side
-                )
-                if begin_back == np.inf or back == 0:
-                    is_open[r] = False
-                    break
-            if not is_open[r]:
-                break
-    return low, high, is_open
+        robot = _robot(task, task.rows[r], _SEARCH_STEPS, poses, work)
+        corridors.is_open[r] = _open_corridor(task, corridors, robot, r, side)
+    return corridors
 
 
 @njit(cache=True)
-def free_intervals(
-    table: Floats,
-    levers: Floats,
-    limits: Floats,
-    motion: MotionArrays,
-    neighbours: Neighbours,
-    required: Floats,
-    joint: int,
-    times: Floats,
-    angles: Floats,
-    reach: float,
-) -> tuple[Floats, Floats]:
+def _open_corridor(task, corridors, robot, r, side):
+    # find a free angle at each sample; returns whether these connect
+    wish, begin, t = task.desired[r, task.joint], corridors.begin[r], task.times.shape[1]
+    if not _begin_at(task, corridors, robot, r, t - 1, wish[t - 1], 0):
+        return False
+    diverted = False
+    for k in range(t):
+        # Begin at the desired angle, after a diversion at the free angle before.
+        first = begin[k - 1] if diverted and k < t - 1 else wish[k]
+        passing = side if 0 < k < t - 1 else 0
+        if not _begin_at(task, corridors, robot, r, k, first, passing):
+            return False
+        was_diverted = diverted
+        diverted = not _reaches(task, corridors, robot, r, k, wish[k])
+        # An interval on the other side of a neighbour has to connect to the ones before.
+        back = k if was_diverted or diverted else 0
+        while back > 0 and not _connected(task, corridors, robot, r, back):
+            back -= 1
+            if back == 0 or not _begin_at(task, corridors, robot, r, back, begin[back + 1], side):
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def keep_inside(task: Task, corridors: Corridors, places: Rows, paths: Floats, pad: float) -> Bools:
+    """Return which paths are inside their corridors; the bounds that the others cross are traced.
+
+    A path is inside where each sample is free between it and the begin of the corridor there.
+
+    Args:
+        task: what turns among what.
+        corridors: its corridors; traced as far as the paths go.
+        places: the corridors of the paths, as places in the rows of the task, shape (c,).
+        paths: angles of the paths at the samples [rad], shape (c, t).
+        pad: how far on either side of a path the joint has to be free, up to its bound [rad].
+    """
+    inside = np.ones(len(places), np.bool_)
+    most = most_neighbours(task.neighbours)
+    poses, work = np.empty((most, 4)), np.empty((2, most))
+    for p in range(len(places)):
+        r = places[p]
+        robot = _robot(task, task.rows[r], _SEARCH_STEPS, poses, work)
+        for w in range(2):
+            way, bound = 2 * w - 1, corridors.bounds[w, r]
+            for k in range(paths.shape[1]):
+                goal = way * min(way * paths[p, k] + pad, way * bound[k])
+                inside[p] &= _reaches(task, corridors, robot, r, k, goal)
+    return inside
+
+
+@njit(cache=True)
+def free_intervals(task: Task) -> tuple[Floats, Floats]:
     """Return how far one joint of every robot can turn at each sample, all others as they are.
 
     Each sample stands alone. An interval has no width where the angle is not free.
 
     Args:
-        table: outlines, from bodies_of.
-        levers: farthest point of a robot from the axis of each joint [mm], shape (n, 2).
-        limits: joint limits [rad], shape (n, 2, 2).
-        motion: the arrays of the motion of all robots.
-        neighbours: from neighbours_of.
-        required: gap that each pair must keep [mm], shape (p,).
-        joint: the joint that turns, 0 theta, 1 phi.
-        times: sample times of each robot [s], shape (n, t).
-        angles: angles of both joints at these times [rad], shape (n, 2, t).
-        reach: largest distance of an end of an interval from the angle [rad].
+        task: what turns among what.
 
     Returns:
-        Low and high ends [rad], shape (n, t). At each end a turn of lever * FINEST_RAD [mm] more
+        Low and high ends [rad], shape (m, t). At each end a turn of lever * FINEST_RAD [mm] more
         may use up the gap to a neighbour, or the end is a joint limit or at the full reach.
     """
-    n, t = times.shape
-    low, high = angles[:, joint].copy(), angles[:, joint].copy()
-    most = most_neighbours(neighbours)
+    m, t = task.times.shape
+    wish = task.desired[:, task.joint]
+    corridors = Corridors(
+        wish.copy(), np.empty((2, m, t)), np.empty((2, m, t)), np.ones(m, np.bool_)
+    )
+    most = most_neighbours(task.neighbours)
     poses, work = np.empty((most, 4)), np.empty((2, most))
-    for i in range(n):
-        first, stop = neighbours.offsets[i], neighbours.offsets[i + 1]
-        bodies, pairs = neighbours.body[first:stop], neighbours.pair[first:stop]
-        scene = (table, i, bodies, required[pairs], poses, work)
-        axis = (
-            joint, levers[i, joint], limits[i, joint, 0], limits[i, joint, 1], reach, _ALL_STEPS,
-        )  # fmt: skip
+    for r in range(m):
+        robot = _robot(task, task.rows[r], _ALL_STEPS, poses, work)
         for k in range(t):
-            _pose_bodies(motion, bodies, times[i, k], poses)
-            _, low[i, k], high[i, k] = _free_interval(
-                scene, axis, angles[i, 1 - joint, k], angles[i, joint, k], 0
-            )
-    return low, high
+            if _begin_at(task, corridors, robot, r, k, wish[r, k], 0):
+                for w in range(2):
+                    _reaches(task, corridors, robot, r, k, corridors.bounds[w, r, k])
+    return corridors.free[0], corridors.free[1]
 
 
 @njit(cache=True)
-def _free_interval(scene, axis, other_angle, begin, side):
-    # The first free angle from `begin` on, in the direction `side`, and the bounds around it at
-    # one instant; infinity where no angle is free.
-    joint, _, bottom, top, _, _ = axis
-    angles = np.empty(2)
-    angles[joint], angles[1 - joint] = begin, other_angle
-    if not _move_out(scene, axis, angles, side):
-        return np.inf, begin, begin
-    free = angles[joint]
-    if not bottom <= free <= top:
-        return (free, free, free) if free == begin else (np.inf, begin, begin)
-    low = free - _approach(scene, axis, angles, free, -1)
-    high = free + _approach(scene, axis, angles, free, 1)
-    return free, low, high
+def _robot(task, i, steps, poses, work):
+    # scene and axis of a robot, for `tracing`
+    first, stop = task.neighbours.offsets[i], task.neighbours.offsets[i + 1]
+    bodies, pairs = task.neighbours.body[first:stop], task.neighbours.pair[first:stop]
+    low, high = task.limits[i, task.joint]
+    scene = (task.table, i, bodies, task.required[pairs], poses, work)
+    return scene, (task.joint, task.levers[i, task.joint], low, high, steps), np.empty(2)
 
 
 @njit(cache=True)
-def _move_out(scene, axis, angles, side):
-    # Turn the joint until it is out of all neighbours, the deepest first; False where that is
-    # impossible. The spare gaps at the new angle are left in the first row of `work`.
-    table, i, bodies, required, poses, work = scene
-    joint, lever, bottom, top, reach, _ = axis
-    spare, count = work[0], len(bodies)
-    far = lever * reach + _FAR_MM  # no turn uses up a gap this large
-    least = np.inf
-    for q in range(count):
-        spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q], far)
-        least = min(least, spare[q])
-    while least < 0.0:
-        if side == 0:
-            return False
-        q = np.argmin(spare[:count])
-        while spare[q] < 0.0:
-            if not bottom <= angles[joint] <= top:
-                return False
-            angles[joint] += side * max(-spare[q] / lever, _OUT_RAD)
-            spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q], far)
-        least = np.inf
-        for q in range(count):
-            spare[q] = _spare_gap(table, i, bodies[q], angles, poses[q], required[q], far)
-            least = min(least, spare[q])
-    return True
+def _begin_at(task, corridors, robot, r, k, angle, side):
+    # Put the begin of a corridor at a sample on the first free angle from an angle on; returns
+    # whether there is one.
+    scene, axis, angles = robot
+    bottom, top = axis[2], axis[3]
+    angles[task.joint], angles[1 - task.joint] = angle, task.desired[r, 1 - task.joint, k]
+    pose_bodies(task.motion, scene[2], task.times[r, k], scene[4])
+    is_free = move_out(scene, axis, angles, side)
+    free = angles[task.joint] if is_free else angle
+    low, high = max(bottom, free - task.reach), min(top, free + task.reach)
+    if not is_free or not low <= free <= high:
+        low = high = free
+    corridors.begin[r, k] = free
+    corridors.free[0, r, k] = corridors.free[1, r, k] = free
+    corridors.bounds[0, r, k], corridors.bounds[1, r, k] = low, high
+    return is_free and (bottom <= free <= top or free == angle)
 
 
 @njit(cache=True)
-def _approach(scene, axis, angles, free, way):
-    # How far the joint can turn from a free angle, up (+1) or down (-1). Each neighbour has a
-    # bound; only the neighbour with the least bound is evaluated again.
-    table, i, bodies, required, poses, work = scene
-    joint, lever, bottom, top, reach, most_steps = axis
-    spare, bound, count = work[0], work[1], len(bodies)
-    farthest = min(free - bottom if way < 0 else top - free, reach)
-    for q in range(count):
-        bound[q] = spare[q] / lever
-    steps, turned = 0, farthest
-    while True:
-        q, turned = -1, farthest
-        for o in range(count):
-            if bound[o] < turned:
-                q, turned = o, bound[o]
-        if q < 0 or steps == most_steps:
-            return turned
-        steps += 1
-        angles[joint] = free + way * turned
-        far = lever * (farthest - turned) + _FAR_MM
-        more = _spare_gap(table, i, bodies[q], angles, poses[q], required[q], far) / lever
-        if more < FINEST_RAD:
-            return turned
-        bound[q] = turned + more
+def _reaches(task, corridors, robot, r, k, goal):
+    # whether the joint is free up to an angle; its bound is traced that far
+    begin = corridors.begin[r, k]
+    w = 1 if goal > begin else 0
+    way, free, bound = 2 * w - 1, corridors.free[w, r], corridors.bounds[w, r]
+    if way * (goal - free[k]) <= 0.0:
+        return True
+    if free[k] == bound[k]:
+        return False
+    scene, axis, angles = robot
+    end = way * min(way * goal, way * bound[k])
+    angles[1 - task.joint] = task.desired[r, 1 - task.joint, k]
+    pose_bodies(task.motion, scene[2], task.times[r, k], scene[4])
+    turned = turn_from(scene, axis, angles, begin, way, way * (end - begin))
+    if turned < way * (end - begin):
+        free[k] = bound[k] = begin + way * turned
+        return False
+    free[k] = end
+    return end == goal
 
 
 @njit(cache=True)
-def _pose_bodies(motion, bodies, time, poses):
-    # cosine and sine of theta, then of theta + phi, of some bodies at a time
-    start, offsets, duration, velocity = motion
-    for q in range(len(bodies)):
-        body, angle = bodies[q], 0.0
-        for j in range(2):
-            if body < len(start):
-                turned = at_begin = start[body, j]
-                begins = 0.0
-                for k in range(offsets[2 * body + j], offsets[2 * body + j + 1]):
-                    if begins > time:
-                        break
-                    ends = begins + duration[k]
-                    turned = at_begin + (min(time, ends) - begins) * velocity[k]
-                    at_begin += velocity[k] * duration[k]
-                    begins = ends
-                angle += turned
-            poses[q, 2 * j], poses[q, 2 * j + 1] = math.cos(angle), math.sin(angle)
-
-
-@njit(cache=True)
-def _spare_gap(table, i, body, angles, pose, required, far):
-    # gap to a neighbour less the required gap; a lower bound of it where that is above `far`
-    both = angles[0] + angles[1]
-    return (
-        posed_gap(
-            table, i, body,
-            math.cos(angles[0]), math.sin(angles[0]), math.cos(both), math.sin(both),
-            pose[0], pose[1], pose[2], pose[3], required + far,
-        )
-        - required
-    )  # fmt: skip
+def _connected(task, corridors, robot, r, k):
+    # whether the interval at a sample overlaps the one before
+    before, here = corridors.begin[r, k - 1], corridors.begin[r, k]
+    if _reaches(task, corridors, robot, r, k - 1, here):
+        return True
+    farthest = corridors.free[1 if here > before else 0, r, k - 1]
+    return _reaches(task, corridors, robot, r, k, farthest)

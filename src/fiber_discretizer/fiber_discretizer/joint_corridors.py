@@ -14,7 +14,7 @@ from fiber_core.clearance import (
 from fiber_core.corridor import JointCorridors
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
-from fiber_discretizer.corridor import free_intervals
+from fiber_discretizer.corridor import Task, free_intervals
 
 __all__ = ["joint_corridors"]
 
@@ -44,12 +44,14 @@ def joint_corridors(plane: FocalPlane, motion: SegmentMotion, safety: Safety) ->
     pairs = certified_pairs(plane, motion, safety)
     required = safety.required_mm(plane, motion, pairs) - _TOLERANCE_MM
     table, levers = bodies_of(plane).table, levers_of(plane)
-    neighbours = neighbours_of(plane.n, pairs)
+    neighbours, rows = neighbours_of(plane.n, pairs), np.arange(plane.n)
     bounds = np.empty((2, plane.n, 2, _INSTANTS))
     for joint in (0, 1):
         bounds[:, :, joint] = free_intervals(
-            table, levers, plane.limits, motion.arrays, neighbours, required,
-            joint, times, sent, _REACH_RAD,
+            Task(
+                table, levers, plane.limits, motion.arrays, neighbours, required,
+                rows, joint, times, sent, _REACH_RAD,
+            )
         )  # fmt: skip
     # a robot that stands beyond its limits is inside its own corridor
     return JointCorridors(lasts_s, np.minimum(bounds[0], sent), np.maximum(bounds[1], sent))

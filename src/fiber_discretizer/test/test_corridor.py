@@ -15,7 +15,13 @@ from fiber_core.clearance import (
 )
 from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
-from fiber_discretizer.corridor import FINEST_RAD, corridor_bounds, free_intervals
+from fiber_discretizer.corridor import (
+    FINEST_RAD,
+    Task,
+    free_intervals,
+    keep_inside,
+    open_corridors,
+)
 
 REQUIRED_MM = 0.1
 TRIANGLE = [[0.0, 0.0], [10.4, 0.0], [5.2, 9.0]]
@@ -31,36 +37,41 @@ def random_motion(rng, n):
     return SegmentMotion(start, offsets, rng.uniform(0.1, 0.6, offsets[-1]), speeds)
 
 
-def scene_of(plane, motion):
-    """What both functions take first, the sample times, and the angles of all robots then."""
+def task_of(plane, motion, rows, joint):
+    """A joint of some robots among the others, and the angles of all robots at the samples."""
     times = np.linspace(0.0, 1.5, SAMPLES)
     angles = np.stack([motion(t) for t in times], axis=-1)
     pairs = neighbour_pairs(plane)
-    scene = (
-        bodies_of(plane).table,
-        levers_of(plane),
-        plane.limits,
-        motion.arrays,
-        neighbours_of(plane.n, pairs),
-        np.full(len(pairs), REQUIRED_MM),
+    task = Task(
+        table=bodies_of(plane).table,
+        levers=levers_of(plane),
+        limits=plane.limits,
+        motion=motion.arrays,
+        neighbours=neighbours_of(plane.n, pairs),
+        required=np.full(len(pairs), REQUIRED_MM),
+        rows=np.array(rows),
+        joint=joint,
+        times=np.tile(times, (len(rows), 1)),
+        desired=angles[rows],
+        reach=REACH_RAD,
     )
-    return scene, times, angles
+    return task, angles
 
 
 def bounds(plane, motion, joint, side):
-    """Bounds of a joint of robot 0 among the others, around its own motion."""
-    scene, times, angles = scene_of(plane, motion)
-    low, high, is_open = corridor_bounds(
-        *scene, np.array([0]), joint, times[None], angles[:1], side, REACH_RAD
-    )
-    return angles, low[0], high[0], bool(is_open[0])
+    """Bounds of a joint of robot 0 among the others, around its own motion, all traced."""
+    task, angles = task_of(plane, motion, [0], joint)
+    corridors = open_corridors(task, side)
+    for w in range(2):
+        keep_inside(task, corridors, task.rows, corridors.bounds[w].copy(), 0.0)
+    np.testing.assert_array_equal(corridors.free, corridors.bounds)
+    return angles, *corridors.bounds[:, 0], bool(corridors.is_open[0])
 
 
 def intervals(plane, motion, joint):
     """Free intervals of a joint of robot 0 among the others."""
-    scene, times, angles = scene_of(plane, motion)
-    times = np.tile(times, (plane.n, 1))
-    low, high = free_intervals(*scene, joint, times, angles, REACH_RAD)
+    task, angles = task_of(plane, motion, np.arange(plane.n), joint)
+    low, high = free_intervals(task)
     return angles, low[0], high[0]
 
 
@@ -122,6 +133,30 @@ def test_a_joint_is_free_between_the_ends_of_its_interval(plane_at, seed, joint)
     for part in np.linspace(0.0, 1.0, 9):
         turned = low + part * (high - low)
         assert np.all(least_spare_gap(plane, angles, joint, turned)[wide] >= -1e-9)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    joint=st.sampled_from([0, 1]),
+    side=st.sampled_from([-1, 0, 1]),
+)
+def test_a_path_inside_is_free_and_a_path_outside_meets_a_traced_bound(plane_at, seed, joint, side):
+    rng = np.random.default_rng(seed)
+    plane = plane_at(TRIANGLE, obstacles=[[-4.0, 5.0, 1.5]])
+    task, angles = task_of(plane, random_motion(rng, 3), [0], joint)
+    corridors = open_corridors(task, side)
+    if not corridors.is_open[0]:
+        return
+    low, high = corridors.bounds[:, 0].copy()
+    paths = low + rng.random() * (high - low)
+    inside = keep_inside(task, corridors, task.rows, paths[None], 0.0)[0]
+    beyond = (paths < corridors.bounds[0, 0]) | (paths > corridors.bounds[1, 0])
+    assert inside == (not beyond.any())
+    assert np.all((corridors.free == corridors.bounds).any(axis=0)[0][beyond])
+    gap = least_spare_gap(plane, angles, joint, paths)
+    assert np.all(gap[~beyond] >= -1e-9)
+    clipped = np.clip(paths, *corridors.bounds[:, 0])[None]
+    assert keep_inside(task, corridors, task.rows, clipped, 0.0)[0]
 
 
 @pytest.mark.parametrize("side", [1, -1])

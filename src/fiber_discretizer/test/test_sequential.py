@@ -19,7 +19,7 @@ from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import DiscretizeOptions, discretize
-from fiber_discretizer.corridor import corridor_bounds
+from fiber_discretizer.corridor import open_corridors
 from fiber_discretizer.sequential import candidates
 from fiber_discretizer.sequential.segment_plan import SegmentPlan
 from fiber_discretizer.sequential.selection import Selection
@@ -201,11 +201,11 @@ def test_one_thread_and_two_give_the_same_bytes(monkeypatch):
     trajectory = SampledMotion([0.0, 2.5], np.stack([start, goal], axis=2))  # many pairs collide
     units, calls, wires = WireUnits.for_plane(plane), [], []
 
-    def counted_bounds(*arguments):
+    def counted_corridors(*arguments):
         calls.append(candidates._LEAST_SHARE)
-        return corridor_bounds(*arguments)
+        return open_corridors(*arguments)
 
-    monkeypatch.setattr(candidates, "corridor_bounds", counted_bounds)
+    monkeypatch.setattr(candidates, "open_corridors", counted_corridors)
     for least in (1, 1000):
         monkeypatch.setattr(candidates, "_LEAST_SHARE", least)
         wires.append(discretize(plane, trajectory, units, SAFETY).wire.decoded())

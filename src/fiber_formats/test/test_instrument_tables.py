@@ -150,3 +150,17 @@ def test_a_dropped_column_is_refused_or_said(kind, name):
         if not is_same(layout.plane, whole(kind).plane):
             assert said(layout) - said(whole(kind)), f"nothing says that {column} is missing"
     assert refused > 0
+
+
+@pytest.mark.parametrize("scale", ["SZ_CW_P", "SZ_CCW_P"])
+def test_a_lost_scale_of_linear_motors_is_named(scale):
+    name = "desi_calibration.csv"
+    table = undamaged(name).copy()
+    table["zeno_motor_p"] = ["True"] * len(table)
+    for way in ("sz_cw_p", "sz_ccw_p"):
+        table[way] = ["0.5"] * len(table)
+    complete = read("calibration", name, written(name, table))
+    assert not any(scale in notice for notice in complete.notices)
+    table.remove_column(scale.lower())
+    layout = read("calibration", name, written(name, table))
+    assert any(f"no column {scale}" in notice for notice in layout.notices), layout.notices

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit sampled joint profiles with few straight lines that stay inside a corridor."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +56,17 @@ class Polylines:
         angles = np.concatenate([theta.angles, phi.angles])
         return cls(parts.offsets, times[knots], angles[knots])
 
+    @classmethod
+    def concatenate(cls, several: Sequence["Polylines"]) -> "Polylines":
+        """Return all profiles of several, in order.
+
+        Args:
+            several: the profiles to put together.
+        """
+        parts = Parts.concatenate([each.parts for each in several])
+        times = np.concatenate([each.time_s for each in several])
+        return cls(parts.offsets, times, np.concatenate([each.angles for each in several]))
+
     @property
     def parts(self) -> Parts:
         """The knots of each profile, as parts of the flat arrays."""
@@ -77,6 +88,15 @@ class Polylines:
         times = np.concatenate([self.time_s, other.time_s])
         angles = np.concatenate([self.angles, other.angles])
         return Polylines(parts.offsets, times[knots], angles[knots])
+
+    def of(self, rows: ArrayLike) -> "Polylines":
+        """Return some of these profiles.
+
+        Args:
+            rows: the profiles, shape (r,).
+        """
+        parts, knots = self.parts.select(rows)
+        return Polylines(parts.offsets, self.time_s[knots], self.angles[knots])
 
     def __call__(self, time_s: ArrayLike) -> Floats:
         """Return the joint angles at increasing times [rad], shape (p, t).

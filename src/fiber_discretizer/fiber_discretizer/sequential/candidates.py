@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from fiber_core import kinematics
-from fiber_core.array_types import Bools, Counts, Floats, Ints, Mask, Rows
+from fiber_core.array_types import Counts, Floats, Ints, Mask, Rows
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer.corridor import corridor_bounds
+from fiber_discretizer.corridor import Corridors, Task, keep_inside, open_corridors
 from fiber_discretizer.fit.linearize import Polylines, linearize
 from fiber_discretizer.options import DiscretizeOptions
 from fiber_discretizer.quantize import Rounding, quantize
@@ -23,7 +23,7 @@ __all__ = ["Candidates"]
 
 _THREADS = 2  # that trace corridors
 _LEAST_SHARE = 8  # robots of a thread: a few are done sooner than a thread begins
-_INTERVALS = 48  # of the time grid of a corridor
+_INTERVALS = 24
 _SHARES = np.linspace(0.0, 1.0, _INTERVALS + 1)
 _FINEST_MM = 0.001  # smallest width within which a trajectory is traced
 _PAD_RAD = 0.01  # kept from the bounds of a corridor, which hold at its samples only
@@ -116,8 +116,7 @@ class Candidates:
         lines = [self._line(rows, j, windows[:, j]) for j in (0, 1)]
         times = windows[:, :, 1].max(axis=1)[:, None] * _SHARES
         desired = np.stack([line.at(times) for line in lines], axis=1)
-        bounds = self._bounds(rows, motion, required_mm, joint, times, desired, side)
-        lines[joint], found = self._path(rows, joint, times, desired, bounds)
+        lines[joint], found = self._through(rows, motion, required_mm, joint, times, desired, side)
         return self._rounded(rows, lines), found
 
     def along_trajectory(
@@ -140,8 +139,9 @@ class Candidates:
         lines: dict[int, Polylines] = {}
         found = np.ones(len(rows), dtype=bool)
         for joint in (first_joint, 1 - first_joint):
-            bounds = self._bounds(rows, motion, required_mm, joint, times, desired, 0)
-            lines[joint], possible = self._path(rows, joint, times, desired, bounds)
+            lines[joint], possible = self._through(
+                rows, motion, required_mm, joint, times, desired, 0
+            )
             found &= possible
             desired[:, joint] = lines[joint].at(times)
         return self._rounded(rows, [lines[0], lines[1]]), found
@@ -205,7 +205,7 @@ class Candidates:
         after = np.take_along_axis(planned, k[:, None] + 1, axis=2)
         return before + np.clip(part, 0.0, 1.0)[:, None] * (after - before)
 
-    def _bounds(
+    def _through(
         self,
         rows: Rows,
         motion: SegmentMotion,
@@ -214,53 +214,56 @@ class Candidates:
         times: Floats,
         desired: Floats,
         side: int,
-    ) -> tuple[Floats, Floats, Bools]:
-        # Each robot has a corridor of its own, so the result does not depend on the threads.
+    ) -> tuple[Polylines, Mask]:
+        # Lines through the corridor of one joint, and which of the robots have such lines. Each
+        # robot has a corridor of its own, so the result does not depend on the threads.
         plan = self._plan
         share = max(_LEAST_SHARE, -(-len(rows) // _THREADS))
         parts = [slice(k, k + share) for k in range(0, len(rows), share)]
 
-        def bounds_of(part: slice) -> tuple[Floats, Floats, Bools]:
-            return corridor_bounds(
+        def path_of(part: slice) -> tuple[Polylines, Mask]:
+            task = Task(
                 plan.bodies.table, plan.levers_mm, plan.plane.limits, motion.arrays,
                 plan.neighbours, required_mm, rows[part], joint, times[part], desired[part],
-                side, self._options.reach_rad,
+                self._options.reach_rad,
             )  # fmt: skip
+            return self._path(task, side)
 
         if len(parts) < 2:
-            return bounds_of(slice(None))
-        low, high, is_open = zip(*self._pool.map(bounds_of, parts))
-        return np.concatenate(low), np.concatenate(high), np.concatenate(is_open)
+            return path_of(slice(None))
+        paths, found = zip(*self._pool.map(path_of, parts))
+        return Polylines.concatenate(paths), np.concatenate(found)
 
-    def _path(
-        self,
-        rows: Rows,
-        joint: int,
-        times: Floats,
-        desired: Floats,
-        bounds: tuple[Floats, Floats, Bools],
-    ) -> tuple[Polylines, Mask]:
-        # lines through the corridor of one joint, and which of the robots have such lines
-        low, high, found = bounds
-        duration = times[:, -1]
-        speed = self._speeds[rows, joint] * duration
+    def _path(self, task: Task, side: int) -> tuple[Polylines, Mask]:
+        # Paths are fitted to the bounds that are known, and again where they cross another.
+        corridors = open_corridors(task, side)
+        found = corridors.is_open.copy()
+        path = _straight(task.desired[:, task.joint])  # the caller drops those that are not found
+        left = np.flatnonzero(found)
+        while len(left):
+            fitted = self._fit(task, corridors, left)
+            possible = fitted.counts >= 0
+            found[left[~possible]] = False
+            left, fitted = left[possible], fitted.of(np.flatnonzero(possible))
+            path = path.with_profiles(left, fitted)
+            samples = fitted.at(np.tile(_SHARES, (len(left), 1)))
+            left = left[~keep_inside(task, corridors, left, samples, _PAD_RAD)]
+        time_s = path.time_s * task.times[path.parts.owner, -1]
+        return Polylines(path.offsets, time_s, path.angles), found
+
+    def _fit(self, task: Task, corridors: Corridors, places: Ints) -> Polylines:
+        # lines through the corridors at some places as far as they are known; no knots without
+        rows, joint = task.rows[places], task.joint
+        low, high = corridors.bounds[:, places]
         pad = np.minimum(_PAD_RAD, 0.25 * (high - low))
         low, high = low + pad, high - pad
-        center = np.clip(desired[:, joint], low, high)
+        center = np.clip(task.desired[places, joint], low, high)
         center[:, 0], center[:, -1] = self._plan.units.to_angles(
             np.stack([self.start[rows, joint], self.goal[rows, joint]])
         )
-        last = np.full(len(rows), _INTERVALS)
-        path = linearize(_SHARES, center, low, high, self._options.method, speed, last)
-        found = found & (path.counts >= 0)
-        if not found.all():  # a robot without a path gets one that the caller drops
-            others = np.flatnonzero(~found)
-            straight = linearize(
-                _SHARES, center[others], -np.inf, np.inf, "minimal", np.inf, last[others]
-            )
-            path = path.with_profiles(others, straight)
-        time_s = path.time_s * duration[path.parts.owner]
-        return Polylines(path.offsets, time_s, path.angles), found
+        speed = self._speeds[rows, joint] * task.times[places, -1]
+        last = np.full(len(places), _INTERVALS)
+        return linearize(_SHARES, center, low, high, self._options.method, speed, last)
 
     def _rounded(
         self, rows: Rows, lines: list[Polylines], slack: float | None = None
@@ -291,3 +294,11 @@ def _rounding_of(plane: FocalPlane, units: WireUnits, rounding: Rounding) -> Rou
     worst = max(1, int(_FIBRE_MM / max(reach_mm * units.quantum_rad, 1e-12)))
     good, worst = min(rounding.good_quanta, worst), min(rounding.worst_quanta, worst)
     return replace(rounding, good_quanta=good, worst_quanta=worst)
+
+
+def _straight(samples: Floats) -> Polylines:
+    # one line for each profile, from its first to its last sample
+    ends = samples[:, [0, -1]]
+    return Polylines(
+        2 * np.arange(len(samples) + 1), np.tile([0.0, 1.0], len(samples)), ends.ravel()
+    )

@@ -31,8 +31,16 @@ def motor_notices(columns: Columns) -> tuple[str, ...]:
         if name in columns:
             linear = np.count_nonzero(linear_motors(columns, name))
             if linear:
-                use = "its speed is not used"
-                if f"SZ_CW_{name[-1]}" in columns:
-                    use = "drives with listed speeds use its scale"
+                use = _use_of_scales(columns, name[-1])
                 notices += (f"{linear} robots have a linear motor ({name}): {use}",)
     return notices
+
+
+def _use_of_scales(columns: Columns, joint: str) -> str:
+    # what becomes of the scales of a joint, of which a table has one for each direction
+    scales = [f"SZ_{way}_{joint}" for way in ("CW", "CCW")]
+    absent = [name for name in scales if name not in columns]
+    if len(absent) == len(scales):
+        return "its speed is not used"
+    use = "drives with listed speeds use its scale"
+    return f"{use}; there is no column {absent[0]}: that way it counts as 1" if absent else use
