@@ -92,6 +92,7 @@ def run(name: str, seed: int, bare: bool) -> dict[str, object]:
     orders = make_orders(problem)
     plane, motion, margin_mm = orders.plane, orders.wire.decoded(), orders.safety.margin_mm
     bound_s = lower_bound_s(orders.start_problem)
+    at_once = pair_bound(orders.start_problem, margin_mm)
     can = reachable(orders.start_problem, neighbour_pairs(plane), margin_mm)
     reached = orders.reason == Reason.OK
     reached &= problem.asked
@@ -111,10 +112,11 @@ def run(name: str, seed: int, bare: bool) -> dict[str, object]:
         "fibres": len(plane.fibre_names),
         "asked": int(problem.asked.sum()),
         "reachable": int(can.sum()),
-        "clear_ends": pair_bound(orders.start_problem, margin_mm).robots,
+        "clear_ends": at_once.robots,
+        "clear_ends_proven": at_once.proven,
         "reached": int(reached.sum()),
         "certified": not (with_motion.any() or broken.any()),
-        "close_at_rest": int(np.count_nonzero(~with_motion)),
+        "close_at_rest": int(np.count_nonzero(~with_motion) + certificate.close_at_rest.sum()),
         "wall_contacts": int((to_walls[moves] <= 0.0).sum()),
         "least_to_walls_mm": _rounded(to_walls[moves]),
         "least_between_arms_mm": _rounded(to_arms[moves]),

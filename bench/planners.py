@@ -97,6 +97,7 @@ def run(name: str, planner: Planner, seed: int) -> dict:
         "lower_bound_s": round(bound, 4),
         "ratio": round(motion.makespan_s / bound, 4),
         "pair_bound_s": round(pairs.time_s, 4),
+        "pair_bound_proven": pairs.proven,
         "pair_ratio": round(motion.makespan_s / pairs.time_s, 4),
         "wall_s": round(orders.seconds["plan_s"], 3),
         "cpu_s": round(orders.cpu_seconds["plan_s"], 3),

@@ -87,7 +87,8 @@ def plan_metrics(
         Plain numbers and strings, ready for JSON. The peak of motors is the largest share of
         the motors of a supply, or of a bus, that turn at once. Segments are counted per motor that
         moves. The end error is the distance from the fibre at the end of the motion to
-        the target, over the robots that reached their target.
+        the target, over the robots that reached their target. Pairs that are close at rest are
+        nearer than the margin and may not move.
     """
     plane = problem.plane
     asked = problem.asked
@@ -99,6 +100,7 @@ def plan_metrics(
     true_motion = carried_out(plane.drive, motion)
     makespan_s = true_motion.makespan_s
     codes, counts = np.unique(reason[asked], return_counts=True)
+    close = certificate.pairs[certificate.close_at_rest]
     return {
         "plane": plane.name,
         "drive": plane.drive.name,
@@ -119,6 +121,7 @@ def plan_metrics(
         "motors_on_peak": float(most_motors_on(true_motion, plane.supply).max(initial=0.0)),
         "drive_violations": int(certificate.limits_broken.sum()),
         "certified": certificate.ok,
+        "close_at_rest_ids": [_names(plane, pair) for pair in close.tolist()],
         "min_clearance_mm": certificate.min_gap_mm if certificate.min_pair else None,
         "min_clearance_ids": _names(plane, certificate.min_pair),
         "min_clearance_time_s": certificate.min_time_s if certificate.min_pair else None,
@@ -131,5 +134,14 @@ def plan_metrics(
 
 
 def _names(plane: FocalPlane, pair: Iterable[int]) -> list[int | str]:
-    # ids of robots, and obstacles by number
-    return [int(plane.ids[row]) if row < plane.n else f"obstacle {row - plane.n}" for row in pair]
+    # ids of robots; obstacles and walls by number
+    names: list[int | str] = []
+    for row in pair:
+        number = row - plane.n
+        if number < 0:
+            names.append(int(plane.ids[row]))
+        elif number < len(plane.obstacles):
+            names.append(f"obstacle {number}")
+        else:
+            names.append(f"wall {number - len(plane.obstacles)}")
+    return names

@@ -40,7 +40,7 @@ class Discretization:
         reason: Reason of each robot, shape (n,): OK, BAD_TRAJECTORY, DISABLED,
             TOO_MANY_SEGMENTS or UNSAFE.
         certificate: certificate of wire.decoded() over the whole plane. It is not ok
-            only where robots at rest are too close already.
+            only where robots at rest are too close already, one of which could move.
         rounds: how often robots without a safe motion were tried again.
     """
 

@@ -165,6 +165,11 @@ class DiscretizerNode(ManagedNode):
             self.get_logger().warning(
                 f"plan {attempt}: robots {robots} stand too close to a neighbour and rest"
             )
+        if (close := certificate.close_at_rest_robots).any():
+            self.get_logger().info(
+                f"plan {attempt}: disabled robots {ids[close].tolist()} are nearer than the margin "
+                f"to something that does not move either"
+            )
         moving = int(wire.moves.sum())
         clearance = f"{certificate.min_gap_mm:.4f}"
         self.reporter.counters |= {

@@ -5,7 +5,9 @@ Declarations are read for the names of columns; a column declared as an array of
 several texts a row. Format: SDSS, https://www.sdss.org/dr17/software/par/.
 """
 
+import difflib
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -18,6 +20,7 @@ __all__ = ["is_yanny", "yanny_tables"]
 _STRUCT = re.compile(r"typedef\s+struct\s*\{(.*?)\}\s*(\w+)\s*;", re.DOTALL)
 _ENUM = re.compile(r"typedef\s+enum\s*\{.*?\}\s*\w+\s*;", re.DOTALL)
 _MEMBER = re.compile(r"(\w+)\s+(\w+)((?:\s*\[\s*\d*\s*\])*)\s*;")
+_NEAR = 0.75  # ratio of equal letters from which a keyword counts as a misspelt structure
 _WORD = re.compile(r'"((?:[^"\\]|\\.)*)"|\{\s*\{\s*\}\s*\}|\{([^{}]*)\}|([^\s"{}]+)')
 
 
@@ -46,19 +49,21 @@ def yanny_tables(name: str, text: str) -> tuple[Table, ...]:
         raise FormatError(f"{name} declares no yanny structure")
     rows: dict[str, list[list[str | list[str]]]] = {key: [] for key in structures}
     lines: dict[str, list[int]] = {key: [] for key in structures}
-    for number, line in _data_lines(text):
+    for number, line in _data_lines(name, text):
         key = line.split(None, 1)[0].upper()
         if key in structures:
             words = _words(name, number, line)[1:]
             _check_row(name, number, words, structures[key])
             rows[key].append(words)
             lines[key].append(number)
+        else:
+            _check_keyword(name, number, line, structures)
     return tuple(
         _table(f"{name} {key}", structures[key], rows[key], lines[key]) for key in structures
     )
 
 
-def _data_lines(text: str) -> list[tuple[int, str]]:
+def _data_lines(name: str, text: str) -> list[tuple[int, str]]:
     def blank(found: re.Match[str]) -> str:
         return "\n" * found.group(0).count("\n")  # declarations keep the numbers of lines
 
@@ -73,6 +78,8 @@ def _data_lines(text: str) -> list[tuple[int, str]]:
         pending = ""
         if joined and joined[0] != "#":
             found.append((number, joined))
+    if pending.strip():
+        raise FormatError(f"{name}: line {number} goes on, but the file ends there")
     return found
 
 
@@ -95,6 +102,15 @@ def _words(name: str, number: int, line: str) -> list[str | list[str]]:
             words.append(plain if plain is not None else quoted or "")
         at = found.end()
     return words
+
+
+def _check_keyword(name: str, number: int, line: str, structures: Iterable[str]) -> None:
+    # A line that is no row of a structure gives the value of a keyword; it is refused where it may
+    # be a row under a misspelt name.
+    key = line.split(None, 1)[0]
+    if (meant := difflib.get_close_matches(key.upper(), structures, 1, _NEAR)) or "{" in line:
+        hint = f"; is {meant[0]} meant?" if meant else ""
+        raise FormatError(f"{name}: line {number} is of no structure: {key[:40]}{hint}")
 
 
 def _check_row(

@@ -53,8 +53,8 @@ def certified_elsewhere(
 ) -> tuple[SegmentMotion, np.ndarray, Certificate]:
     """Hold no robot: the coordinator certifies what the sectors hold, all together."""
     nothing, none = np.zeros(0), np.zeros(plane.n, dtype=bool)
-    pairs = np.zeros((0, 2), dtype=np.int64)
-    certificate = Certificate(pairs, nothing, nothing, nothing, np.zeros(0, dtype=bool), none, none)
+    pairs, no_pair = np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=bool)
+    certificate = Certificate(pairs, nothing, nothing, nothing, no_pair, none, none, no_pair)
     return motion, none, certificate
 
 

@@ -36,10 +36,14 @@ class Certificate:
         gap_mm: lower bound of the smallest gap of each pair [mm], shape (p,); within the
             tolerance of that gap where it is below the required gap or the smallest of all.
         time_s: instant of the smallest gap found of each pair [s], shape (p,).
-        unsafe: pairs not proven to keep their required gap, shape (p,).
+        unsafe: pairs not proven to keep their required gap, shape (p,), without those of
+            close_at_rest.
         limits_broken: robots that move a joint or a coupled motor outside its limits or faster than
             it can, or a joint harder than it can, shape (n,).
         moved_disabled: disabled robots that move, shape (n,).
+        close_at_rest: pairs nearer than their required gap, but apart, of bodies that may not
+            move: disabled robots at rest, obstacles and walls, shape (p,). They are a fact of the
+            plane that no motion can mend.
     """
 
     pairs: Pairs
@@ -49,6 +53,7 @@ class Certificate:
     unsafe: Mask
     limits_broken: Mask
     moved_disabled: Mask
+    close_at_rest: Mask
 
     def __post_init__(self):
         for name, value in list(vars(self).items()):
@@ -64,8 +69,16 @@ class Certificate:
     @property
     def unsafe_robots(self) -> Mask:
         """Robots in an unsafe pair, shape (n,)."""
+        return self._robots_in(self.unsafe)
+
+    @property
+    def close_at_rest_robots(self) -> Mask:
+        """Disabled robots in a pair of close_at_rest, shape (n,)."""
+        return self._robots_in(self.close_at_rest)
+
+    def _robots_in(self, which: Mask) -> Mask:
         n = len(self.limits_broken)
-        rows = self.pairs[self.unsafe].ravel()
+        rows = self.pairs[which].ravel()
         found = np.zeros(n, dtype=bool)
         found[rows[rows < n]] = True
         return found
@@ -242,15 +255,29 @@ def certificate_of(
         tolerance_mm: resolution of the smallest gap [mm].
     """
     _resolve_smallest(bodies_of(plane), motion, pairs, required, minima, tolerance_mm)
+    below = minima.lower < required
+    fixed = below & fixed_pairs(plane, pairs) & (minima.lower > 0.0)
+    fixed &= ~_with_fixtures(plane, motion.moves)[pairs].any(axis=1)
     return Certificate(
         pairs=pairs,
         required_mm=required,
         gap_mm=minima.lower,
         time_s=minima.time_s,
-        unsafe=minima.lower < required,
+        unsafe=below & ~fixed,
         limits_broken=limits_broken(plane, motion),
         moved_disabled=moved_disabled(plane, motion),
+        close_at_rest=fixed,
     )
+
+
+def fixed_pairs(plane: FocalPlane, pairs: Pairs) -> Mask:
+    """Return the pairs of bodies that may not move: disabled robots and fixtures, shape (p,)."""
+    return ~_with_fixtures(plane, plane.enabled)[pairs].any(axis=1)
+
+
+def _with_fixtures(plane: FocalPlane, robots: Mask) -> Mask:
+    # a mask of bodies from one of robots; obstacles and walls are not in it
+    return np.append(robots, np.zeros(plane.fixtures, dtype=bool))
 
 
 def limits_broken(plane: FocalPlane, motion: SegmentMotion | CurveMotion) -> Mask:

@@ -9,6 +9,7 @@ from fiber_core.clearance.certificate import (
     Certificate,
     certificate_of,
     certified_pairs,
+    fixed_pairs,
     limits_broken,
     moved_disabled,
     orders_refused,
@@ -66,7 +67,7 @@ def hold_until_safe(
     faulty |= orders_refused(plane, motion, true_motion)
     search.hold(faulty)
     search.hold_until_covered()
-    if not search.unsafe.any():
+    if not (search.unsafe & ~fixed_pairs(plane, search.pairs)).any():
         candidates = ~faulty
         while candidates.any():
             candidates = search.release(candidates) & ~faulty

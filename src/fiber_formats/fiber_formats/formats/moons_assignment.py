@@ -55,6 +55,10 @@ def _rows(source: Source) -> Floats:
     rows = numbers_of(source.only, _COLUMNS)
     if rows is None:
         raise FormatError(f"{source.name} has not {_COLUMNS} numbers in each row")
+    negative = (rows[:, [0, 2]] < 0.0).any(axis=1)
+    if negative.any():
+        at = int(np.argmax(negative))
+        raise FormatError(f"{source.name}: robot {at}: a radius is negative: {rows[at].tolist()}")
     return rows
 
 

@@ -25,6 +25,7 @@ __all__ = ["FORMAT"]
 _IN_MODULE = 57
 _NOTE_SCALE = 0.05  # relative difference from the known pitch from which a notice says so
 _LIMITS = ("cobra_id", "theta_limit_1", "theta_limit_2", "max_phi_angle")
+_CONTAINER = "ARM_DATA_CONTAINER"  # of one cobra
 _HEADER = ("Module_Id", "Positioner_Id", "Status")
 _KINEMATICS = (
     "Global_base_pos_x",
@@ -37,6 +38,7 @@ _KINEMATICS = (
     "Link2_Link_Length",
     "Pixel_scale",
 )
+_PARTS = (("DATA_HEADER", _HEADER), ("KINEMATICS", _KINEMATICS))
 
 
 def matches(source: Source) -> bool:
@@ -56,12 +58,14 @@ def layout(source: Source) -> LayoutColumns:
     if len(tables) > 1:
         raise FormatError(f"{source.name}: one table of interference limits is read")
     for file in tables:
-        limit = _phi_limits(file, ids)
+        limit, of_others = _phi_limits(file, ids)
         phi_max = np.fmin(phi_max, phi_low - 180 + limit)
         notices += (
             f"{np.count_nonzero(np.isfinite(limit))} robots have an interference limit: "
             "phi is limited for every theta, the file limits it only between theta_limit_1 and 2",
         )
+        if of_others:
+            notices += (f"interference limits of cobras that are not there: {of_others}",)
     if len(np.unique(ids)) < len(ids):
         raise FormatError(f"{source.name}: a cobra stands twice, in one module or two files")
     found = {
@@ -93,15 +97,18 @@ def _cobras(file: DataFile) -> Floats:
     except (ElementTree.ParseError, ValueError) as error:
         raise FormatError(f"{file.name} is not XML: {error}") from None
     rows = []
-    for number, cobra in enumerate(root.iter("ARM_DATA_CONTAINER")):
-        row = []
-        for part, names in (("DATA_HEADER", _HEADER), ("KINEMATICS", _KINEMATICS)):
-            for name in names:
-                text = cobra.findtext(f"{part}/{name}")
-                row.append(_number(file.name, number, name, text))
-        rows.append(row)
+    for number, cobra in enumerate(root):
+        if cobra.tag != _CONTAINER:
+            raise FormatError(f"{file.name}: {cobra.tag} stands where {_CONTAINER} is expected")
+        rows.append(
+            [
+                _number(file.name, number, name, cobra.findall(f"{part}/{name}"))
+                for part, names in _PARTS
+                for name in names
+            ]
+        )
     if not rows:
-        raise FormatError(f"{file.name} has no ARM_DATA_CONTAINER")
+        raise FormatError(f"{file.name} has no {_CONTAINER}")
     values = np.array(rows)
     for k, name in enumerate(_HEADER):
         whole = (values[:, k] == np.rint(values[:, k])) & (values[:, k] >= (0 if k == 2 else 1))
@@ -111,7 +118,10 @@ def _cobras(file: DataFile) -> Floats:
     return values
 
 
-def _number(name: str, number: int, key: str, text: str | None) -> float:
+def _number(name: str, number: int, key: str, found: list[ElementTree.Element]) -> float:
+    if len(found) > 1:
+        raise FormatError(f"{name}: container {number + 1}: {key} stands {len(found)} times")
+    text = found[0].text if found else None
     try:
         value = float("" if text is None or "_" in text else text)
     except ValueError:
@@ -121,7 +131,8 @@ def _number(name: str, number: int, key: str, text: str | None) -> float:
     return value
 
 
-def _phi_limits(file: DataFile, ids: Ids) -> Floats:
+def _phi_limits(file: DataFile, ids: Ids) -> tuple[Floats, list[int]]:
+    # the limit of each cobra, and the cobras with a limit that are not there
     columns = Columns(file.table_with(*_LIMITS))
     cobra = columns.ids("cobra_id")
     limit = columns.numbers("max_phi_angle", "deg", missing=True)
@@ -130,7 +141,8 @@ def _phi_limits(file: DataFile, ids: Ids) -> Floats:
         columns.refuse_rows(lacks, name, "must be given or missing with max_phi_angle")
     columns.check()
     limits = dict(zip(cobra.tolist(), limit.tolist()))
-    return np.array([limits.get(i, np.nan) for i in ids.tolist()])
+    others = cobra[np.isfinite(limit) & ~np.isin(cobra, ids)]
+    return np.array([limits.get(i, np.nan) for i in ids.tolist()]), others.tolist()
 
 
 def _scale_notice(centers: Floats, mm: Floats) -> tuple[str, ...]:
