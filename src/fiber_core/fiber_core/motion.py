@@ -20,12 +20,22 @@ from fiber_core.joint_segments import JointSegments, profile_rows
 from fiber_core.ragged import Parts
 from fiber_core.validation import frozen_array
 
-__all__ = ["CurveArrays", "MotionArrays", "SampledMotion", "SegmentMotion", "profile_rows"]
+__all__ = [
+    "AngleSegments",
+    "CurveArrays",
+    "Extremes",
+    "MotionArrays",
+    "SampledMotion",
+    "SegmentMotion",
+    "profile_rows",
+]
 
 # start, offsets, duration_s and velocity_rad_s of a SegmentMotion
 MotionArrays: TypeAlias = tuple[Angles, Offsets, Floats, Floats]
 # the same and the acceleration of each piece, an empty array if no piece has one
 CurveArrays: TypeAlias = tuple[Angles, Offsets, Floats, Floats, Floats]
+# lowest and highest angle, highest speed and highest acceleration of each joint
+Extremes: TypeAlias = tuple[Angles, Angles, Velocities, Floats]
 
 
 def _finite(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Floats:
@@ -113,8 +123,54 @@ class SampledMotion:
         return step / (self.time_s[k + 1] - self.time_s[k])
 
 
+class AngleSegments(JointSegments):
+    """What motions in rad and s have in common: extremes and times of their joints."""
+
+    start: Angles
+    duration_s: Floats
+
+    @cached_property
+    def _extremes(self) -> Extremes:
+        raise NotImplementedError
+
+    @property
+    def lowest(self) -> Angles:
+        """Lowest angle of each joint [rad], shape (n, 2)."""
+        return self._extremes[0]
+
+    @property
+    def highest(self) -> Angles:
+        """Highest angle of each joint [rad], shape (n, 2)."""
+        return self._extremes[1]
+
+    @property
+    def fastest(self) -> Velocities:
+        """Highest speed of each joint [rad/s], shape (n, 2)."""
+        return self._extremes[2]
+
+    @property
+    def hardest(self) -> Floats:
+        """Highest acceleration of each joint, either sign [rad/s2], shape (n, 2)."""
+        return self._extremes[3]
+
+    @cached_property
+    def durations(self) -> Floats:
+        """Time that each joint takes [s], shape (n, 2)."""
+        return self._sums(self.duration_s)
+
+    @property
+    def makespan_s(self) -> float:
+        """Time that the slowest joint takes [s]."""
+        return float(self.durations.max(initial=0.0))
+
+    @cached_property
+    def begins_s(self) -> Times:
+        """When each segment begins: exactly when the segment before it ends [s], shape (m,)."""
+        return self.parts.before(self.duration_s)
+
+
 @dataclass(frozen=True, eq=False)
-class SegmentMotion(JointSegments):
+class SegmentMotion(AngleSegments):
     """Joint profiles of constant-velocity segments, all starting at time zero.
 
     Args:
@@ -188,48 +244,14 @@ class SegmentMotion(JointSegments):
         return *self.arrays, np.zeros(0)
 
     @cached_property
-    def _extremes(self) -> tuple[Angles, Angles, Velocities]:
-        return _extremes(self.start, self.offsets, self.duration_s, self.velocity_rad_s)
-
-    @property
-    def lowest(self) -> Angles:
-        """Lowest angle of each joint [rad], shape (n, 2)."""
-        return self._extremes[0]
-
-    @property
-    def highest(self) -> Angles:
-        """Highest angle of each joint [rad], shape (n, 2)."""
-        return self._extremes[1]
-
-    @property
-    def fastest(self) -> Velocities:
-        """Highest speed of each joint [rad/s], shape (n, 2)."""
-        return self._extremes[2]
-
-    @property
-    def hardest(self) -> Floats:
-        """Highest acceleration of each joint [rad/s2], shape (n, 2): none is given, so zeros."""
-        return np.zeros((self.n, 2))
-
-    @cached_property
-    def durations(self) -> Floats:
-        """Time that each joint takes [s], shape (n, 2)."""
-        return self._sums(self.duration_s)
+    def _extremes(self) -> Extremes:
+        found = _extremes(self.start, self.offsets, self.duration_s, self.velocity_rad_s)
+        return *found, np.zeros((self.n, 2))  # no accelerations are given
 
     @cached_property
     def end(self) -> Angles:
         """Joint angles after the motion [rad], shape (n, 2)."""
         return self.start + self._sums(self.duration_s * self.velocity_rad_s)
-
-    @property
-    def makespan_s(self) -> float:
-        """Time that the slowest joint takes [s]."""
-        return float(self.durations.max(initial=0.0))
-
-    @cached_property
-    def begins_s(self) -> Times:
-        """When each segment begins: exactly when the segment before it ends [s], shape (m,)."""
-        return self.parts.before(self.duration_s)
 
     def __call__(self, t: float) -> Angles:
         """Return the joint angles at time t [s]: [rad], shape (n, 2)."""

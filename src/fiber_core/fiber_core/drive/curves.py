@@ -8,11 +8,10 @@ from typing import ClassVar
 import numba as nb
 import numpy as np
 
-from fiber_core.array_types import Angles, Floats, Offsets, Times, Velocities
+from fiber_core.array_types import Angles, Floats, Offsets, Velocities
 from fiber_core.drive.drive import Drive
 from fiber_core.drive.rules import ramps_of
-from fiber_core.joint_segments import JointSegments
-from fiber_core.motion import CurveArrays, SegmentMotion
+from fiber_core.motion import AngleSegments, CurveArrays, Extremes, SegmentMotion
 from fiber_core.ragged import Parts
 
 __all__ = ["CurveMotion", "carried_out"]
@@ -21,7 +20,7 @@ _SAME_S = 1e-12  # two changes of the law that are nearer than this are one
 
 
 @dataclass(frozen=True, eq=False)
-class CurveMotion(JointSegments):
+class CurveMotion(AngleSegments):
     """Joint profiles of constant acceleration, piece by piece, all starting at time zero.
 
     It has the properties of a SegmentMotion, and the certificate takes it in its place. Made by
@@ -57,43 +56,8 @@ class CurveMotion(JointSegments):
         return self.start, self.offsets, *columns
 
     @cached_property
-    def _extremes(self) -> tuple[Angles, Angles, Velocities, Floats]:
+    def _extremes(self) -> Extremes:
         return _extremes(*self.curve_arrays, self.angle_rad)
-
-    @property
-    def lowest(self) -> Angles:
-        """Lowest angle of each joint [rad], shape (n, 2)."""
-        return self._extremes[0]
-
-    @property
-    def highest(self) -> Angles:
-        """Highest angle of each joint [rad], shape (n, 2)."""
-        return self._extremes[1]
-
-    @property
-    def fastest(self) -> Velocities:
-        """Highest speed of each joint [rad/s], shape (n, 2)."""
-        return self._extremes[2]
-
-    @property
-    def hardest(self) -> Floats:
-        """Highest acceleration of each joint, either sign [rad/s2], shape (n, 2)."""
-        return self._extremes[3]
-
-    @cached_property
-    def durations(self) -> Floats:
-        """Time that each joint takes [s], shape (n, 2)."""
-        return self._sums(self.duration_s)
-
-    @property
-    def makespan_s(self) -> float:
-        """Time that the slowest joint takes [s]."""
-        return float(self.durations.max(initial=0.0))
-
-    @cached_property
-    def begins_s(self) -> Times:
-        """When each piece begins [s], shape (m,)."""
-        return self.parts.before(self.duration_s)
 
     def __call__(self, t: float) -> Angles:
         """Return the joint angles at time t [s]: [rad], shape (n, 2)."""
