@@ -272,7 +272,8 @@ def certificate_of(
 
 def fixed_pairs(plane: FocalPlane, pairs: Pairs) -> Mask:
     """Return the pairs of bodies that may not move: disabled robots and fixtures, shape (p,)."""
-    return ~_with_fixtures(plane, plane.enabled)[pairs].any(axis=1)
+    fixed: Mask = np.all(~_with_fixtures(plane, plane.enabled)[pairs], axis=1)
+    return fixed
 
 
 def _with_fixtures(plane: FocalPlane, robots: Mask) -> Mask:
