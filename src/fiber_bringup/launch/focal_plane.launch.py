@@ -60,6 +60,11 @@ _ARGUMENTS = {
     "faults": ("", "simulated faults, as stall:2,scl_stuck"),
     "folder": ("recordings", "folder of the recordings"),
     "camera": ("false", "start metrology and a simulated camera, for reconfigure --tolerance-um"),
+    "blind_um": (
+        "0.0",
+        "error of one coordinate of a fibre after a blind move, 1 sigma [um]: blind moves keep "
+        "arms apart that are off by twice as much; 40 for the arms of a simulated camera",
+    ),
     "console": ("false", "serve the console for a browser"),
     "port": ("8137", "port of the console, on loopback"),
     "robot_model": ("-1", "id of a robot whose URDF is on robot_description; -1: none"),
@@ -87,6 +92,7 @@ def generate_launch_description() -> LaunchDescription:
         *_environment(),
         PushRosNamespace(LaunchConfiguration("namespace")),
         SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
+        OpaqueFunction(function=_check_camera),
         _plant(),
         *_control(),
         *_camera(),
@@ -215,7 +221,7 @@ def _control() -> list[Node]:
     of_bridge = {
         "preset": str, "robots": int, "seed": int, "layout": str, "starts": str,
         "spacing_mm": float, "problem": str, "time_scale": float, "plant": str,
-        "disabled_file": str, "autostart": bool,
+        "disabled_file": str, "autostart": bool, "blind_um": float,
     }  # fmt: skip
     return [
         _node("fiber_bus_bridge", "bridge", of_bridge, condition=IfCondition(_one_bridge())),
@@ -240,6 +246,22 @@ def _camera() -> list[Node]:
 
 def _one_bridge() -> EqualsSubstitution:
     return EqualsSubstitution(LaunchConfiguration("sectors"), "0")
+
+
+def _check_camera(context: LaunchContext) -> None:
+    """Refuse what no camera can see yet.
+
+    Raises:
+        RuntimeError: a camera and sectors are asked for; `ros2 launch` shows the text.
+    """
+    given = {
+        name: LaunchConfiguration(name).perform(context).lower() for name in ("camera", "sectors")
+    }
+    if given["camera"] in ("true", "1") and given["sectors"] != "0":
+        raise RuntimeError(
+            f"camera:={given['camera']} sectors:={given['sectors']}: a camera needs one bridge "
+            "for its plane, leave out sectors or camera"
+        )
 
 
 def _sectors(context: LaunchContext) -> list[Node]:

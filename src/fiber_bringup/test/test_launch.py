@@ -333,3 +333,21 @@ def test_foxglove_shows_the_same_and_the_encoders():
     ]
     assert layout["globalVariables"] == {"theta": 0, "phi": 1}
     assert 'glob("foxglove/*.json")' in (SHARE / "setup.py").read_text()
+
+
+@pytest.mark.parametrize(
+    ("camera", "sectors", "refused"),
+    [("true", "2", True), ("1", "0-4; 5", True), ("false", "2", False), ("true", "0", False)],
+)
+def test_a_camera_with_sectors_is_refused_before_anything_is_started(
+    launch_file, camera, sectors, refused
+):
+    module, description = launch_file
+    context = SimpleNamespace(configurations={"camera": camera, "sectors": sectors})
+    if refused:
+        with pytest.raises(RuntimeError, match="a camera needs one bridge"):
+            module["_check_camera"](context)
+    else:
+        module["_check_camera"](context)
+    functions = [each.given["function"].__name__ for each in all_of(description, "OpaqueFunction")]
+    assert functions[0] == "_check_camera"

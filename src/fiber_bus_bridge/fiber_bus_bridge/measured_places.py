@@ -30,7 +30,8 @@ def place_robots(session: Session, counts: ArrayLike, chosen: ArrayLike, t: floa
         The robots whose encoders read so now, shape (n,).
 
     Raises:
-        SessionError: robots move, are stopped or have orders, or the shapes do not fit.
+        SessionError: robots move, are stopped or have orders, the session has no buses of its own,
+            or the shapes do not fit.
     """
     _require_rest(session, "be told where they are")
     counts, chosen = np.asarray(counts, dtype=np.int64), np.asarray(chosen, dtype=bool)
@@ -57,7 +58,8 @@ def widen_outlines(
             shape (n,) each.
 
     Raises:
-        SessionError: robots move, are stopped or have orders, or a bound is negative or infinite.
+        SessionError: robots move, are stopped or have orders, the session has no buses of its own,
+            or a bound is negative or infinite.
     """
     _require_rest(session, "get wider outlines")
     wider = np.stack(np.broadcast_arrays(theta_mm, phi_mm, np.zeros(exact.n)))[:2].astype(float)
@@ -77,6 +79,10 @@ def widen_outlines(
 
 
 def _require_rest(session: Session, what: str) -> None:
+    if not session.has_buses:
+        raise SessionError(
+            f"robots of sectors cannot {what}: a camera needs one bridge for its plane"
+        )
     if session.protocol.state is not State.IDLE:
         raise SessionError(
             f"robots cannot {what} while {session.state.name}: {session.state.value}"

@@ -2,6 +2,7 @@
 """A controller's session with a focal plane: configure, submit orders, start, advance, stop."""
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,6 +84,8 @@ class Session:
             plane, units, safety, self.config, self.transactions, certify,
             units.encoder_counts(plane, assumed),
         )  # fmt: skip
+
+    has_buses: ClassVar[bool] = True  # of its own; else others drive the robots for it
 
     @property
     def plane(self) -> FocalPlane:

@@ -16,14 +16,12 @@ from fiber_client.client import PlaneClient
 from fiber_client.errors import PlaneError, PlaneRefusal
 from fiber_core.array_types import Floats, Ids, Mask, Points
 from fiber_core.errors import FiberError
-from fiber_core.outcomes import Outcome, PlanOutcome, Reason, Verdict
+from fiber_core.outcomes import STILL, Outcome, PlanOutcome, Reason, Verdict
 from fiber_msgs_py import PlanStamp, topics
 from fiber_msgs_py.measured import Measured
-from fiber_node import BRIDGE
 
 __all__ = ["CameraLoop", "LoopEnd", "show_images"]
 
-_STILL = (Verdict.NOT_MOVED, Verdict.THETA_NOT_MOVED, Verdict.PHI_NOT_MOVED)
 _SHOWN = 5  # flagged robots that are named
 
 
@@ -51,11 +49,12 @@ class LoopEnd:
     ended: str = ""
 
     def images(self) -> list[dict[str, Any]]:
-        """Return figures of each image, of the robots that follow.
+        """Return figures of each image, of the robots that follow and were to move.
 
         Robots measured; rms, 99th percentile and largest of their errors [um].
         """
-        figures, follow = [], ~np.isin(self.outcome.ids, list(self.flagged))
+        planned = np.isin(self.outcome.reason, (Reason.OK, Reason.OFF_TARGET, Reason.NOT_SEEN))
+        figures, follow = [], planned & ~np.isin(self.outcome.ids, list(self.flagged))
         for errors in self.errors_mm:
             um = 1e3 * errors[np.isfinite(errors) & follow]
             row: dict[str, Any] = {"measured": len(um)}
@@ -94,30 +93,20 @@ class CameraLoop:
         self._measure = topics.MEASURE.client(self.client.node)
 
     def take_image(self) -> Measured:
-        """Let the metrology measure, and wait until the bridge knows what it found.
+        """Let the metrology measure; its answer comes when the bridge knows what it found.
 
         Raises:
             PlaneRefusal: the image cannot be used, or the bridge refuses it; gives the reason.
             NodeLost, WaitError: as in the calls of the client.
         """
-        client = self.client
-        old = {id(each) for each in self._refusals()}
-        before, known = self._taken_over(), dict(client.measured)
+        client, known = self.client, dict(self.client.measured)
         self._call_measure()
-
-        def taken() -> bool:
-            for refusal in self._refusals():
-                if refusal.stage == BRIDGE and id(refusal) not in old:
-                    raise refusal
-            return self._taken_over() != before and self._newest(known) is not None
-
-        client.wait_for(taken, self.timeout_s, "the bridge to take over what was measured")
+        client.wait_for(
+            lambda: self._newest(known) is not None, self.timeout_s, "what was measured"
+        )
         newest = self._newest(known)
         assert newest is not None
         return newest
-
-    def _refusals(self) -> list[PlaneRefusal]:
-        return [each for refused in self.client.refusals.values() for each in refused]
 
     def _call_measure(self) -> None:
         client, service = self.client, self._measure
@@ -133,10 +122,6 @@ class CameraLoop:
             stamp for stamp, table in self.client.measured.items() if table is not known.get(stamp)
         ]
         return self.client.measured[max(new)] if new else None
-
-    def _taken_over(self) -> object:
-        status = self.client.statuses.get(BRIDGE)
-        return None if status is None else status.values.get("images")
 
     def run(self, ids: Ids, xy_mm: Points, blind: PlanOutcome) -> LoopEnd:
         """Correct robots after a motion.
@@ -188,7 +173,7 @@ class CameraLoop:
             self.client.node.get_logger().warning(f"{refusal}; another image is taken")
             image = self.take_image()
         for robot, code in zip(image.ids.tolist(), image.verdict.tolist()):
-            if code in _STILL:
+            if code in STILL:
                 self._flagged.setdefault(robot, Verdict(code))
         return image
 

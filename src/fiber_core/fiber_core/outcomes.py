@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from fiber_core.array_types import Codes, Floats, Ids, Mask
 from fiber_core.errors import FiberError
 
-__all__ = ["Outcome", "PlanOutcome", "Reason", "Verdict", "first_reason", "holds"]
+__all__ = ["STILL", "Outcome", "PlanOutcome", "Reason", "Verdict", "first_reason", "holds"]
 
 
 class Outcome(IntEnum):
@@ -85,6 +85,10 @@ class Verdict(IntEnum):
     THETA_NOT_MOVED = 6
     PHI_NOT_MOVED = 7
     OFF_MODEL = 8  # further from where it should be than its errors explain
+
+
+# a joint, or both, did not turn when they were told to
+STILL = (Verdict.NOT_MOVED, Verdict.THETA_NOT_MOVED, Verdict.PHI_NOT_MOVED)
 
 
 def holds(reason: ArrayLike) -> Mask:

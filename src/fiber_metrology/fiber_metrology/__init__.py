@@ -8,7 +8,7 @@ intervals and a verdict for every robot. `fiber_metrology.camera` simulates a ca
 from fiber_metrology.angles import angles_of_places
 from fiber_metrology.calibration import Calibration, GearVerdict, calibrate
 from fiber_metrology.centroids import CentroidConfig, find_spots
-from fiber_metrology.correction import arms_within, correction_problem, follows, grown
+from fiber_metrology.correction import correction_problem, follows
 from fiber_metrology.errors import ImageError, MetrologyError
 from fiber_metrology.exposures import Lights, combine
 from fiber_metrology.identify import Identified, IdentifyConfig, identify
@@ -38,7 +38,6 @@ __all__ = [
     "Spots",
     "Verdict",
     "angles_of_places",
-    "arms_within",
     "calibrate",
     "checked_spots",
     "combine",
@@ -46,7 +45,6 @@ __all__ = [
     "find_spots",
     "fit_map",
     "follows",
-    "grown",
     "identify",
     "measure",
     "solve_plate",

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import bounds
+from fiber_core.arm_bounds import arms_within, interval_of_tips
 from fiber_core.array_types import Angles, Floats, Mask
 from fiber_core.focal_plane import FocalPlane
-from fiber_metrology.correction import arms_within, follows
+from fiber_metrology.correction import follows
 from fiber_metrology.errors import MetrologyError
 from fiber_metrology.measure import Expected, Measurement
 
@@ -47,7 +48,7 @@ class DriveErrors:
 
     def interval_rad(self, plane: FocalPlane) -> Angles:
         """Return half the width of the interval of each joint after a blind move [rad], (n, 2)."""
-        return self.sigmas * self.blind_um * 1e-3 / plane.arms / np.sqrt(2.0)
+        return interval_of_tips(plane, self.sigmas * self.blind_um * 1e-3)
 
 
 class Knowledge:

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fiber_core import bounds, kinematics
+from fiber_core.arm_bounds import interval_of_tips
 from fiber_core.array_types import Angles, Codes, Floats, Ints, Mask, Points
 from fiber_core.clearance import levers_of
 from fiber_core.focal_plane import FIXED_JOINT_RAD, FocalPlane
-from fiber_core.outcomes import Verdict
+from fiber_core.outcomes import STILL, Verdict
 from fiber_core.validation import frozen_array
 from fiber_metrology.angles import angles_of_places
 from fiber_metrology.errors import ImageError, MetrologyError
@@ -25,8 +26,8 @@ from fiber_metrology.spots import Spots
 __all__ = ["Expected", "MeasureConfig", "Measurement", "Verdict", "measure"]
 
 
-_STILL = np.array([Verdict.MEASURED, Verdict.NOT_MOVED, Verdict.THETA_NOT_MOVED,
-                   Verdict.PHI_NOT_MOVED])  # fmt: skip
+_DOUBTFUL = 2.0  # intervals of an image over those of the drive, from which on the drive is better
+_THERE = np.array([Verdict.MEASURED, *STILL])  # of a robot at each of its places
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,8 @@ class MeasureConfig:
             second robot or more; else it is not of this plane.
         off_model: distance from the expected place, in errors of that place, above which a robot is
             off its model.
+        drive_sigmas: errors of the drive at which the interval of a joint ends that the image alone
+            does not tell: theta of a folded arm, and which elbow.
         plate: what an image must have.
         identify: what is known before an image.
 
@@ -56,6 +59,7 @@ class MeasureConfig:
         "blame": bounds.Range(0.0, 0.5),
         "off_model": bounds.Range(1.0, 100.0),
         "found": bounds.Range(0.0, 1.0),
+        "drive_sigmas": bounds.Range(0.0, 10.0),
     }
 
     error_um: float = 4.5
@@ -64,6 +68,7 @@ class MeasureConfig:
     blame: float = 0.01
     off_model: float = 6.0
     found: float = 0.5
+    drive_sigmas: float = 2.0
     plate: PlateConfig = field(default_factory=PlateConfig)
     identify: IdentifyConfig = field(default_factory=IdentifyConfig)
 
@@ -147,7 +152,7 @@ class Measurement:
     @property
     def not_moved(self) -> Mask:
         """Robots of which a joint did not turn, shape (n,)."""
-        return np.isin(self.verdict, _STILL[1:])
+        return np.isin(self.verdict, STILL)
 
     def reasons(self) -> list[str]:
         """Return a line for each robot that is not simply measured, with what is known."""
@@ -210,14 +215,18 @@ def measure(
     error_mm = np.where(sure, config.error_um * 1e-3 / np.sqrt(seen), np.nan)
     bound_mm = config.sigmas * error_mm
     angles, interval, _ = angles_of_places(plane, measured, near, bound_mm)
-    verdict = np.where(sure, _STILL[np.maximum(where, 0)], Verdict.MISSING)
+    verdict = np.where(sure, _THERE[np.maximum(where, 0)], Verdict.MISSING)
     off = np.hypot(*(measured - places[:, 0]).T)
     far = off > config.off_model * sigma[:, 0]
     verdict = np.where(sure & far & (where == 0), Verdict.OFF_MODEL, verdict)
+    keeps = np.where(sure & (verdict != Verdict.OFF_MODEL), np.maximum(where, 0), -1)
+    angles, interval, bound_mm = _by_drive(
+        expected, measured, angles, interval, bound_mm, keeps, config
+    )
     verdict = np.where(has & ~certain, Verdict.AMBIGUOUS, verdict)
     # a joint is named with the doubt of blame, its place is told as a fact with less alone
     stuck = has & ~certain & (found.doubt <= config.blame) & (where > 0) & ~merged
-    verdict = np.where(stuck, _STILL[np.maximum(where, 0)], verdict)
+    verdict = np.where(stuck, _THERE[np.maximum(where, 0)], verdict)
     verdict = np.where(certain & merged, Verdict.MERGED, verdict)
     verdict = np.where(~has & (found.doubt > config.identify.certain) & (found.group >= 0),
                        Verdict.AMBIGUOUS, verdict)  # fmt: skip
@@ -231,11 +240,53 @@ def measure(
     )  # fmt: skip
 
 
+def _by_drive(
+    expected: Expected,
+    measured: Points,
+    angles: Angles,
+    interval: Angles,
+    bound_mm: Floats,
+    where: Ints,
+    config: MeasureConfig,
+) -> tuple[Angles, Angles, Floats]:
+    """Angles, intervals and bounds, by the drive where that tells more than the place.
+
+    The place says nothing of theta where an arm is folded, nor which elbow it has where it is
+    folded or stretched. Then a joint is about its counter, or about where it was before, as the
+    hypothesis `where` says and every other one with which the fibre would be there too; -1 for a
+    robot that keeps to none.
+    """
+    plane, n = expected.plane, expected.plane.n
+    drive_mm = config.drive_sigmas * np.asarray(expected.error_um) * 1e-3
+    drive_rad = interval_of_tips(plane, drive_mm)
+    known_mm = (expected.before_rad * levers_of(plane)).sum(axis=1)
+    within_mm = bound_mm + math.sqrt(2.0) * drive_mm + known_mm
+    low, high = np.full((n, 2), np.inf), np.full((n, 2), -np.inf)
+    for number in range(len(_THERE)):
+        there = _angles_there(expected, np.full(n, number))
+        half = np.where(_still(np.full(n, number)), expected.before_rad, drive_rad)
+        off_mm = np.hypot(*(measured - kinematics.forward(plane, there)[1]).T)
+        may_be = ((off_mm <= within_mm) | (where == number))[:, None]
+        low = np.where(may_be, np.minimum(low, there - half), low)
+        high = np.where(may_be, np.maximum(high, there + half), high)
+    better = (where >= 0)[:, None] & (interval > _DOUBTFUL * (high - low) / 2.0)
+    low, high = np.where(better, low, angles), np.where(better, high, angles)
+    # of an angle that the place says nothing of the middle is as likely as any
+    likely = np.where(interval >= math.pi, (low + high) / 2.0, np.clip(angles, low, high))
+    inside = np.where(better, likely, angles)
+    interval = np.where(better, np.maximum(high - inside, inside - low), interval)
+    moved_mm = np.hypot(*(kinematics.forward(plane, inside)[1] - measured).T)
+    return inside, interval, np.where(better.any(axis=1), bound_mm + moved_mm, bound_mm)
+
+
+def _still(where: Ints) -> NDArray[np.bool_]:
+    """Which joints did not turn by the hypothesis of each robot, shape (n, 2)."""
+    return np.stack([np.isin(where, (1, 2)), np.isin(where, (1, 3))], axis=1)
+
+
 def _angles_there(expected: Expected, where: Ints) -> Angles:
     """The joint angles of the hypothesis of each robot, shape (n, 2)."""
-    theta_still = np.isin(where, (1, 2))
-    phi_still = np.isin(where, (1, 3))
-    return np.where(np.stack([theta_still, phi_still], axis=1), expected.before, expected.counters)
+    return np.where(_still(where), expected.before, expected.counters)
 
 
 def _hypotheses(expected: Expected, config: MeasureConfig) -> tuple[Floats, Floats, Floats]:

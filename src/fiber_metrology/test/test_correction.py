@@ -6,9 +6,10 @@ import pytest
 from metrology_scene import N
 
 from fiber_core import kinematics
+from fiber_core.arm_bounds import arms_within, grown
 from fiber_core.clearance import levers_of
 from fiber_core.presets import preset
-from fiber_metrology import MetrologyError, arms_within, correction_problem, follows, grown
+from fiber_metrology import MetrologyError, correction_problem, follows
 
 
 def test_the_problem_starts_at_measured_angles_and_leaves_what_does_not_follow(scene):

@@ -104,3 +104,22 @@ def test_bad_expectations_are_refused_with_the_robot(scene):
         scene.expected(error_um=0.0)
     with pytest.raises(MetrologyError, match="sigmas"):
         MeasureConfig(sigmas=0.0)
+
+
+def test_theta_of_a_folded_arm_is_known_as_well_as_its_drive_keeps_it(scene):
+    scene.counters[:, 1] = scene.true[:, 1] = np.pi - 1e-3
+    scene.true[:] = scene.counters + np.deg2rad(scene.rng.uniform(-0.4, 0.4, (N, 2))) * [1.0, 0.0]
+    image = scene.measure(scene.expose(), before=scene.counters, before_rad=np.full((N, 2), 0.01))
+    assert image.certain.all()
+    assert image.interval_rad[:, 0].max() < 0.1
+    assert (np.abs(image.angles - scene.true) <= image.interval_rad + 1e-6).all()
+    # theta may have stuck: the image of a folded arm cannot tell
+    stuck = scene.counters + [0.7, 0.0]
+    image = scene.measure(scene.expose(), before=stuck, before_rad=np.full((N, 2), 0.01))
+    low, high = image.angles - image.interval_rad, image.angles + image.interval_rad
+    assert (low < scene.counters + 1e-9).all() and (high > stuck - 1e-9).all()
+    # images alone do not make it worse
+    again = scene.measure(scene.expose(), before=image.angles, before_rad=image.interval_rad,
+                          counters=image.angles)  # fmt: skip
+    wider = again.interval_rad - image.interval_rad
+    assert wider.max() < 0.1

@@ -14,7 +14,9 @@ from fiber_msgs_py.ids import checked_ids, refuse
 from fiber_msgs_py.stamps import PlanStamp
 from fiber_msgs_py.table import decode_table, encode_table
 
-__all__ = ["Measured", "decode", "encode"]
+__all__ = ["REFUSED", "Measured", "decode", "encode"]
+
+REFUSED = "measured refused"  # begin of the text with which the bridge refuses a table
 
 _NAME = "measured"
 _LENGTHS = ("x", "y", "error", "theta_wider", "phi_wider")

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from fiber_bus_bridge.simulation import Mechanics, arms_at, arms_motion, true_angles
 from fiber_core import bounds, kinematics
+from fiber_core.arm_bounds import grown
 from fiber_core.array_types import Angles, Floats, Mask, Points
 from fiber_core.clearance import Certificate, Safety, certify_arms, neighbour_pairs
 from fiber_core.errors import LayoutError
@@ -24,7 +25,6 @@ from fiber_metrology import (
     MetrologyError,
     correction_problem,
     find_spots,
-    grown,
     measure,
 )
 from fiber_metrology.camera import Exposure, SimulatedCamera

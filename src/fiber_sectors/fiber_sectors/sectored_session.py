@@ -8,6 +8,7 @@ they call the sectors, which use theirs.
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import astuple
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -69,6 +70,8 @@ class SectoredSession(Session):
     Raises:
         SectorError: the safety contains less than the terms allow.
     """
+
+    has_buses: ClassVar[bool] = False
 
     def __init__(
         self,

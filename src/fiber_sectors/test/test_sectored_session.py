@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 from plane_of_sectors import PlaneOfSectors, turning
 
-from fiber_bus_bridge import SessionConfig, SessionState
-from fiber_bus_bridge.errors import SessionError
+from fiber_bus_bridge import (
+    SessionConfig,
+    SessionError,
+    SessionState,
+    place_robots,
+    widen_outlines,
+)
 from fiber_bus_bridge.simulation import EVENT, Event, Faults
 from fiber_core.clearance import Safety
 from fiber_core.outcomes import Outcome, Reason
@@ -284,3 +289,12 @@ def test_a_sector_that_ends_as_a_run_begins_moves_nothing(plane_of, monkeypatch)
     plane.until_rest()
     np.testing.assert_array_equal(plane.buses[1].positioners.memory["position"], before)
     assert member.why == "the sector ends"
+
+
+def test_places_that_a_camera_saw_are_refused_with_a_reason(plane_of):
+    session = plane_of().session
+    n = session.plane.n
+    with pytest.raises(SessionError, match="a camera needs one bridge"):
+        place_robots(session, session.counts + 5, np.ones(n, dtype=bool), 0.0)
+    with pytest.raises(SessionError, match="a camera needs one bridge"):
+        widen_outlines(session, session.plane, 0.1, 0.1)

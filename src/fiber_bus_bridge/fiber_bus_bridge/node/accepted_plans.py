@@ -8,6 +8,7 @@ from typing import Any
 from rclpy.publisher import Publisher
 
 from fiber_bus_bridge.errors import SessionError
+from fiber_bus_bridge.node.outlines import Outlines
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
 from fiber_bus_bridge.node.publishers import Publishers
 from fiber_bus_bridge.node.stage_watch import STAGES, StageWatch
@@ -39,6 +40,7 @@ class AcceptedPlans:
         session: the session with the robots.
         session_id: id of the session in messages.
         inputs: keeps the accepted plans.
+        outlines: the outlines of the session.
         outgoing: publishes encoders and outcomes.
         reporter: publishes acceptances and refusals.
         sender: publishes targets without a stamp again, with one.
@@ -51,13 +53,15 @@ class AcceptedPlans:
         session: Session,
         session_id: str,
         inputs: PlanInputs,
+        outlines: Outlines,
         outgoing: Publishers,
         reporter: Reporter,
         sender: Publisher,
         check_role: Callable[[], None],
     ):
         self._watch, self._session, self._session_id = watch, session, session_id
-        self._inputs, self._outgoing, self._reporter = inputs, outgoing, reporter
+        self._inputs, self._outlines = inputs, outlines
+        self._outgoing, self._reporter = outgoing, reporter
         self._open: dict[PlanStamp, Attempt] = {}  # accepted, and without orders yet
         self._announced_s = self._foreign_s = 0.0
         self._sender, self._check_role = sender, check_role
@@ -106,6 +110,7 @@ class AcceptedPlans:
             if number != 1:
                 raise SessionError(f"attempt {number} was not made by this bridge")
             self._check_state()
+            self._outlines.use(straight)
         except FiberError as error:
             self._refuse(Attempt.first(stamp), goals, f"targets {stamp} refused: {error}")
             return False
@@ -144,6 +149,11 @@ class AcceptedPlans:
     def awaits_orders(self, stamp: PlanStamp) -> Attempt | None:
         """Return the accepted plan of a stamp whose orders have not come yet, None without one."""
         return self._open.get(stamp)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether an accepted plan waits for its orders."""
+        return bool(self._open)
 
     def take(self, stamp: PlanStamp) -> None:
         """Take a plan whose orders have come; plans accepted before it end without orders."""

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from fiber_bus_bridge.availability import Availability
 from fiber_bus_bridge.errors import BridgeError, SessionError
 from fiber_bus_bridge.node.accepted_plans import AcceptedPlans
+from fiber_bus_bridge.node.outlines import Outlines
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
 from fiber_bus_bridge.node.publishers import Publishers
 from fiber_bus_bridge.node.settings import AttemptConfig
@@ -40,6 +41,7 @@ class Attempts:
         accepted: the plans that wait for orders.
         inputs: the targets of the plans, and the robots that the stages hold.
         availability: the robots that can be commanded.
+        outlines: the outlines of the session.
         outgoing: publishes layout, encoders and outcomes.
         reporter: publishes progress and refusals.
         config: largest number of attempts of a plan, longest wait for the orders of a later one.
@@ -58,6 +60,7 @@ class Attempts:
         accepted: AcceptedPlans,
         inputs: PlanInputs,
         availability: Availability,
+        outlines: Outlines,
         outgoing: Publishers,
         reporter: Reporter,
         config: Declared[AttemptConfig],
@@ -69,7 +72,7 @@ class Attempts:
         self._node, self._watch = node, watch
         self._session, self._session_id = session, session_id
         self._accepted, self.inputs, self._availability = accepted, inputs, availability
-        self._outgoing, self._reporter = outgoing, reporter
+        self._outlines, self._outgoing, self._reporter = outlines, outgoing, reporter
         self._config = config
         self._stopping, self._now_s, self._start = stopping, now_s, start
         self._save_traffic = save_traffic
@@ -153,6 +156,7 @@ class Attempts:
         asked, is_awaited = self.inputs.targets(attempt.stamp), attempt == self.awaited
         if asked is None:
             raise BridgeError(f"the targets of plan {attempt} are not kept any more")
+        self._outlines.use(self.inputs.straight(attempt.plan))  # stages may have seen others
         replaced = self._session.submit(motion, asked, self.inputs.fibre(attempt.stamp))
         if not is_awaited:
             self.give_up("there are new orders")
@@ -268,10 +272,12 @@ class Attempts:
         self.give_up(why)
         self._accepted.end_all(reason, why)
         self._replaced = None
+        self._widen_at_rest()
 
     def check(self) -> None:
         """End the plans whose orders do not come."""
         self._accepted.check()
+        self._widen_at_rest()
         if self.awaited is None:
             return
         for stamp, role in self._watch.lost():
@@ -288,8 +294,13 @@ class Attempts:
             )
             self.give_up("no orders came")
 
+    def _widen_at_rest(self) -> None:
+        if not self._accepted.waiting and self.awaited is None:
+            self._outlines.rest()
+
     def _publish_outcome(self, plan: PlanStamp, result: PlanResult) -> None:
         attempts = self._replanning.attempts
+        self._widen_at_rest()
         self._outgoing.publish_outcome(result, plan)
         # robots without a target are no part of the plan, unless they failed
         concerned = (result.reason != Reason.NO_TARGET) | (result.outcome != Outcome.HELD)

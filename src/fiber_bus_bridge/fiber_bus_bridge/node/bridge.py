@@ -24,6 +24,7 @@ from fiber_bus_bridge.node.hardware import Hardware, open_hardware
 from fiber_bus_bridge.node.locked_calls import LockedCalls
 from fiber_bus_bridge.node.measured_robots import MeasuredRobots
 from fiber_bus_bridge.node.operator_changes import OperatorChanges
+from fiber_bus_bridge.node.outlines import Outlines
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
 from fiber_bus_bridge.node.plane_claim import OtherBridges, claim_plane
 from fiber_bus_bridge.node.publishers import Publishers
@@ -107,12 +108,12 @@ class BridgeNode(ManagedNode):
         memory = memory_path(given.memory, hardware)
         self._availability = given.disabled.availability(plane, memory)
         self._session.enable(self._availability.enabled)
-        self._claim = claim_plane(self, given.execution.discovery_s)
-        self._others = OtherBridges(self._claim)
-        self._outgoing = Publishers(self, self._session, self._availability, self._claim.id)
-        self.reporter.session = self._claim.id
+        claim = self._claim = claim_plane(self, given.execution.discovery_s)
+        self._others = OtherBridges(claim)
+        self._outgoing = Publishers(self, self._session, self._availability, claim.id)
+        self._outlines = Outlines(self._session, plane, given.errors, self._outgoing)
+        self.reporter.session, self._work_group = claim.id, MutuallyExclusiveCallbackGroup()
         self._attempts, self._stopped = self._make_attempts(), topics.STOPPED.publisher(self)
-        self._work_group = MutuallyExclusiveCallbackGroup()
         self._remembered = Remembered(
             self._session, self._availability, hardware, memory, self.reporter.refuse
         )
@@ -121,8 +122,8 @@ class BridgeNode(ManagedNode):
             self._remembered.save_or_warn,
         )  # fmt: skip
         self._measured = MeasuredRobots(
-            self._session, plane, self._availability, self._attempts, self._outgoing,
-            self.reporter, self._now_s, self._remembered.save_or_warn,
+            self._session, plane, self._availability, self._attempts, self._outlines,
+            self._outgoing, self.reporter, self._now_s, self._remembered.save_or_warn,
         )  # fmt: skip
         self._subscribe()
         self._make_timers(given.execution.time_scale)
@@ -175,13 +176,13 @@ class BridgeNode(ManagedNode):
     def _make_attempts(self) -> Attempts:
         inputs, watch = PlanInputs(self._hardware.plane, self._claim.id), StageWatch(self)
         accepted = AcceptedPlans(
-            watch, self._session, self._claim.id, inputs, self._outgoing, self.reporter,
-            topics.TARGETS.publisher(self), self._check_role,
+            watch, self._session, self._claim.id, inputs, self._outlines, self._outgoing,
+            self.reporter, topics.TARGETS.publisher(self), self._check_role,
         )  # fmt: skip
         return Attempts(
             self, watch, self._session, self._claim.id, accepted, inputs, self._availability,
-            self._outgoing, self.reporter, self._parameters_given.attempts, self._stop_requested,
-            self._now_s, self._start_orders, self._save_traffic,
+            self._outlines, self._outgoing, self.reporter, self._parameters_given.attempts,
+            self._stop_requested, self._now_s, self._start_orders, self._save_traffic,
         )  # fmt: skip
 
     def _subscribe(self) -> None:

@@ -9,6 +9,7 @@ from rclpy.node import Node
 
 from fiber_bus_bridge.node.disabled_parameter import DisabledParameters, declare_disabled
 from fiber_bus_bridge.node.hardware import DeclaredHardware, declare_hardware
+from fiber_bus_bridge.node.outlines import BlindErrors
 from fiber_bus_bridge.node.remembered import MemoryConfig
 from fiber_bus_bridge.node.settings import AttemptConfig, ExecutionConfig, StartConfig
 from fiber_bus_bridge.node.vouched_parameter import declare_vouched
@@ -26,6 +27,7 @@ class BridgeParameters:
     Args:
         hardware: the robots and their buses.
         safety: the clearance that is required of the loaded bytes.
+        errors: errors of blind moves, which outlines hold.
         execution: pace of simulated buses, captures, wait for other bridges.
         attempts: attempts of a plan; can change.
         start: the plan of the next start; can change.
@@ -37,6 +39,7 @@ class BridgeParameters:
 
     hardware: DeclaredHardware
     safety: Safety
+    errors: BlindErrors
     execution: ExecutionConfig
     attempts: Declared[AttemptConfig]
     start: Declared[StartConfig]
@@ -62,6 +65,7 @@ def declare_bridge(
     declared = BridgeParameters(
         declare_hardware(parameters),
         parameters.declare(Safety, "safety", read_only=True).value,
+        parameters.declare(BlindErrors, read_only=True).value,
         parameters.declare(ExecutionConfig, read_only=True).value,
         parameters.declare(AttemptConfig),
         parameters.declare(StartConfig, effect="for the next call of the service start"),

@@ -8,20 +8,20 @@ from sensor_msgs.msg import PointCloud2
 
 from fiber_bus_bridge.availability import Availability
 from fiber_bus_bridge.errors import SessionError
-from fiber_bus_bridge.measured_places import place_robots, widen_outlines
+from fiber_bus_bridge.measured_places import place_robots
 from fiber_bus_bridge.node.attempts import Attempts
+from fiber_bus_bridge.node.outlines import Outlines
 from fiber_bus_bridge.node.publishers import Publishers
 from fiber_bus_bridge.session import Session
 from fiber_core.clearance import levers_of
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import Reason, Verdict
+from fiber_core.outcomes import STILL, Reason
 from fiber_msgs_py import Attempt, MessageError, PlanStamp, measured
 from fiber_node import Reporter
 
 __all__ = ["MeasuredRobots"]
 
-_STILL = (Verdict.NOT_MOVED, Verdict.THETA_NOT_MOVED, Verdict.PHI_NOT_MOVED)
 _NAMED = 5
 
 
@@ -36,7 +36,8 @@ class MeasuredRobots:
         session: the session with the robots.
         exact: the plane with outlines as they are.
         availability: the robots that can be commanded.
-        attempts: the plan that is or was under way.
+        attempts: the plans that wait, or are or were under way.
+        outlines: the outlines of the session.
         outgoing: publishes the layout.
         reporter: publishes what is refused.
         now_s: returns the time of the buses [s].
@@ -49,13 +50,14 @@ class MeasuredRobots:
         exact: FocalPlane,
         availability: Availability,
         attempts: Attempts,
+        outlines: Outlines,
         outgoing: Publishers,
         reporter: Reporter,
         now_s: Callable[[], float],
         save_memory: Callable[[], None],
     ):
         self._session, self._exact, self._availability = session, exact, availability
-        self._attempts, self._outgoing = attempts, outgoing
+        self._attempts, self._outlines, self._outgoing = attempts, outlines, outgoing
         self._reporter, self._now_s, self._save_memory = reporter, now_s, save_memory
         self._images = 0  # taken over
 
@@ -69,12 +71,16 @@ class MeasuredRobots:
             self._check_newest(stamp)
             self._take_over(measured.decode(message), attempt)
         except FiberError as error:
-            self._reporter.refuse(f"measured refused: {error}", "measured", attempt)
+            self._reporter.refuse(f"{measured.REFUSED}: {error}", "measured", attempt)
 
     def _check_newest(self, stamp: PlanStamp) -> None:
-        last = self._attempts.current
-        if last is not None and stamp < last.plan:
-            raise SessionError(f"it is of plan {stamp}, and plan {last.plan} has begun since")
+        attempts = self._attempts
+        if attempts.awaited is not None:
+            raise SessionError(f"plan {attempts.awaited} waits for the orders of another attempt")
+        begun = attempts.newest if attempts.current is None else attempts.current.plan
+        last = max(filter(None, (attempts.newest, begun)), default=None)
+        if last is not None and stamp < last:
+            raise SessionError(f"it is of plan {stamp}, and plan {last} has begun since")
 
     def _take_over(self, told: measured.Measured, attempt: Attempt) -> None:
         session, plane = self._session, self._exact
@@ -83,13 +89,7 @@ class MeasuredRobots:
             robot = int(told.ids[rows < 0][0])
             raise MessageError("measured", "is not of this plane", robot=robot)
         # robots that the message does not name stay as they were known
-        wider = np.stack(
-            [
-                session.plane.theta_radius - plane.theta_radius,
-                session.plane.phi_radius - plane.phi_radius,
-            ],
-            axis=1,
-        ).clip(0.0)
+        wider = np.array(self._outlines.known_mm)
         angles, certain = np.array(session.angles), np.zeros(plane.n, dtype=bool)
         certain[rows] = np.isfinite(told.places).all(axis=1)
         angles[rows], wider[rows] = told.angles, told.wider_mm
@@ -98,11 +98,11 @@ class MeasuredRobots:
         # a robot that keeps its counters may be where the camera tells, or where they say
         off = np.abs(angles - session.angles) * levers_of(plane)
         wider += np.where(took[:, None], 0.0, off.sum(axis=1, keepdims=True))
-        widen_outlines(session, plane, *wider.T)
+        self._outlines.learn(wider)
         self._exclude(rows, told)
         self._save_memory()
         self._outgoing.publish_layout(always=True)
-        still = np.isin(told.verdict, _STILL)
+        still = np.isin(told.verdict, STILL)
         text = f"{certain.sum()} robots are where the camera saw them, {still.sum()} did not move"
         kept = certain & ~took
         if kept.any():
@@ -114,5 +114,5 @@ class MeasuredRobots:
         self._reporter.publish()  # a client waits for it
 
     def _exclude(self, rows: np.ndarray, told: measured.Measured) -> None:
-        still = np.isin(told.verdict, _STILL)
+        still = np.isin(told.verdict, STILL)
         self._availability.failed[rows[still]] = Reason.NOT_MOVED
