@@ -91,6 +91,8 @@ def run(options: argparse.Namespace) -> dict[str, float]:
         "cpu_s": round(cpu_s, 3),
         "arms_um": _rms(1e3 * (found.arms - true.arms)[sound]),
         "centres_um": _rms(1e3 * (found.centers - true.centers)[sound]),
+        # what no unbiased fit can fall below with these points (Cramer and Rao)
+        "zeros_bound_deg": _rms(np.rad2deg(found.errors[:, [4, 8]])[sound]),
         "zeros_deg": _rms(np.rad2deg(found.zeros - zero)[sound]),
         "scales_percent": _rms(100.0 * (found.scale - drawn.scale)[sound]),
         "backlash_deg": _rms(np.rad2deg(found.backlash_rad - drawn.backlash_rad)[sound]),

@@ -16,6 +16,7 @@ from fiber_metrology.knowledge import DriveErrors, Knowledge
 from fiber_metrology.measure import Expected, MeasureConfig, Measurement, Verdict, measure
 from fiber_metrology.plate import Plate, PlateConfig, solve_plate
 from fiber_metrology.polynomials import PolynomialMap, fit_map
+from fiber_metrology.recovery import Recovered, RecoveryConfig, recover, turn_within_margin
 from fiber_metrology.spots import Spots, checked_spots
 
 __all__ = [
@@ -35,6 +36,8 @@ __all__ = [
     "Plate",
     "PlateConfig",
     "PolynomialMap",
+    "Recovered",
+    "RecoveryConfig",
     "Spots",
     "Verdict",
     "angles_of_places",
@@ -47,5 +50,7 @@ __all__ = [
     "follows",
     "identify",
     "measure",
+    "recover",
     "solve_plate",
+    "turn_within_margin",
 ]

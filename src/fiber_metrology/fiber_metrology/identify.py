@@ -25,10 +25,10 @@ from scipy.spatial import cKDTree
 from scipy.stats import binom
 
 from fiber_core import bounds
-from fiber_core.array_types import Floats, Ints, Points
+from fiber_core.array_types import Floats, Ints, Mask, Points
 from fiber_metrology.errors import MetrologyError
 
-__all__ = ["Identified", "IdentifyConfig", "identify"]
+__all__ = ["Identified", "IdentifyConfig", "identify", "most_likely"]
 
 _TAIL, _WIDER = 0.1, 3.0  # a tenth of the robots are off by three times the usual
 _SIGMAS = 9.0  # beyond which a light is no evidence
@@ -140,12 +140,8 @@ def identify(
     best = _largest(edge, evidence, int(new.sum()))
     of_first = np.bincount(edge, np.where(column == 0, evidence, 0.0), len(total))
     edges = (row[new], spot[new], total)
-    part = _components(edges[0], edges[1], n, len(lights))
-    order = np.argsort(part[edges[0]], kind="stable")
-    _, first = np.unique(part[edges[0]][order], return_index=True)
-    groups = np.append(first, len(order))
-    chosen, likely, alone = _solve(
-        edges[0], edges[1], total / stray[edges[1]], order, groups, none, n
+    chosen, likely, alone, part = _solved(
+        edges[0], edges[1], total / stray[edges[1]], n, len(lights), none
     )
     light[chosen >= 0] = edges[1][chosen[chosen >= 0]]
     doubt = likely
@@ -156,6 +152,37 @@ def identify(
     shared[edges[0]] = True
     group = np.where(shared & ~alone, part[:n], -1)
     return Identified(light, doubt, where, first_place, group)
+
+
+def most_likely(
+    row: Ints, light: Ints, weight: Floats, n: int, lights: int, none: float
+) -> tuple[Ints, Floats]:
+    """Sum all assignments of lights to robots, and return the likeliest of each robot.
+
+    Args:
+        row: robot of each pair that has evidence, in increasing order, shape (p,).
+        light: light of each pair, shape (p,).
+        weight: density of the evidence over that of a stray light there, shape (p,).
+        n: number of robots.
+        lights: number of lights.
+        none: chance that a robot shows no light.
+
+    Returns:
+        The light of each robot, -1 for none, and the probability of anything else, shape (n,).
+    """
+    chosen, doubt, _, _ = _solved(row, light, weight, n, lights, none)
+    return np.where(chosen >= 0, light[np.maximum(chosen, 0)] if len(light) else -1, -1), doubt
+
+
+def _solved(
+    row: Ints, light: Ints, weight: Floats, n: int, lights: int, none: float
+) -> tuple[Ints, Floats, Mask, Ints]:
+    """What `_solve` returns, and the number of the group of each robot and light."""
+    part = _components(row, light, n, lights)
+    order = np.argsort(part[row], kind="stable")
+    _, first = np.unique(part[row][order], return_index=True)
+    groups = np.append(first, len(order))
+    return *_solve(row, light, weight, order, groups, none, n), part
 
 
 def _share_seen(seen: ArrayLike, exposures: int, missed: float, lights: int) -> Floats:
