@@ -20,7 +20,7 @@ setup(
     zip_safe=False,  # compiled loops are cached in the folder of the package
     entry_points={
         "console_scripts": [
-            "metrology = fiber_metrology.node:main",
+            "metrology = fiber_metrology.node.metrology:main",
             "camera = fiber_metrology.camera.node:main",
         ]
     },

@@ -205,13 +205,18 @@ def test_with_a_new_session_everything_of_the_one_before_is_forgotten(graph):
 
 def test_messages_of_a_session_without_a_bridge_are_refused_by_name(graph):
     bridge = Bridge(graph)
+    passed, refused = [], []
+    gate = SessionGate(bridge.node, lambda topic, text: refused.append(text))
+    gate.subscription(topics.LAYOUT, passed.append)
     for bridge.session, words in (
         (None, "no session"),
         (OTHER, f"of {OTHER}, is not in the graph"),
     ):
-        bridge.publish_layout()
         bridge.refused.clear()
-        graph.until(lambda words=words: any(words in each for each in bridge.refused))
+        refused.clear()
+        bridge.publish_layout()
+        for texts in (bridge.refused, refused):
+            graph.until(lambda words=words, texts=texts: any(words in each for each in texts))
     assert bridge.cache._layout is None
     # a message can come before its bridge is seen
     bridge.publish_layout()
@@ -219,24 +224,21 @@ def test_messages_of_a_session_without_a_bridge_are_refused_by_name(graph):
     late = []
 
     def appear():
-        if bridge.gate._kept and not late:
+        if bridge.gate._kept and gate._kept and not late:
             late.append(bridge.source.create_subscription(Empty, named, lambda _: None, 1))
         return bridge.cache._layout is not None
 
     graph.until(appear)
     assert bridge.cache.session == OTHER
     # the same again, as the bridge repeats it at rest, is no new layout
-    passed, again = [], []
-    bridge.gate._kept.clear()
-    bridge.gate.subscription(topics.LAYOUT, passed.append)
-    topics.LAYOUT.subscription(bridge.source, again.append)
-    graph.until(lambda: again)  # latched
-    bridge.publish_layout()
-    graph.until(lambda: len(again) > 1)
-    # a layout that differs comes after it, and passes
-    bridge.publish_layout(2)
     graph.until(lambda: passed)
-    assert [PlanStamp.of(each).ns for each in passed] == [2]
+    before = gate._layout
+    bridge.publish_layout()
+    graph.until(lambda: gate._layout is not before)
+    # one that differs passes
+    bridge.publish_layout(2)
+    graph.until(lambda: len(passed) > 1)
+    assert [PlanStamp.of(each).ns for each in passed] == [1, 2]
 
 
 def test_work_waits_until_the_bridge_accepts_its_attempt(graph):
