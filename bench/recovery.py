@@ -88,9 +88,9 @@ def run(options: argparse.Namespace) -> dict[str, object]:
         shots = [camera.expose(tips, fiducials, lit, rng) for _ in range(options.exposures)]
         lights.append(combine([each.spots for each in shots], fiducials, camera.calibrated))
         exposures.append(shots)
-    recover(plane, *lights, turned, config)  # compiles
+    recover(plane, lights[0], lights[1], turned, config)  # compiles
     begin = time.process_time()
-    found = recover(plane, *lights, turned, config)
+    found = recover(plane, lights[0], lights[1], turned, config)
     cpu_s = time.process_time() - begin
     rows = np.flatnonzero(found.certain)
     first = lights[-1].first[found.light[rows]]
