@@ -13,7 +13,8 @@ __all__ = ["section_warnings", "warn_of_sections"]
 
 _OPTION = "--params-file"
 _NODES = (
-    "bridge", "console", "discretizer", "gateway", "planner", "plant", "recorder", "viewer"
+    "bridge", "camera", "console", "discretizer", "gateway", "metrology", "planner", "plant",
+    "recorder", "robot_model", "sector", "viewer",
 )  # fmt: skip
 _PARAMETERS = "ros__parameters"
 

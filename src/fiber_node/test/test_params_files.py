@@ -17,6 +17,10 @@ SECTION = "  ros__parameters: {a: 1}\n"
         ("/**/bridge", "/north/bridge", None),
         ("/*/bridge", "/north/bridge", None),
         ("planner", "/bridge", None),  # of another node
+        ("/**/metrology", "/bridge", None),
+        ("camera", "/bridge", None),
+        ("robot_model", "/bridge", None),
+        ("/sector_0/sector", "/bridge", None),
         ("bridge", "/north/bridge", "bridge of {file} does not apply to /north/bridge: write /nor"),
         (
             "/south/bridge",
