@@ -21,8 +21,8 @@ _ABOUT = """# Killed, paused and disturbed processes
 small plane are killed and started again, or paused and woken, at random moments of a plan. In other
 runs strangers send messages on every topic, or four clients call services. The judge is what the
 robots of the plant really did. The processes are forked from one that has imported everything, so
-that a restart costs no seconds of imports, and several planes run at the same time: the times are
-those of a machine that is busy with them. Columns:
+that a restart costs no seconds of imports. Several planes can run at the same time (JOBS=): the
+times are those of a machine that is busy, with the load below. Columns:
 
 - unverified: movements whose order was not read back by the bridge that started it
 - unordered: movements that a new bridge started by itself
@@ -49,7 +49,7 @@ def table(lines: Sequence[_Line]) -> str:
     of = Counter(line.get("commit", "unknown") for line in lines)
     commits = ", ".join(f"{count} of {commit}" for commit, count in of.items())
     text = [
-        f"{len(lines)} runs ({commits}), at a load of {load} (median); in {late} of them "
+        f"{len(lines)} runs ({commits}), at a load of {load:.1f} (median); in {late} of them "
         f"the plan ended before the stage of the strike. Of {sum(map(_unjudged, lines))} plans the "
         "robots are not compared with their targets, because other clients moved them on, or the "
         f"targets did not come to the judge. {ended} further runs ended with an error and are not "
