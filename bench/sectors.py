@@ -25,7 +25,15 @@ import numpy as np
 
 from fiber_bus_bridge import PlanResult, Session, SessionConfig, SessionState
 from fiber_bus_bridge.plant.plant import Plant
-from fiber_bus_bridge.simulation import EVENT, Event, Faults, SimulationConfig, simulated_buses
+from fiber_bus_bridge.simulation import (
+    EVENT,
+    Event,
+    Faults,
+    Movements,
+    SimulationConfig,
+    simulated_buses,
+)
+from fiber_core.array_types import Bools
 from fiber_core.clearance import Safety, certify_arms, neighbour_pairs
 from fiber_core.fields import random_problem
 from fiber_core.outcomes import Outcome
@@ -38,7 +46,7 @@ from fiber_sectors.sector import Sector, certified_elsewhere
 from fiber_sectors.sectored_session import SectoredSession
 from fiber_sectors.shares import part_of, with_sectors
 
-__all__ = ["broken", "main"]
+__all__ = ["broken", "broken_off", "judge", "main", "problem_of"]
 
 _EXACT = Safety(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _KILL, _TRUTH = b"KILL", b"TRTH"
@@ -172,7 +180,7 @@ class _Plane:
             each.send_bytes(_TRUTH)
             found.append(self._answer(each))
         rows = [self.session.sectors.rows[k] for k in range(len(found))]
-        return _judge(self._problem.plane, self._units, rows, found)
+        return judge(self._problem.plane, self._units, rows, found)
 
     @staticmethod
     def _answer(connection: Connection):
@@ -189,7 +197,19 @@ class _Plane:
             process.join(10.0)
 
 
-def _judge(plane, units, rows, found) -> _Truth:
+def broken_off(moves: Movements, now_s: float) -> Bools:
+    """Return the movements that ended before their orders did, shape (r,).
+
+    Args:
+        moves: the movements; what lies beyond their segments is of earlier orders.
+        now_s: the present [s].
+    """
+    of_order = np.arange(moves.ticks.shape[2]) < moves.counts[:, :, None]
+    lasts_s = (moves.ticks * of_order).sum(axis=2).max(axis=1) * moves.tick_s
+    return np.minimum(moves.ended_s, now_s) < moves.started_s + lasts_s - 1e-4
+
+
+def judge(plane, units, rows, found) -> _Truth:
     most = max(moves.ticks.shape[2] for _, moves, *_ in found)
 
     def padded(values):
@@ -215,8 +235,7 @@ def _judge(plane, units, rows, found) -> _Truth:
     motion = moves.motion(start, units.quantum_rad, now_s, float(moves.started_s.min()) - 1e-3)
     certificate = certify_arms(plane, motion, _EXACT, neighbour_pairs(plane))
     ended_s = np.minimum(moves.ended_s, now_s)
-    lasts_s = moves.ticks.sum(axis=2).max(axis=1) * moves.tick_s
-    early = ended_s < moves.started_s + lasts_s - 1e-4
+    early = broken_off(moves, now_s)
     phase = np.cumsum(np.diff(moves.started_s, prepend=moves.started_s[0]) > 5e-3)
     skew_s = stop_s = 0.0
     for each in np.unique(phase):
@@ -229,7 +248,7 @@ def _judge(plane, units, rows, found) -> _Truth:
     )
 
 
-def _problem(robots: int, sectors: int, seed: int):
+def problem_of(robots: int, sectors: int, seed: int):
     plane = preset("desi", robots)
     # neighbours share a sector: sectors are slices around the axis
     turn = np.argsort(np.arctan2(*plane.centers.T[::-1]), kind="stable")
@@ -242,6 +261,12 @@ def _problem(robots: int, sectors: int, seed: int):
     address[order] = 8 + np.arange(robots) - first
     plane = with_sectors(replace(plane, bus=bus, address=address), str(sectors))
     return random_problem(plane, np.random.default_rng(seed))
+
+
+def _start_bound_ms(session: SectoredSession) -> float:
+    """Largest difference between two starts: between sectors as measured, and inside of one."""
+    between_s = session.sectors.conductor.start_skew_bound_s
+    return 1e3 * (between_s + session.protocol.safety.start_skew_s)
 
 
 def _run(session: SectoredSession) -> PlanResult:
@@ -264,7 +289,7 @@ def _measure(args: argparse.Namespace) -> dict:
         now_s = time.perf_counter()
         times[name], last_s = round(now_s - last_s, 3), now_s
 
-    problem = _problem(args.robots, args.sectors, args.seed)
+    problem = problem_of(args.robots, args.sectors, args.seed)
     lap("field")
     orders = make_orders(problem)
     lap("plan_and_discretize")
@@ -276,7 +301,7 @@ def _measure(args: argparse.Namespace) -> dict:
     session.start(0.0)
     lap("load_verify_certify_go")
     go_s = session.loaded_plan.start_s if session.loaded_plan else 0.0
-    bound_ms = 1e3 * session.sectors.conductor.start_skew_bound_s
+    bound_ms = _start_bound_ms(session)
     result = _run(session)
     lap("move")
     truth = plane.truth()
@@ -307,7 +332,7 @@ def _campaign(problem, orders, sectors: int, seed: int) -> tuple[_Truth, int, fl
     session.configure(0.0)
     session.submit(orders.wire, problem.targets)
     session.start(0.0)
-    bound_ms = 1e3 * session.sectors.conductor.start_skew_bound_s
+    bound_ms = _start_bound_ms(session)
     if kind == "kill" and session.state is SessionState.MOVING:
         session.advance(at_s)
         plane.kill(victim)
@@ -336,7 +361,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     line = _measure(args)
     if args.campaigns:
-        problem = _problem(args.robots, args.sectors, args.seed)
+        problem = problem_of(args.robots, args.sectors, args.seed)
         orders = make_orders(problem)
         for seed in range(args.seed, args.seed + args.campaigns):
             truth, without, bound_ms = _campaign(problem, orders, args.sectors, seed)

@@ -99,6 +99,7 @@ ARROWS = {
     "bench.sectors": {"bench", "fiber_sectors"},
     "bench.kill": {"fiber_node", "kill_campaign", "kill_jobs", "kill_table"},
     "bench.kill_campaign": {"fiber_bringup", "forked_processes", "kill_judge", "kill_others"},
+    "bench.sector_faults": {"bench", "fiber_sectors", "sector_hosts", "sectors"},
     "bench.kill_jobs": {"fiber_node"},
     "bench.kill_judge": {"fiber_bus_bridge.plant", "fiber_msgs_py"},
     "bench.memory": {"fiber_bringup", "forked_processes"},

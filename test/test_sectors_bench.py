@@ -5,6 +5,7 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 GOOD = {
@@ -39,3 +40,14 @@ def test_each_broken_promise_ends_the_command_with_an_error(
     monkeypatch.setattr(sectors, "_measure", lambda args: GOOD | {name: value})
     assert sectors.main([]) == bool(found)
     assert json.loads(capsys.readouterr().out)["broken"] == found
+
+
+def test_what_lies_beyond_an_order_is_no_part_of_it(sectors):
+    from fiber_bus_bridge.simulation import Movements
+
+    ticks = np.array([[[100, 50], [80, 70]]] * 2)
+    counts = np.array([[1, 1], [2, 1]])  # the first order has one segment a joint
+    moves = Movements(
+        np.arange(2), np.zeros(2), np.full(2, 0.4), np.full(2, 4e-3), counts, ticks, ticks
+    )
+    np.testing.assert_array_equal(sectors.broken_off(moves, 9.0), [False, True])

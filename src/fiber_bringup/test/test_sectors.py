@@ -15,7 +15,8 @@ from fiber_core.fields import random_field
 from fiber_core.outcomes import Outcome
 from fiber_core.presets import preset
 from fiber_core.problem import Problem, save_problem
-from fiber_msgs_py import topics
+from fiber_msgs_py import PlanStamp, topics
+from fiber_recording import load_recording
 
 pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
 COMPILE_S, WAIT_S, ROBOTS = 600.0, 120.0, 40
@@ -29,6 +30,7 @@ class Nodes:
         plane, rows = preset("desi", ROBOTS), np.arange(ROBOTS)
         plane = replace(plane, bus=rows // 10, address=rows % 10 + 8)
         start = np.stack([np.linspace(-1.0, 1.0, ROBOTS), np.full(ROBOTS, 3.1)], axis=1)
+        self._folder = folder
         self._problem = str(folder / "problem.npz")
         save_problem(self._problem, Problem(plane, start, np.full((ROBOTS, 2), np.nan)))
         self._environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
@@ -62,6 +64,7 @@ class Nodes:
         self.start("coordinator", "fiber_sectors.node.coordinator", **of_coordinator)
         self.start("planner", "fiber_planner.node")
         self.start("discretizer", "fiber_discretizer.node")
+        self.start("recorder", "fiber_recording.node", folder=str(self._folder))
         return self
 
     def __exit__(self, *_):
@@ -101,6 +104,14 @@ def test_sectors_follow_the_clocks_of_their_hosts(tmp_path, new_domain):
         assert 0.0 < float(told["clock_bound_ms"]) <= 1.0
 
 
+def check_recording(path, client, ended):
+    """The motion made from the bytes of all sectors ends where the robots rest."""
+    recording = load_recording(path)
+    np.testing.assert_array_equal(recording.problem.plane.ids, client.plane.ids)
+    assert recording.started[ended.outcome == Outcome.REACHED].all()
+    assert len(recording.load.buses) == 4 and (recording.load.frames.sum(axis=1) > 0).all()
+
+
 def test_two_sectors_are_one_plane(tmp_path, new_domain):
     domain = new_domain()
     with Nodes(tmp_path, domain) as nodes, PlaneClient(domain) as client:
@@ -110,6 +121,9 @@ def test_two_sectors_are_one_plane(tmp_path, new_domain):
         ended = client.reconfigure(*new_targets(client, 1), COMPILE_S)
         assert ended.count(Outcome.REACHED) >= ROBOTS - 2  # the border may cost a robot its target
         assert ended.count(Outcome.FAILED) == 0
+        stamp = PlanStamp(ended.stamp_ns)
+        client.wait_for(lambda: "recorder" in client.times[stamp], WAIT_S, "the recording")
+        check_recording(tmp_path / f"plan-{stamp}.npz", client, ended)
 
         # a sector dies in motion: the plan ends, with an outcome for each robot
         stamp = client.send_targets(*new_targets(client, 2))

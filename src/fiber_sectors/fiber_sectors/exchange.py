@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The messages of a coordinator: calls that all sectors answer, beats, and the end of a run."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
+from fiber_bus_bridge.bus import Exchange
 from fiber_bus_bridge.protocol import Context
 from fiber_core.array_types import Ints, Rows
 from fiber_core.outcomes import Reason
@@ -26,9 +29,11 @@ from fiber_sectors.errors import SectorError
 from fiber_sectors.messages import decode_report, encode_beat
 from fiber_sectors.tables import COUNTERS, take_table
 from fiber_sectors.terms import Terms
+from fiber_sectors.traffic import traffic_of
 
 __all__ = ["Links", "Pace", "Sectors"]
 
+_BATCHES = 1000  # of traffic that wait for a clock to be known
 _AGAIN_S = 0.1  # between two sendings of a beat that is not answered
 _CALL_AGAIN_S = 1.0  # the same of a call
 _INSTANT_S = 1e-6  # between two beats, while the time of simulated buses stands still
@@ -99,6 +104,7 @@ class Sectors:
         self.why, self.malformed = "", dict[int, str]()
         self._counters: dict[int, dict[str, float]] = {}
         self._last = 0
+        self._traffic: list[tuple[int, Exchange]] = []  # of sectors whose clocks are not known
         self._at_s = 0.0
 
     @property
@@ -171,6 +177,7 @@ class Sectors:
         waiting, behind = set(columns), set(columns)
         while behind:  # another coordinator's clock was ahead: the second time the number is larger
             behind = self._call_once(kind, columns, behind, answers, waiting, until_s, of_run)
+        self._tell_traffic()
         self.gone = (self.gone | waiting) - set(answers)
         for k in waiting:
             self._lose(k)
@@ -230,7 +237,25 @@ class Sectors:
             self.malformed[k] = self.why = f"sector {k}: {error}"
             return False
         answers[k] = answer.columns
+        with suppress(SectorError):  # which a recording misses, and nothing else
+            traffic = traffic_of(answer.columns, self._c.transactions.buses[self._buses[k]])
+            if traffic is not None:
+                self._traffic.append((k, traffic))
         return True
+
+    def _tell_traffic(self) -> None:
+        """Hand on the traffic of the sectors whose clocks are known, in the time of this host."""
+        traffic, self._traffic = self._traffic[-_BATCHES:], []
+        for k, each in traffic:
+            frames, replies = each.frames, each.replies
+            ahead_s = self.conductor.clocks[k].newest.middle_s if self.in_real_time else 0.0
+            if math.isnan(ahead_s):
+                self._traffic.append((k, each))
+                continue
+            here = replace(
+                replies, start_s=replies.start_s - ahead_s, end_s=replies.end_s - ahead_s
+            )
+            self._c.transactions.add_traffic(frames, here)
 
     def _lose(self, k: int) -> None:
         """A sector does not answer: its robots are obstacles, at unknown places if they moved."""

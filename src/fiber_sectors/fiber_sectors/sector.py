@@ -39,6 +39,7 @@ from fiber_sectors.member import Decision, Member
 from fiber_sectors.messages import decode_beat, encode_report
 from fiber_sectors.tables import motion_of, table_of, take_places
 from fiber_sectors.terms import Terms
+from fiber_sectors.traffic import traffic_columns
 
 __all__ = ["Sector", "certified_elsewhere"]
 
@@ -147,6 +148,8 @@ class Sector:
     def _answer(self, columns: Columns, kind: Kind | None = None) -> None:
         call = self._call
         assert call is not None  # a call is being served
+        if kind is not Kind.REFUSED:
+            columns = columns | traffic_columns(self._session.transactions.take_traffic())
         self._answered = encode_call(self._number, kind or call.kind, call.number, columns)
         self._send(self._answered)
 

@@ -23,6 +23,7 @@ from fiber_sectors.tables import (
     take_places,
     take_table,
 )
+from fiber_sectors.traffic import traffic_columns, traffic_of
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -67,6 +68,8 @@ def wrong_columns(columns, rng):
 def test_malformed_columns_raise_our_error_and_change_nothing(plane):
     rng, c = np.random.default_rng(0), plane.session.protocol
     sector = plane.sectors[1]
+    sector._session.configure(0.0)
+    traffic = sector._session.transactions.take_traffic()
     rows, buses = plane.session.sectors.rows[1], plane.session.sectors._buses[1]
     told = table_of(sector._session)
     motion = motion_columns(turning(sector._session))
@@ -79,6 +82,7 @@ def test_malformed_columns_raise_our_error_and_change_nothing(plane):
         (loaded, loaded_of),
         (places, lambda each: take_places(sector._session, each, np.arange(len(rows)))),
         ({"run": np.array(5)}, lambda each: number_of(each, "run", "i8", 1)),
+        (traffic_columns(traffic), lambda each: traffic_of(each, np.arange(6))),
     ]
     with np.errstate(invalid="ignore"):
         for _ in range(600):
