@@ -2,15 +2,16 @@
 """An independent judge of plans for motors with ramps and uncertain joints.
 
 It reads problem.npz and plan.npz and imports nothing of this project: the true angles come from
-running integrals of the ordered ones and not from pieces of constant acceleration, gaps from
-distances between line segments at many instants and not from bounds. So it can miss a contact
-between two instants that the certificate excludes, and cannot share an error with the certificate.
-Outlines must be capsules: two vertices and a radius.
+running integrals of the ordered ones and not from pieces of constant acceleration. The gaps of
+whole outlines, discs and walls are those of `gap_judge`, at every instant. With random errors of
+the joints, gaps are those of line segments at many instants, and outlines must be capsules: two
+vertices and a radius.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from gap_judge import judge_gaps
 from scipy.spatial import cKDTree
 
 __all__ = ["Verdict", "check"]
@@ -24,7 +25,7 @@ class Verdict:
         makespan_s: instant after which no joint moves [s].
         violations: joints that break the speed, the acceleration or the range of their motor.
         curve_error_rad: largest difference between the curves of the plan and ours [rad].
-        contacts: pairs of neighbours that touch at an instant, with joints as they report.
+        contacts: pairs of bodies that touch at any instant, with joints as they report.
         true_contacts: pairs that touch with some errors of the joints inside their intervals.
         least_gap_mm: smallest gap found [mm].
         least_true_gap_mm: smallest gap with errors of the joints [mm].
@@ -107,8 +108,9 @@ def check(problem_file, plan_file, step_s=2e-3, errors=0, seed=0) -> Verdict:
     angles = np.stack([ordered.true(p, times, ramp_s) for p in range(profiles)]).reshape(n, 2, -1)
     pairs = _pairs(problem)
     uncertainty = problem.get("uncertainty_rad", np.zeros((n, 2)))
-    gaps = _gaps(problem, pairs, angles)
-    true_gaps, rng = gaps, np.random.default_rng(seed)
+    surely = {"uncertainty_rad": 0.0 * uncertainty, "lost_motion_rad": 0.0 * uncertainty}
+    reported = judge_gaps({**problem, **surely}, plan)
+    true_gaps, rng = np.full(len(pairs), reported.least_mm), np.random.default_rng(seed)
     for _ in range(errors):
         # half of the joints at an end of their interval, and every joint its own sign
         error = uncertainty * np.clip(rng.uniform(-2.0, 2.0, (n, 2)), -1.0, 1.0)
@@ -117,9 +119,9 @@ def check(problem_file, plan_file, step_s=2e-3, errors=0, seed=0) -> Verdict:
         makespan_s,
         int(_violations(problem, ordered, ramp_s, angles).sum()),
         _curve_error(ordered, plan, ramp_s),
-        int((gaps <= 0.0).sum()),
-        int((true_gaps <= 0.0).sum()),
-        float(gaps.min(initial=np.inf)),
+        reported.contacts,
+        max(reported.contacts, int((true_gaps <= 0.0).sum())),
+        reported.least_mm,
         float(true_gaps.min(initial=np.inf)),
         _end_error_um(problem, plan, ordered),
     )

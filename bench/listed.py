@@ -22,8 +22,8 @@ from fiber_positioners import reconfigure
 COLUMNS = (
     "plane", "motors on at most", "field", "reached", "reachable at once", "makespan [s]",
     "lower bound [s]", "power bound [s]", "makespan / power bound", "most motors on",
-    "broken rules", "certified", "bytes an order", "end error, most [um]",
-    "plan + discretize, processor time [s]",
+    "broken rules", "contacts", "pairs nearer than the margin", "least gap [mm]", "certified",
+    "bytes an order", "end error, most [um]", "plan + discretize, processor time [s]",
 )  # fmt: skip
 HEADER = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
 
@@ -49,6 +49,9 @@ def line_of(plane, seed: int) -> str:
         f"{verdict.makespan_s / float(str(report['power_bound_s'])):.3f}",
         f"{verdict.peak:.1%}",
         verdict.violations,
+        verdict.gaps.contacts,
+        verdict.gaps.near,
+        f"{verdict.gaps.least_mm:.4f}",
         report["certified"],
         f"{report['bytes_mean']:.1f}",
         f"{verdict.end_error_um:.2f}",

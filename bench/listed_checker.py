@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An independent judge of plans for motors with listed speeds: their rules and their supplies.
+"""An independent judge of plans for motors with listed speeds: rules, supplies and gaps.
 
-It reads problem.npz and plan.npz and imports nothing of this project. Gaps are not measured here:
-outlines of these planes are polygons.
+It reads problem.npz and plan.npz and imports nothing of this project.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from gap_judge import Gaps, judge_gaps
 
 __all__ = ["ListedVerdict", "check_listed"]
 
@@ -27,6 +27,7 @@ class ListedVerdict:
         peak: largest share of the motors of a supply that are on at once.
         makespan_s: when the last motor stops [s].
         end_error_um: largest distance from tip to target of a robot that reached it [um].
+        gaps: contacts and gaps of whole outlines, discs and walls, at every instant.
     """
 
     speeds: int
@@ -37,10 +38,11 @@ class ListedVerdict:
     peak: float
     makespan_s: float
     end_error_um: float
+    gaps: Gaps
 
     @property
     def violations(self) -> int:
-        """Number of all rules that are broken, supplies not counted."""
+        """Number of all rules that are broken; supplies and gaps are not counted."""
         return self.speeds + self.short + self.approaches + self.ramps + self.beyond
 
 
@@ -62,7 +64,7 @@ def check_listed(problem_file, plan_file) -> ListedVerdict:
         numbers[2 + 3 * k :][:2],
         numbers[4 + 3 * k :][:2],
     )
-    returns = bool(numbers[7 + 3 * k])
+    creep, returns = int(numbers[6 + 3 * k]), bool(numbers[7 + 3 * k])
     broken = np.zeros(5, dtype=int)
     on, supply = [], problem.get("supply", problem["bus"])
     for profile in range(2 * len(supply)):
@@ -82,7 +84,6 @@ def check_listed(problem_file, plan_file) -> ListedVerdict:
             angle += turn
             low, high = min(low, angle), max(high, angle)
         if moves:
-            creep = k - 1
             _, _, turn, which, _ = moves[-1]
             good = which == creep and turn * sign[joint] * _SLACK >= approach[joint]
             if returns:
@@ -95,8 +96,9 @@ def check_listed(problem_file, plan_file) -> ListedVerdict:
     peak = _peak(on, supply, len(plan["offsets"]) // 2)
     speeds, short, approaches, ramps, beyond = broken.tolist()
     return ListedVerdict(
-        speeds, short, approaches, ramps, beyond, peak, makespan_s, _end_error_um(problem, plan)
-    )
+        speeds, short, approaches, ramps, beyond, peak, makespan_s, _end_error_um(problem, plan),
+        judge_gaps(problem, plan),
+    )  # fmt: skip
 
 
 def _moves(lasts, velocity, scale, lists, tolerance):
@@ -124,7 +126,6 @@ def _peak(on, supply, robots) -> float:
         for robot, begin, end in on
         for event in ((round(begin * 1e6), 1, supply[robot]), (round(end * 1e6), -1, supply[robot]))
     )
-    events.sort(key=lambda event: event[:2])
     count, worst = {}, 0.0
     motors = {group: 2 * int((supply == group).sum()) for group in np.unique(supply).tolist()}
     assert robots == len(supply)

@@ -109,9 +109,10 @@ ARROWS = {
     "bench.paper": {"bench", "paper_runs"},
     "bench.paper_runs": {"bench", "bus", "discretizers", "dnf_family"},
     "bench.drive": {"bench", "drive_checker"},
-    "bench.drive_checker": {"numpy", "scipy"},  # shares no code with what it judges
+    "bench.drive_checker": {"gap_judge", "numpy", "scipy"},  # shares no code with what it judges
+    "bench.gap_judge": {"numba", "numpy", "scipy"},  # neither
     "bench.listed": {"bench", "listed_checker"},
-    "bench.listed_checker": {"numpy"},  # neither
+    "bench.listed_checker": {"gap_judge", "numpy"},  # neither
     "bench.kaiju_adapter": {"kaiju", "numpy"},  # runs in the Python of the rival
     "bench.kill_others": {"fiber_client"},
 }
@@ -210,6 +211,7 @@ def test_no_import_leaves_the_allowed_arrows():
         ("bench.plan_field", "import fiber_msgs_py.topics"),
         ("bench.drive_checker", "from fiber_core.drive import carried_out"),
         ("bench.listed_checker", "from fiber_core.drive import rules_broken"),
+        ("bench.gap_judge", "from fiber_core.clearance import certify"),
         ("fiber_core.kinematics", "import pandas"),
     ],
 )

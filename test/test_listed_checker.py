@@ -25,6 +25,7 @@ def judged(folder, theta, phi=(), limits=(-4.0, 4.0)):
         bus=np.zeros(1, dtype=int),
         limits_rad=np.array([[limits, limits]]),
         arm_mm=np.full((1, 2), 3.0),
+        radius_mm=np.ones(1),
         center_mm=np.zeros((1, 2)),
         target_mm=np.array([[np.cos(1.2), np.sin(1.2)]]) * 6.0,
     )

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The independent judge of gaps agrees with the certificate and finds planted contacts."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fiber_core.clearance import Safety, certify
+from fiber_core.drive.named import with_drive
+from fiber_core.presets import preset
+from fiber_positioners import random_problem, reconfigure
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
+from gap_judge import judge_gaps  # noqa: E402
+
+
+def planes():
+    listed = with_drive(preset("desi_petals", 40), "desi", 0.55)  # outlines, walls, discs
+    return {
+        "listed speeds": listed,
+        "ramp": with_drive(preset("desi", 37), "accelerated"),
+        "uncertain": with_drive(preset("sdss_v", 37), "sdss_v"),
+    }
+
+
+@pytest.fixture(scope="module", params=["listed speeds", "ramp", "uncertain"])
+def result(request):
+    return reconfigure(random_problem(planes()[request.param], seed=3))
+
+
+def arrays(result, folder):
+    result.save(folder, recording=False)
+    return (dict(np.load(folder / name)) for name in ("problem.npz", "plan.npz"))
+
+
+def test_it_finds_the_gap_that_is_certified(result, tmp_path):
+    problem, plan = arrays(result, tmp_path)
+    found = judge_gaps(problem, plan)
+    certificate = certify(result.plane, result.motion, Safety())
+    assert certificate.ok and (found.contacts, found.near) == (0, 0)
+    if certificate.min_gap_mm < 0.05:
+        assert found.least_mm == pytest.approx(certificate.min_gap_mm, abs=2e-3)
+        assert tuple(sorted(found.pair)) == tuple(sorted(certificate.min_pair))
+    assert found.least_mm >= certificate.min_gap_mm
+    # the same gap where it is looked for: every pair is resolved below this margin
+    wide = judge_gaps(problem, plan, certificate.min_gap_mm + 0.01)
+    assert wide.least_mm == pytest.approx(certificate.min_gap_mm, abs=2e-3)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_contacts_that_are_planted_are_found(result, tmp_path, seed):
+    problem, plan = arrays(result, tmp_path)
+    # the order of each robot goes to another one
+    order = np.random.default_rng(seed).permutation(result.plane.n)
+    motion = result.motion
+    first, counts = motion.offsets[:-1].reshape(-1, 2), motion.counts.reshape(-1, 2)
+    taken = [
+        np.arange(first[row, joint], first[row, joint] + counts[row, joint])
+        for row in order
+        for joint in range(2)
+    ]
+    plan["offsets"] = np.concatenate([[0], np.cumsum([len(part) for part in taken])])
+    for name in ("duration_s", "velocity_rad_s"):
+        plan[name] = plan[name][np.concatenate(taken)]
+    found = judge_gaps(problem, plan)
+    shuffled = type(motion)(
+        motion.start, plan["offsets"], plan["duration_s"], plan["velocity_rad_s"]
+    )
+    certificate = certify(result.plane, shuffled, Safety(margin_mm=0.05))
+    assert found.contacts == (certificate.gap_mm <= 0.0).sum() > 0
+    assert found.least_mm <= 0.0
+
+
+def test_a_contact_of_a_moment_between_two_waits_is_found():
+    # one arm sweeps past a disc that it touches for some milliseconds of an hour
+    plane = replace(preset("desi", 1), obstacles=np.array([[0.0, 7.0, 0.95]]))
+    problem = {
+        "center_mm": plane.centers,
+        "arm_mm": plane.arms,
+        "radius_mm": plane.phi_radius,
+        "disc_mm": plane.obstacles + np.array([*plane.centers[0], 0.0]),
+    }
+    plan = {
+        "offsets": np.array([0, 3, 3]),
+        "duration_s": np.array([1800.0, 1.0, 1800.0]),
+        "velocity_rad_s": np.array([0.0, np.pi, 0.0]),
+        "start_rad": np.zeros((1, 2)),
+    }
+    reach = float(plane.arms[0].sum() + plane.phi_radius[0])
+    for gap_mm, contacts in ((0.01, 0), (-0.001, 1)):
+        problem["disc_mm"][0, 2] = 7.0 - reach - gap_mm
+        found = judge_gaps(problem, plan)
+        assert found.contacts == contacts
+        assert found.least_mm == pytest.approx(gap_mm, abs=5e-4)
