@@ -52,19 +52,26 @@ def approach_s(drive: Drive) -> Floats:
 
 
 def _with_listed_speeds(drive: Drive, turn: Floats) -> Floats:
-    # One move at one speed is best; one that is shorter than the least move of its speed may go
-    # that far, and back at the lowest speed. The approach comes after it.
+    # A turn is some way ahead less some way back. Either is made at the fastest speed that is used
+    # that way, at the earliest: by one move, which is no shorter than the least move of its speed,
+    # ramp included. The approach comes after it; its two parts may be longer than they must be, for
+    # no ramp and with no least move.
     listed = drive.listed
     assert listed is not None
     if not listed.returns:  # the approach is a part of the turn
         turn = turn - (listed.approach_sign * listed.approach_rad)
-    rising = turn > 0.0
     scale = drive.scale[:, None]
-    ahead = np.where(rising, scale[..., 1], scale[..., 0])
-    back = np.where(rising, scale[..., 0], scale[..., 1])
-    slowest = float(listed.speeds_rad_s[-1])
+    forth, back = scale[..., 1], scale[..., 0]
+    ahead, behind = np.where(turn > 0.0, forth, back), np.where(turn > 0.0, back, forth)
     way, best = np.abs(turn), np.full(turn.shape, np.inf)
-    for speed, ramp_s, least in zip(listed.speeds_rad_s, listed.ramp_s, listed.least_rad):
-        goes = np.maximum(way, least * ahead)
-        best = np.minimum(best, goes / (speed * ahead) + ramp_s + (goes - way) / (slowest * back))
+    without_ramp_s = np.where(listed.approach_rad > 0.0, 0.0, np.inf)
+    longer = (listed.speeds_rad_s[listed.approach_speed], without_ramp_s, 0.0)
+    moves = [*zip(listed.speeds_rad_s, listed.ramp_s, listed.least_rad), longer]
+    for speed, ramp_s, least in moves:
+        alone = np.where(way >= least * ahead, way / (speed * ahead) + ramp_s, np.inf)
+        best = np.minimum(best, alone)
+        for speed_back, ramp_back_s, least_back in moves:
+            goes = np.maximum(way + least_back * behind, least * ahead)
+            both_s = goes / (speed * ahead) + ramp_s + ramp_back_s
+            best = np.minimum(best, both_s + (goes - way) / (speed_back * behind))
     return np.where(way < _STAYS_RAD, 0.0, best) + approach_s(drive)[:, None]

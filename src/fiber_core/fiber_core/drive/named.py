@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from fiber_core.array_types import Angles, Ints
 from fiber_core.drive.drive import Drive
 from fiber_core.drive.listed import ListedSpeeds
 from fiber_core.errors import LayoutError
@@ -80,7 +81,8 @@ def with_drive(plane: FocalPlane, name: str, motors_on: float | None = None) -> 
 
     A ramp lasts the whole number of ticks in which the fastest joint, starting from rest, reaches
     its highest speed. What the plane knows of each robot, scale, lost motion, uncertainty and
-    supply, stays.
+    supply, stays; what it has from a named drive goes with that drive. Of the uncertainty of
+    a robot and that of a drive a plane has only the larger one.
 
     Args:
         plane: the focal plane.
@@ -96,14 +98,14 @@ def with_drive(plane: FocalPlane, name: str, motors_on: float | None = None) -> 
     figures, units = DRIVES[name], WireUnits.for_plane(plane)
     limit, before = np.deg2rad(figures.acceleration_deg_s2), plane.drive
     rise_s = float((plane.speeds / limit).max(initial=0.0))
-    supply = before.supply
-    if supply is None and figures.robots_a_supply is not None:
-        supply = np.arange(plane.n) // figures.robots_a_supply
+    own_rad, supply = _own(before)
+    if supply is None:
+        supply = _supply(figures, plane.n)
     drive = Drive(
         plane.n,
         ramp_s=float(np.ceil(rise_s / units.tick_s - 1e-9)) * units.tick_s,
         acceleration_rad_s2=limit,
-        uncertainty_rad=np.maximum(np.deg2rad(figures.uncertainty_deg), before.uncertainty_rad),
+        uncertainty_rad=np.maximum(np.deg2rad(figures.uncertainty_deg), own_rad),
         name=name,
         listed=_listed(figures, units.velocity_rad_s),
         scale=before.scale,
@@ -112,6 +114,21 @@ def with_drive(plane: FocalPlane, name: str, motors_on: float | None = None) -> 
         motors_on=before.motors_on if motors_on is None else motors_on,
     )
     return replace(plane, drive=drive)
+
+
+def _own(drive: Drive) -> tuple[Angles, Ints | None]:
+    # uncertainty and supply of each robot that are not those of the named drive it has
+    figures = DRIVES.get(drive.name)
+    if figures is None:
+        return drive.uncertainty_rad, drive.supply
+    of_drive = drive.uncertainty_rad == np.deg2rad(figures.uncertainty_deg)
+    supply = _supply(figures, drive.n)
+    named = supply is not None and np.array_equal(drive.supply, supply)
+    return np.where(of_drive, 0.0, drive.uncertainty_rad), None if named else drive.supply
+
+
+def _supply(figures: DriveFigures, n: int) -> Ints | None:
+    return None if figures.robots_a_supply is None else np.arange(n) // figures.robots_a_supply
 
 
 def _listed(figures: DriveFigures, unit_rad_s: float) -> ListedSpeeds | None:
