@@ -14,11 +14,12 @@ import numpy as np
 from fiber_bringup.graph import Graph
 from fiber_bus_bridge.plant.rehearsal import rehearse
 from fiber_client.client import PlaneClient
+from fiber_core.drive.named import with_drive
 from fiber_core.fields import random_field, random_problem
 from fiber_core.presets import preset
 from fiber_msgs_py import PlanStamp
 from fiber_node.ros_environment import own_domain
-from fiber_planner import make_planner, planners
+from fiber_planner import LISTED_PLANNER, make_planner, planners
 
 _WAIT_S = 600.0
 
@@ -47,6 +48,8 @@ def _reconfigure(planner: str) -> None:
 def _plan(name: str) -> None:
     # arms in each other's way, and robots that never move; with this seed every loop is used
     plane = preset("moons", 61).with_enabled(np.arange(61) % 7 > 0)
+    if name == LISTED_PLANNER:
+        plane = with_drive(preset("desi_petals", 61), "desi", motors_on=0.55)
     make_planner(name).plan(random_problem(plane, np.random.default_rng(4)))
 
 

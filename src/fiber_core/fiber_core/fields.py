@@ -15,11 +15,9 @@ from fiber_core.clearance import (
     Neighbours,
     Safety,
     bodies_of,
-    levers_of,
     neighbour_pairs,
     neighbours_of,
     pair_gap_below,
-    point_speeds,
 )
 from fiber_core.errors import FieldError
 from fiber_core.fibres import ANY_FIBRE
@@ -127,12 +125,9 @@ def _neighbours(plane: FocalPlane, slack_mm: float) -> Neighbours:
 def _gap_at_ends_mm(plane: FocalPlane) -> float:
     # Motors with listed speeds run or creep: a pair must keep the gap of full speed everywhere.
     gap_mm = Safety().margin_mm + _OVER_MARGIN_MM
-    if plane.drive.listed is None or plane.n == 0:
+    if plane.drive.listed is None:
         return gap_mm
-    speeds = point_speeds(levers_of(plane), plane.speeds)
-    two = np.repeat(np.argsort(speeds)[-1:], 2)
-    fast_mm = Safety().required_at(speeds, _LONG_S, two).max()
-    return max(gap_mm, float(fast_mm) + _ALLOWANCE_MM)
+    return max(gap_mm, Safety().at_full_speed_mm(plane, _LONG_S) + _ALLOWANCE_MM)
 
 
 def _arrange(

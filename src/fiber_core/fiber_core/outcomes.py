@@ -47,6 +47,7 @@ class Reason(IntEnum):
     UNSAFE = 40  # no motion of the robot could be certified among its neighbours
     BAD_TRAJECTORY = 41  # a jump, a speed, a limit, or a start away from the robot
     TOO_MANY_SEGMENTS = 42  # more segments than one order can carry
+    OVERLOAD = 43  # its motors would be one too many for their power supply
 
     # the bus (fiber_bus_bridge)
     NOT_PLANNED = 60  # the robot has a target, but no orders arrived for it

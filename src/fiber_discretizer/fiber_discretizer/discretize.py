@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Codes, Mask
 from fiber_core.clearance import Certificate, Safety, hold_until_safe
+from fiber_core.drive import carried_out, overloading
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
@@ -38,7 +39,7 @@ class Discretization:
     Args:
         wire: the motion in whole wire units; robots with a reason other than OK rest.
         reason: Reason of each robot, shape (n,): OK, BAD_TRAJECTORY, DISABLED,
-            TOO_MANY_SEGMENTS or UNSAFE.
+            TOO_MANY_SEGMENTS, OVERLOAD or UNSAFE.
         certificate: certificate of wire.decoded() over the whole plane. It is not ok
             only where robots at rest are too close already, one of which could move.
         rounds: how often robots without a safe motion were tried again.
@@ -101,7 +102,13 @@ def discretize(
         )
     report(0.8, "certifying")
     _, held, certificate = hold_until_safe(plane, wire.decoded(), safety)
-    reason[held & (reason == Reason.OK)] = Reason.UNSAFE
+    held_here = held & (reason == Reason.OK)
+    reason[held_here] = Reason.UNSAFE
+    if plane.drive.motors_on < 1.0:
+        curves = carried_out(plane.drive, wire.decoded())
+        reason[held_here & overloading(curves, plane.supply, plane.drive.motors_on)] = (
+            Reason.OVERLOAD
+        )
     report(1.0, "certified" if certificate.ok else "robots at rest are too close")
     reason.setflags(write=False)
     return Discretization(wire.without(held), reason, certificate, rounds)

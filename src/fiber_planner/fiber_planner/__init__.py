@@ -28,6 +28,7 @@ from fiber_planner.pair_bound import PairBound, pair_bound
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment, plan_targets
 from fiber_planner.registry import (
     DEFAULT_PLANNER,
+    LISTED_PLANNER,
     default_planner,
     make_planner,
     parameters_of,
@@ -46,6 +47,7 @@ __all__ = [
     "DnfPlanner",
     "DnfPriorityParameters",
     "DnfPriorityPlanner",
+    "LISTED_PLANNER",
     "PairBound",
     "PlanStageResult",
     "PlannedMotion",

@@ -11,7 +11,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
 from fiber_planner.goal_selection import ends_that_clash, fastest_ends, travel_s
 
-__all__ = ["GoalProgram", "goal_program", "least_time_s", "most_goals", "robots_with_goals"]
+__all__ = ["GoalProgram", "goal_program", "least_makespan_s", "most_goals", "robots_with_goals"]
 
 _MEASURED_MM = 1e-3  # a pair that starts too close must keep its gap, less this, at the end
 _SAME_S = 1e-9
@@ -140,7 +140,7 @@ def robots_with_goals(chosen: Ints) -> int:
     return int(np.count_nonzero(chosen >= 0))
 
 
-def least_time_s(program: GoalProgram, robots: int) -> tuple[float, bool]:
+def least_makespan_s(program: GoalProgram, robots: int) -> tuple[float, bool]:
     """Return the least time in which as many robots can be on their targets [s], and if proven.
 
     Args:

@@ -34,7 +34,15 @@ from fiber_node import (
 from fiber_planner.errors import PlannerError
 from fiber_planner.interface import Planner, spacing_of
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment
-from fiber_planner.registry import DEFAULT_PLANNER, make_planner, parameters_of, planners
+from fiber_planner.registry import (
+    DEFAULT_PLANNER,
+    LISTED_PLANNER,
+    make_planner,
+    parameters_of,
+    planners,
+    suited,
+)
+from fiber_planner.scheduled import ScheduledParameters
 from fiber_planner.straight import StraightPlanner
 
 __all__ = ["PlannerNode", "main"]
@@ -45,7 +53,8 @@ class PlannerChoice:
     """Which planner plans.
 
     Args:
-        planner: name of the planner; its parameters begin with its name.
+        planner: name of the planner; its parameters begin with its name. For motors with listed
+            speeds, `scheduled` plans in place of `direct`.
 
     Raises:
         PlannerError: there is no planner of that name.
@@ -110,10 +119,28 @@ class PlannerNode(ManagedNode):
         for attempt in self._worker.cancel():
             self.reporter.drop(f"plan {attempt}: planning ended: the node is deactivated")
 
-    def planner(self) -> Planner:
-        """Return the planner that plans next, with the parameters that are in effect."""
-        name = self._choice.value.planner
+    def planner(self, plane: FocalPlane) -> Planner:
+        """Return the planner that plans next, with the parameters that are in effect.
+
+        Args:
+            plane: the focal plane.
+        """
+        name = suited(self._choice.value.planner, plane)
         return make_planner(name, **asdict(self._settings[name].value))
+
+    def _moving(self, plane: FocalPlane, attempt: Attempt) -> Planner:
+        planner, chosen = self.planner(plane), self._choice.value.planner
+        if planner.name != chosen:
+            self.get_logger().info(
+                f"plan {attempt}: the motors have a list of speeds, planner {planner.name} plans "
+                f"in place of {chosen}"
+            )
+        return planner
+
+    def _straight(self) -> StraightPlanner:
+        scheduled = self._settings[LISTED_PLANNER].value
+        assert isinstance(scheduled, ScheduledParameters)
+        return StraightPlanner(scheduled=scheduled)
 
     def _on_targets(self, message: PointCloud2) -> None:
         try:
@@ -150,7 +177,7 @@ class PlannerNode(ManagedNode):
                 return
             plane = targets.plane_for(plane, message)
             straight = targets.decode_straight(message)
-            planner = StraightPlanner() if straight else self.planner()
+            planner = self._straight() if straight else self._moving(plane, attempt)
             self.reporter.debug(f"plan {attempt}: {len(ids)} targets, planner {planner.name}")
             spacing_mm = spacing_of(planner, plane)
             assignment = assign(plane, start, ids, xy_mm, spacing_mm=spacing_mm)

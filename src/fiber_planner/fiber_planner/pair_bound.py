@@ -12,7 +12,7 @@ from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
 from fiber_planner.direct.reachability import reachable
-from fiber_planner.goal_program import goal_program, least_time_s, most_goals, robots_with_goals
+from fiber_planner.goal_program import goal_program, least_makespan_s, most_goals, robots_with_goals
 from fiber_planner.goal_selection import choose_goals, lower_bound_s, travel_s
 
 __all__ = ["PairBound", "pair_bound"]
@@ -65,5 +65,5 @@ def pair_bound(problem: Problem, margin_mm: float = 0.05) -> PairBound:
     program = goal_program(problem, can, max(0.0, margin_mm - rounding_mm))
     chosen, proven = most_goals(program)
     robots = robots_with_goals(chosen)
-    time_s, least = least_time_s(program, robots)
+    time_s, least = least_makespan_s(program, robots)
     return PairBound(robots, time_s, proven and least and one_fibre)

@@ -17,21 +17,24 @@ from fiber_planner.dnf import (
 )
 from fiber_planner.errors import PlannerError
 from fiber_planner.interface import Planner
-from fiber_planner.scheduled import ScheduledPlanner
+from fiber_planner.scheduled import ScheduledParameters, ScheduledPlanner
 
 __all__ = [
     "DEFAULT_PLANNER",
+    "LISTED_PLANNER",
     "Parameters",
     "default_planner",
     "make_planner",
     "parameters_of",
     "planners",
+    "suited",
 ]
 
 DEFAULT_PLANNER = "direct"
+LISTED_PLANNER = "scheduled"  # for motors with listed speeds
 
 # The parameter classes: frozen dataclasses that own the defaults and check the ranges.
-Parameters: TypeAlias = DirectParameters | DnfParameters
+Parameters: TypeAlias = DirectParameters | DnfParameters | ScheduledParameters
 
 
 class _Entry(NamedTuple):
@@ -45,6 +48,7 @@ _PLANNERS = {
     "dnf_arms": _Entry(DnfParameters, DnfArmsPlanner),
     "dnf_arms_priority": _Entry(DnfPriorityParameters, DnfArmsPriorityPlanner),
     "dnf_priority": _Entry(DnfPriorityParameters, DnfPriorityPlanner),
+    LISTED_PLANNER: _Entry(ScheduledParameters, ScheduledPlanner),
 }
 
 
@@ -53,15 +57,24 @@ def planners() -> tuple[str, ...]:
     return tuple(sorted(_PLANNERS))
 
 
+def suited(name: str, plane: FocalPlane) -> str:
+    """Return the name of a planner, or `scheduled` in place of the default for listed speeds.
+
+    Args:
+        name: one of planners().
+        plane: the focal plane.
+    """
+    listed = plane.drive.listed is not None
+    return LISTED_PLANNER if listed and name == DEFAULT_PLANNER else name
+
+
 def default_planner(plane: FocalPlane) -> Planner:
     """Return the planner for the motors of a plane: `direct`, or `scheduled` for listed speeds.
 
     Args:
         plane: the focal plane.
     """
-    if plane.drive.listed is not None:
-        return ScheduledPlanner()
-    return make_planner(DEFAULT_PLANNER)
+    return make_planner(suited(DEFAULT_PLANNER, plane))
 
 
 def parameters_of(name: str) -> type[Parameters]:

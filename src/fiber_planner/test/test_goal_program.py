@@ -16,7 +16,7 @@ from fiber_core.presets import preset
 from fiber_core.problem import Problem
 from fiber_planner import make_planner, pair_bound, travel_s
 from fiber_planner.direct import initial_plan
-from fiber_planner.goal_program import goal_program, least_time_s, most_goals, robots_with_goals
+from fiber_planner.goal_program import goal_program, least_makespan_s, most_goals, robots_with_goals
 
 MARGIN = 0.1
 
@@ -76,7 +76,7 @@ def test_enumeration_finds_no_more_robots_and_no_shorter_time(name):
         chosen, proven = most_goals(program)
         assert proven and (chosen[~seeking] < 0).all()
         assert robots_with_goals(chosen) == robots, seed
-        least_s, proven = least_time_s(program, robots)
+        least_s, proven = least_makespan_s(program, robots)
         assert proven and least_s == pytest.approx(soonest, abs=1e-12), seed
         chosen, _ = most_goals(program, soonest, soonest=True)
         assert robots_with_goals(chosen) == robots
@@ -90,11 +90,11 @@ def test_a_least_time_of_searches_that_were_given_up_is_not_called_proven(monkey
     problem = crowded_field(0, name="moons")
     program = goal_program(problem, problem.plane.enabled & np.isfinite(fastest(problem)), MARGIN)
     robots = robots_with_goals(most_goals(program)[0])
-    assert least_time_s(program, robots)[1]
+    assert least_makespan_s(program, robots)[1]
     monkeypatch.setattr(
         "fiber_planner.goal_program.most_goals", lambda *a, **k: (most_goals(*a, **k)[0], False)
     )
-    assert not least_time_s(program, robots)[1]
+    assert not least_makespan_s(program, robots)[1]
 
 
 def test_a_search_for_soon_ends_that_is_given_up_costs_no_robot_its_target(monkeypatch):

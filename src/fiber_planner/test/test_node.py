@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from fiber_core.drive.named import with_drive
 from fiber_core.fields import random_problem
 from fiber_core.kinematics import forward
 from fiber_core.outcomes import Reason
@@ -185,7 +186,9 @@ def test_it_declares_the_parameters_of_every_planner_and_uses_those_of_the_one_c
     with RosClient("rest") as peer:
         node = peer.add_node(PlannerNode, planner="direct", direct__seed=4)
         assert node.get_parameter("direct.seed").value == 4
-        assert node.planner().parameters == parameters_of("direct")(seed=4)
+        plane = preset("desi_petals", 30)
+        assert node.planner(plane).parameters == parameters_of("direct")(seed=4)
+        assert node.planner(with_drive(plane, "desi")).parameters == parameters_of("scheduled")()
         assert node.get_parameter("dnf.lambda1").value == parameters_of("dnf")().lambda1
         with pytest.raises(PlannerError, match="'fastest'"):
             peer.add_node(PlannerNode, planner="fastest")

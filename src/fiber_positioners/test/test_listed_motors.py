@@ -2,6 +2,7 @@
 """Fields of robots whose motors have a list of speeds, from the problem to the bytes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from fiber_core import preset
 from fiber_core.clearance import Safety, certify
 from fiber_core.drive import carried_out, most_motors_on, rules_broken
 from fiber_core.drive.named import with_drive
-from fiber_core.fields import random_problem
+from fiber_core.fields import random_field, random_problem
+from fiber_core.kinematics import on_target
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_discretizer import discretize
+from fiber_planner import StraightPlanner
 from fiber_positioners import reconfigure
 from fiber_positioners.command.main import main
 from fiber_positioners.orders import make_orders
@@ -84,3 +87,40 @@ def test_the_command_takes_drive_and_share(capsys):
     assert 0.0 < report["motors_on_peak"] <= 0.6
     assert main([*arguments, "--drive", "desi", "--motors-on", "1.2"]) == 2
     assert "'1.2' is not above 0 and at most 1" in capsys.readouterr().err
+
+
+def test_no_robot_is_held_for_what_the_planner_can_see():
+    """Robots that have no way make way for the others, and the discretizer holds none."""
+    plane = with_drive(preset("desi_petals", 60), "desi", motors_on=0.55)
+    crowded = make_orders(random_problem(plane, np.random.default_rng(0)), planner="scheduled")
+    assert not np.isin(crowded.reason, (Reason.UNSAFE, Reason.BAD_TRAJECTORY)).any()
+    assert (crowded.reason == Reason.OK).sum() >= 55  # 52 of 60 without making way
+
+
+def test_corrections_obey_the_rules_too():
+    plane = with_drive(preset("desi_petals", _N), "desi", motors_on=0.55)
+    rng = np.random.default_rng(5)
+    arranged = random_field(plane, rng, gap_mm=1.0).problem
+    places = on_target(plane, arranged.start, np.full((_N, 2), np.nan)).place
+    way = rng.uniform(0.0, 2.0 * np.pi, _N)
+    away = rng.uniform(0.05, 0.5, _N)[:, None] * np.stack([np.cos(way), np.sin(way)], axis=1)
+    problem = replace(arranged, targets=places + away)
+    orders = make_orders(problem, planner=StraightPlanner())
+    asked = orders.start_problem.asked
+    reached = asked & (orders.reason == Reason.OK)
+    assert asked.sum() > 0.7 * _N and reached.sum() >= 0.9 * asked.sum()
+    motion = orders.wire.decoded()
+    assert certify(plane, motion, Safety()).ok and not rules_broken(plane.drive, motion).any()
+    ends = on_target(plane, motion.end, problem.targets)
+    assert ends.error_mm[reached].max() < 0.005
+    assert carried_out(plane.drive, motion).makespan_s < 5.0
+    # no correction flips an elbow
+    assert np.abs(motion.end - motion.start).max() < 0.5
+
+
+def test_robots_that_are_one_too_many_for_their_supply_are_told_apart():
+    plane = with_drive(preset("desi", 37), "ideal", motors_on=0.5)
+    orders = make_orders(random_problem(plane, np.random.default_rng(1)))
+    # half of them, and one that would touch one of these
+    reasons = np.bincount(orders.reason, minlength=100)
+    assert reasons[Reason.OVERLOAD] >= 18 and reasons[Reason.UNSAFE] <= 1

@@ -166,6 +166,19 @@ class Safety:
             stop_skew_s=max(self.stop_skew_s, self.border_stop_skew_s),
         )
 
+    def at_full_speed_mm(self, plane: FocalPlane, lasts_s: float) -> float:
+        """Return the gap that any two robots of a plane must keep at full speed [mm].
+
+        Pairs of different sectors, where there are any, count as all others do.
+
+        Args:
+            plane: the focal plane; robots that are not enabled rest.
+            lasts_s: longest duration of the motion [s].
+        """
+        speeds = point_speeds(levers_of(plane), plane.speeds * plane.enabled[:, None])
+        fastest = np.repeat(np.argsort(speeds)[-1:], 2)  # twice the same; none without robots
+        return float(self.anywhere(plane).required_at(speeds, lasts_s, fastest).max(initial=0.0))
+
 
 def levers_of(plane: FocalPlane) -> Floats:
     """Return the largest distance of a point of a robot from the axis of each joint [mm], (n, 2).

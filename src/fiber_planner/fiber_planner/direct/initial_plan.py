@@ -19,7 +19,7 @@ from fiber_planner.direct.scene import Scene
 from fiber_planner.direct.time_grid import TimeGrid
 from fiber_planner.goal_program import (
     goal_program,
-    least_time_s,
+    least_makespan_s,
     most_goals,
     robots_with_goals,
 )
@@ -87,7 +87,7 @@ def _soonest_ends(problem: Problem, seeking: Mask, margins_mm: list[float]) -> t
     robots = [robots_with_goals(elbow) for elbow in chosen]
     widest = next(k for k, count in enumerate(robots) if count >= robots[-1])
     program = programs[widest]
-    least_s, _ = least_time_s(program, robots[widest])
+    least_s, _ = least_makespan_s(program, robots[widest])
     soonest = most_goals(program, least_s, soonest=True)[0]
     if robots_with_goals(soonest) < robots[widest]:  # that search was given up
         soonest = chosen[widest]

@@ -10,8 +10,9 @@ from fiber_core import kinematics
 from fiber_core.array_types import Angles, Bools, Floats, Ints, Pairs
 from fiber_core.clearance import Bodies, Neighbours, bodies_of, neighbour_pairs, neighbours_of
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.motors import alone_s, speeds_alone
+from fiber_core.motors import alone_s, longest_move_s, speeds_alone
 from fiber_core.problem import Problem
+from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.splitmix64 import place_keys
 
 __all__ = ["Scene", "scene_of"]
@@ -72,17 +73,18 @@ class Scene(NamedTuple):
     option_count: Ints
 
 
-def scene_of(problem: Problem, seed: int = 0) -> Scene:
+def scene_of(problem: Problem, parameters: DirectParameters | None = None) -> Scene:
     """Collect what the search needs to know about a problem.
 
     Args:
         problem: the plane, the present joint angles and the targets.
-        seed: of the random numbers.
+        parameters: clearance to keep and seed; pairs that can never come as close are left out.
     """
+    parameters = parameters or DirectParameters()
     plane = problem.plane
     bodies = bodies_of(plane)
     movable = np.concatenate([plane.enabled, np.zeros(plane.fixtures, dtype=bool)])
-    pairs = neighbour_pairs(plane).astype(np.int64)
+    pairs = neighbour_pairs(plane, max(1.0, _largest_gap_mm(plane, parameters))).astype(np.int64)
     pairs = pairs[movable[pairs].any(axis=1)]
     options, option_count = _options(problem)
     return Scene(
@@ -107,10 +109,16 @@ def scene_of(problem: Problem, seed: int = 0) -> Scene:
         motor_speed=_MOTOR_SPEED * plane.motor_speeds,
         motor_range=plane.motor_limits,
         movable=movable,
-        key=place_keys(plane, seed),
+        key=place_keys(plane, parameters.seed),
         options=options,
         option_count=option_count,
     )
+
+
+def _largest_gap_mm(plane: FocalPlane, parameters: DirectParameters) -> float:
+    # that pairs must keep in the longest motion: its arms also fold and unfold
+    longest_s = (parameters.stretch + 2.0) * longest_move_s(plane)[plane.enabled].max(initial=0.0)
+    return parameters.safety.at_full_speed_mm(plane, float(longest_s))
 
 
 def _motor_share(plane: FocalPlane) -> float:

@@ -93,7 +93,7 @@ class Search:
         self._problem, self._parameters = problem, parameters
         self._progress, self._clock = progress, clock
         self._end_s = clock() + parameters.budget_s
-        self._scene = scene_of(problem, parameters.seed)
+        self._scene = scene_of(problem, parameters)
         self._ends = choose_ends(problem, self._scene, parameters)
         self._reason, self._alone_s = self._ends.reason, self._ends.alone_s
         self._tick_s = WireUnits.for_plane(problem.plane).tick_s

@@ -63,9 +63,7 @@ class Conflicts:
             lasts_s: longest duration of the motion [s].
         """
         speeds = point_speeds(levers_of(plane), plane.speeds * plane.enabled[:, None])
-        two = np.repeat(np.argsort(speeds)[-1:], 2)  # the fastest robot, twice
-        most = safety.required_at(speeds, lasts_s, two).max(initial=0.0)
-        pairs = neighbour_pairs(plane, max(1.0, float(most)))
+        pairs = neighbour_pairs(plane, max(1.0, safety.at_full_speed_mm(plane, lasts_s)))
         moves = np.append(plane.enabled, np.zeros(plane.fixtures, dtype=bool))
         pairs = pairs[moves[pairs].any(axis=1)]
         at_start = gaps(plane, pairs, units.to_angles(start))

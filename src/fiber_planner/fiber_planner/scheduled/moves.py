@@ -2,7 +2,9 @@
 """Moves of joints whose motors have a list of speeds, in whole ticks and quanta.
 
 A joint goes to its goal in a run at one speed and an *approach*: creep back, then creep forth. The
-run ends within a tick of the goal, and the approach makes up for what is left.
+run ends within a tick of the goal, and the approach makes up for what is left. A run to an angle on
+the way may come before; where a goal is nearer than the least run, two runs are sooner there than
+creep.
 """
 
 from dataclasses import dataclass
@@ -10,12 +12,12 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 
-from fiber_core.array_types import Ints
+from fiber_core.array_types import Bools, Counts, Ints
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 from fiber_planner.errors import PlannerError
 
-__all__ = ["JointMoves", "Motors", "moves_to", "motors_of_plane", "run_ticks"]
+__all__ = ["JointMoves", "Motors", "jogs", "motors_of_plane", "moves_to", "run_ticks"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +32,7 @@ class Motors:
         ramp: ticks of rest that a run needs behind it.
         back, forth: least ticks of either part of the approach, shape (n, 2).
         sign: direction of the approach of theta and phi, shape (2,).
+        ranges: lowest and highest position of each joint [quanta], shape (n, 2, 2).
     """
 
     run: Ints
@@ -39,6 +42,7 @@ class Motors:
     back: Ints
     forth: Ints
     sign: Ints
+    ranges: Counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +54,8 @@ class JointMoves:
         run_velocity: its velocity [velocity units], shape (m, 2).
         back, forth: ticks of both parts of the approach, shape (m, 2).
         turn: how far each joint turns [quanta], shape (m, 2).
+        possible: whether moves inside the range of both joints were found, shape (m,); without
+            them a robot rests.
     """
 
     run: Ints
@@ -57,13 +63,15 @@ class JointMoves:
     back: Ints
     forth: Ints
     turn: Ints
+    possible: Bools
 
 
 def motors_of_plane(plane: FocalPlane, units: WireUnits) -> Motors:
     """Return the motors of a plane in wire units.
 
     Raises:
-        PlannerError: the motors have no list of speeds, or a speed is below one velocity unit.
+        PlannerError: the motors have no list of speeds, a speed is below one velocity unit, or an
+            approach has a ramp or a least move that the planner does not allow for.
     """
     listed = plane.drive.listed
     if listed is None:
@@ -73,6 +81,7 @@ def motors_of_plane(plane: FocalPlane, units: WireUnits) -> Motors:
         )
     scale, unit = plane.drive.scale, units.velocity_rad_s
     approach = listed.approach_speed
+    _check_approach(plane)
     run = np.floor(listed.speeds_rad_s[0] * scale / unit + 1e-9).astype(np.int64)
     creep = np.rint(listed.speeds_rad_s[approach] * scale / unit).astype(np.int64)
     slow = (creep < 1).any(axis=(1, 2))
@@ -89,15 +98,39 @@ def motors_of_plane(plane: FocalPlane, units: WireUnits) -> Motors:
     forth = -(-quanta // creep[:, joints, rising])
     back = -(-quanta // creep[:, joints, 1 - rising]) if listed.returns else np.zeros_like(forth)
     ramp = int(np.ceil(listed.ramp_s[0] / units.tick_s - 1e-9))
-    return Motors(run, creep, np.maximum(least, 1), ramp, back, forth, sign)
+    ranges = units.range_counts(plane)
+    return Motors(run, creep, np.maximum(least, 1), ramp, back, forth, sign, ranges)
 
 
-def moves_to(motors: Motors, rows: Ints, turn: Ints) -> JointMoves:
+def _check_approach(plane: FocalPlane) -> None:
+    # Both parts of an approach follow each other at once, and take up what a run leaves, however
+    # little it is: the second part, and the first one if there is one.
+    listed = plane.drive.listed
+    assert listed is not None
+    ramp_s, least = (values[listed.approach_speed] for values in (listed.ramp_s, listed.least_rad))
+    if ramp_s > 0.0:
+        raise PlannerError(
+            f"the planner 'scheduled' is for approaches without a ramp, that of this plane has one "
+            f"of {ramp_s:.4g} s"
+        )
+    parts = listed.approach_rad if listed.returns else np.zeros(2)
+    joint = int(np.argmin(parts))
+    name = ("theta", "phi")[joint]
+    if parts[joint] < least * plane.drive.scale[:, joint].max(initial=0.0):
+        raise PlannerError(
+            f"the planner 'scheduled' ends each joint with back and forth, and {name} "
+            f"may move as little as {np.rad2deg(parts[joint]):.4g} deg then: the least move of its "
+            f"motor at that speed is {np.rad2deg(least):.4g} deg"
+        )
+
+
+def moves_to(motors: Motors, rows: Ints, start: Counts, turn: Ints) -> JointMoves:
     """Return the quickest moves that turn the joints of some robots.
 
     Args:
         motors: what the motors can do.
         rows: rows of the robots, shape (m,).
+        start: positions of their joints [quanta], shape (m, 2).
         turn: how far each joint is to turn [quanta], shape (m, 2).
 
     Returns:
@@ -106,59 +139,97 @@ def moves_to(motors: Motors, rows: Ints, turn: Ints) -> JointMoves:
     return JointMoves(
         *_moves(
             turn, motors.run[rows], motors.creep[rows], motors.least[rows], motors.ramp,
-            motors.back[rows], motors.forth[rows], motors.sign,
+            motors.back[rows], motors.forth[rows], motors.sign, start, motors.ranges[rows],
         )
     )  # fmt: skip
 
 
-def run_ticks(motors: Motors, rows: Ints, joint: int, turn: Ints) -> tuple[Ints, Ints]:
-    """Return ticks and velocity of runs that turn one joint by about some angles.
+def run_ticks(motors: Motors, rows: Ints, turn: Ints) -> tuple[Ints, Ints]:
+    """Return ticks and velocity of runs that turn joints by about some angles.
 
     Args:
         motors: what the motors can do.
         rows: rows of the robots, shape (m,).
-        joint: 0 theta, 1 phi.
-        turn: how far the joint is to turn [quanta], shape (m,).
+        turn: how far theta and phi are to turn [quanta], shape (m, 2).
 
     Returns:
-        Ticks, 0 where the turn is shorter than the least run, and velocities, both shape (m,).
+        Ticks, 0 where the turn is shorter than the least run, and velocities, both shape (m, 2).
     """
-    rising = (turn > 0).astype(np.int64)
-    speed = motors.run[rows, joint, rising]
+    speed, least = _one_way(motors, rows, turn > 0)
     ticks = np.abs(turn) // speed
-    ticks = np.where(ticks < motors.least[rows, joint, rising], 0, ticks)
-    return ticks, np.where(turn > 0, speed, -speed)
+    return np.where(ticks < least, 0, ticks), np.where(turn > 0, speed, -speed)
+
+
+def jogs(motors: Motors, rows: Ints, turn: Ints) -> Ints:
+    """Return how far joints run beyond a near goal first, to run back to it [quanta], shape (m, 2).
+
+    Args:
+        motors: what the motors can do.
+        rows: rows of the robots, shape (m,).
+        turn: how far theta and phi are to turn [quanta], shape (m, 2).
+
+    Returns:
+        Turns from the start; 0 where one run or creep is sooner at the goal.
+    """
+    speed, least = _one_way(motors, rows, turn > 0)
+    speed_back, least_back = _one_way(motors, rows, turn <= 0)
+    creep = motors.creep[rows].max(axis=2)
+    far = np.abs(turn)
+    takes = least + least_back + 2 * motors.ramp + 1
+    near = (far > takes * creep) & (far < least * speed)
+    beyond = np.maximum(far + least_back * speed_back, least * speed) + speed
+    return np.where(near, np.sign(turn) * beyond, 0)
+
+
+def _one_way(motors: Motors, rows: Ints, rising: Bools) -> tuple[Ints, Ints]:
+    # speed and least ticks of runs in one direction of each joint, shape (m, 2)
+    at = rows[:, None], np.arange(2), rising.astype(np.int64)
+    return motors.run[at], motors.least[at]
 
 
 @nb.njit(cache=True)
-def _moves(turn, run, creep, least, ramp, back, forth, sign):
+def _moves(turn, run, creep, least, ramp, back, forth, sign, start, ranges):
     m = len(turn)
-    out = np.zeros((5, m, 2), dtype=np.int64)
+    out, possible = np.zeros((5, m, 2), dtype=np.int64), np.ones(m, dtype=np.bool_)
     for i in range(m):
         for joint in range(2):
-            wanted = turn[i, joint]
-            if wanted == 0:
-                continue
-            s = sign[joint]
-            ahead, behind = creep[i, joint, (s + 1) // 2], creep[i, joint, (1 - s) // 2]
-            # the approach without a run before it goes this far
-            goes = ahead * forth[i, joint] - behind * back[i, joint]
-            best = np.int64(1) << 40
-            for way in (1, -1):
-                speed, fewest = run[i, joint, (way + 1) // 2], least[i, joint, (way + 1) // 2]
-                near = (wanted - s * goes) * way // speed
-                for choice in range(4):
-                    ticks = 0 if choice == 3 else max(near + choice - 1, fewest)
-                    left = (wanted - way * ticks * speed) * s - goes
-                    b, f = back[i, joint], forth[i, joint]
-                    if left >= 0:
-                        f += (2 * left + ahead) // (2 * ahead)
-                    else:
-                        b += (-2 * left + behind) // (2 * behind)
-                    takes = b + f + (ticks + ramp if ticks else 0)
-                    if takes < best:
-                        best = takes
-                        out[0, i, joint], out[1, i, joint] = ticks, way * speed
-                        out[2, i, joint], out[3, i, joint] = b, f
-                        out[4, i, joint] = way * ticks * speed + s * (ahead * f - behind * b)
-    return out[0], out[1], out[2], out[3], out[4]
+            if turn[i, joint] != 0:
+                possible[i] &= _best_move(
+                    turn[i, joint], run[i, joint], creep[i, joint], least[i, joint], ramp,
+                    back[i, joint], forth[i, joint], sign[joint], start[i, joint],
+                    ranges[i, joint], out[:, i, joint],
+                )  # fmt: skip
+        if not possible[i]:
+            out[:, i] = 0
+    return out[0], out[1], out[2], out[3], out[4], possible
+
+
+@nb.njit(cache=True)
+def _best_move(wanted, run, creep, least, ramp, back, forth, sign, start, allowed, out):
+    # the quickest move of one joint, in the order of JointMoves; returns whether there is one
+    ahead, behind = creep[(sign + 1) // 2], creep[(1 - sign) // 2]
+    # the approach without a run before it goes this far
+    goes = ahead * forth - behind * back
+    best = np.int64(1) << 40
+    longest = best
+    for way in (1, -1):
+        speed, fewest = run[(way + 1) // 2], least[(way + 1) // 2]
+        near = (wanted - sign * goes) * way // speed
+        for choice in range(4):
+            ticks = 0 if choice == 3 else max(near + choice - 1, fewest)
+            ran = way * ticks * speed
+            left = (wanted - ran) * sign - goes
+            b, f = back, forth
+            if left >= 0:
+                f += (2 * left + ahead) // (2 * ahead)
+            else:
+                b += (-2 * left + behind) // (2 * behind)
+            takes = b + f + (ticks + ramp if ticks else 0)
+            turning = ran - sign * behind * b
+            end = turning + sign * ahead * f
+            low = start + min(min(0, ran), min(turning, end))
+            high = start + max(max(0, ran), max(turning, end))
+            if takes < best and low >= allowed[0] and high <= allowed[1]:
+                best = takes
+                out[0], out[1], out[2], out[3], out[4] = ticks, way * speed, b, f, end
+    return best < longest

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 
-from fiber_core.array_types import Counts, Floats, Ints
+from fiber_core.array_types import Bools, Counts, Floats, Ints
 from fiber_core.drive import CurveMotion, Drive, carried_out
 from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
 from fiber_planner.scheduled.moves import Motors, moves_to, run_ticks
-from fiber_planner.scheduled.timetable import LEGS
+from fiber_planner.scheduled.timetable import APPROACHES, LEGS, RUNS, VIAS
 
 __all__ = ["Legs", "curves_of", "legs_by_way_of", "sampled"]
 
-_MOST = 8  # segments of one joint: four moves, each with the wait before it
+_MOST = 7  # segments of one joint: four moves, and the waits before three of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +24,14 @@ class Legs:
     """The moves of m robots, leg by leg as in Timetable.
 
     Args:
-        ticks: ticks of the run of each leg, of an approach those back; shape (m, 5).
-        velocity: their velocity [velocity units], shape (m, 5).
-        forth: ticks of the second part of an approach, else 0, shape (m, 5).
-        forth_velocity: its velocity, shape (m, 5).
-        on: ticks that the motor is on, 0 without a leg, shape (m, 5).
+        ticks: ticks of the run of each leg, of an approach those back; shape (m, 6).
+        velocity: their velocity [velocity units], shape (m, 6).
+        forth: ticks of the second part of an approach, else 0, shape (m, 6).
+        forth_velocity: its velocity, shape (m, 6).
+        on: ticks that the motor is on, 0 without a leg, shape (m, 6).
         turn: how far theta and phi turn in all [quanta], shape (m, 2).
+        possible: whether these moves stay inside the ranges of the joints, shape (m,); robots
+            rest that have no such moves.
     """
 
     ticks: Ints
@@ -38,10 +40,16 @@ class Legs:
     forth_velocity: Ints
     on: Ints
     turn: Ints
+    possible: Bools
 
     def take(self, rows: Ints) -> "Legs":
         """Return the legs of some of these robots, shape (k,)."""
         return Legs(*(array[rows] for array in vars(self).values()))
+
+    def joined(self, other: "Legs") -> "Legs":
+        """Return the legs of these robots, then those of others."""
+        both = zip(vars(self).values(), vars(other).values())
+        return Legs(*(np.concatenate(arrays) for arrays in both))
 
     def with_rows(self, rows: Ints, other: "Legs") -> "Legs":
         """Return the legs with some robots, shape (k,), moving as in `other`, of k robots."""
@@ -51,38 +59,33 @@ class Legs:
         return Legs(*mine)
 
 
-def legs_by_way_of(motors: Motors, rows: Ints, turn: Ints, via: Ints) -> Legs:
-    """Return the legs of robots that turn phi to an angle on the way first.
+def legs_by_way_of(motors: Motors, rows: Ints, start: Counts, turn: Ints, via: Ints) -> Legs:
+    """Return the legs of robots with joints that run to angles on the way first.
 
     Args:
         motors: what the motors can do.
         rows: rows of the robots, shape (m,).
+        start: positions of their joints [quanta], shape (m, 2).
         turn: how far theta and phi are to turn [quanta], shape (m, 2).
-        via: how far phi turns first [quanta], shape (m,); 0 for none.
+        via: how far they turn first [quanta], 0 for none, shape (m, 2).
     """
     m = len(rows)
-    via_ticks, via_velocity = run_ticks(motors, rows, 1, via)
-    rest = turn.copy()
-    rest[:, 1] -= via_ticks * via_velocity
-    moves = moves_to(motors, rows, rest)
-    ticks, velocity, forth, forth_velocity, on = (np.zeros((m, LEGS), np.int64) for _ in range(5))
-    ticks[:, 0], velocity[:, 0] = via_ticks, via_velocity
-    rising, joints = (motors.sign + 1) // 2, np.arange(2)
-    creep = motors.creep[rows]
-    for joint in joints:
-        run, approach = 1 + 2 * joint, 2 + 2 * joint
-        ticks[:, run], velocity[:, run] = moves.run[:, joint], moves.run_velocity[:, joint]
-        ticks[:, approach], forth[:, approach] = moves.back[:, joint], moves.forth[:, joint]
-        sign, up = motors.sign[joint], rising[joint]
-        velocity[:, approach] = -sign * creep[:, joint, 1 - up]
-        forth_velocity[:, approach] = sign * creep[:, joint, up]
-    for leg in (0, 1, 3):
-        on[:, leg] = np.where(ticks[:, leg] > 0, ticks[:, leg] + motors.ramp, 0)
-    for leg in (2, 4):
-        on[:, leg] = ticks[:, leg] + forth[:, leg]
-    total = moves.turn.copy()
-    total[:, 1] += via_ticks * via_velocity
-    return Legs(ticks, velocity, forth, forth_velocity, on, total)
+    via_ticks, via_velocity = run_ticks(motors, rows, via)
+    by_way = via_ticks * via_velocity
+    moves = moves_to(motors, rows, start + by_way, turn - by_way)
+    via_ticks, by_way = (np.where(moves.possible[:, None], a, 0) for a in (via_ticks, by_way))
+    ticks, velocity, forth, forth_velocity, on = np.zeros((5, m, LEGS), dtype=np.int64)
+    sign, creep, joints = motors.sign, motors.creep[rows], np.arange(2)
+    rising = (sign + 1) // 2
+    ticks[:, VIAS], velocity[:, VIAS] = via_ticks, via_velocity
+    ticks[:, RUNS], velocity[:, RUNS] = moves.run, moves.run_velocity
+    ticks[:, APPROACHES], forth[:, APPROACHES] = moves.back, moves.forth
+    velocity[:, APPROACHES] = -sign * creep[:, joints, 1 - rising]
+    forth_velocity[:, APPROACHES] = sign * creep[:, joints, rising]
+    on[:, VIAS] = np.where(via_ticks > 0, via_ticks + motors.ramp, 0)
+    on[:, RUNS] = np.where(moves.run > 0, moves.run + motors.ramp, 0)
+    on[:, APPROACHES] = moves.back + moves.forth
+    return Legs(ticks, velocity, forth, forth_velocity, on, moves.turn + by_way, moves.possible)
 
 
 def segments_of(legs: Legs, starts: Ints) -> tuple[Ints, Ints, Ints]:
@@ -90,7 +93,7 @@ def segments_of(legs: Legs, starts: Ints) -> tuple[Ints, Ints, Ints]:
 
     Args:
         legs: the legs of m robots.
-        starts: first tick of each leg, shape (m, 5).
+        starts: first tick of each leg, shape (m, 6).
     """
     return _segments(legs.ticks, legs.velocity, legs.forth, legs.forth_velocity, starts)
 
@@ -105,7 +108,7 @@ def curves_of(
         units: size of tick and quantum.
         start: joint positions at time zero [quanta], shape (m, 2).
         legs: their legs.
-        starts: first tick of each leg, shape (m, 5).
+        starts: first tick of each leg, shape (m, 6).
     """
     offsets, ticks, velocity = segments_of(legs, starts)
     motion = SegmentMotion.of_valid(
@@ -135,9 +138,7 @@ def _segments(run, run_velocity, forth, forth_velocity, starts):
     for i in range(m):
         for joint in range(2):
             now = 0
-            for leg in range(LEGS):
-                if (leg == 1 or leg == 2) != (joint == 0):
-                    continue
+            for leg in range(joint * LEGS // 2, (joint + 1) * LEGS // 2):
                 if run[i, leg] + forth[i, leg] == 0:
                     continue
                 if starts[i, leg] > now:

@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Codes
+from fiber_core.array_types import Angles, Codes, Floats, Mask
 from fiber_core.bounds import Range, check_ranges
-from fiber_core.clearance import Safety, levers_of, point_speeds
+from fiber_core.clearance import Safety
 from fiber_core.drive import motors_allowed
 from fiber_core.metrics import power_bound_s
 from fiber_core.motion import SampledMotion
@@ -24,7 +24,7 @@ from fiber_planner.scheduled.moves import motors_of_plane
 from fiber_planner.scheduled.orders import sampled
 from fiber_planner.scheduled.search import Search
 
-__all__ = ["ScheduledParameters", "ScheduledPlanner"]
+__all__ = ["ScheduledParameters", "ScheduledPlanner", "timed"]
 
 _LONG_S = 30.0  # a longer motion needs more than this gap, for the errors of clocks
 _ALLOWANCE_MM = 0.02  # for the rounding of goals to whole ticks
@@ -100,42 +100,76 @@ class ScheduledPlanner:
 
     def plan(self, problem: Problem, progress: ProgressCallback | None = None) -> PlannedMotion:
         """Plan the motion of every robot, see Planner.plan."""
-        units = WireUnits.for_plane(problem.plane)
-        start = units.encoder_counts(problem.plane, problem.start)
-        low, high = np.moveaxis(problem.plane.limits, -1, 0)
-        inside = ((problem.start >= low) & (problem.start <= high)).all(axis=1)
-        plane = problem.plane.with_enabled(problem.plane.enabled & inside)
-        problem = replace(problem, plane=plane)
+        problem, outside = _from_inside(problem)
         narrower = _inside_approaches(problem)
         goal, reason = _goals(narrower, self.parameters.safety)
-        reason[problem.asked & ~inside] = Reason.START_OUTSIDE_LIMITS
-        moving = reason == Reason.OK
-        turn = np.where(moving[:, None], units.to_counts(goal) - start, 0)
+        reason[outside] = Reason.START_OUTSIDE_LIMITS
         angles, valid = kinematics.inverse(narrower.plane, narrower.targets)
-        valid &= moving[:, None]
-        others = units.to_counts(np.where(valid[..., None], angles, 0.0)) - start[:, None]
-        others = np.where(valid[..., None], others, turn[:, None])
-        plane = plane.with_enabled(moving)
-        bound_s = power_bound_s(replace(problem, plane=plane))
-        ticks = int(np.ceil((1.0 + self.parameters.slack) * bound_s / units.tick_s))
-        safety = self.parameters.safety
-        lasts_s = bound_s * self.parameters.stretch
-        conflicts = Conflicts.of_plane(plane, units, start, safety, lasts_s)
-        search = Search(
-            conflicts,
-            motors_of_plane(plane, units),
-            np.unique(plane.supply, return_inverse=True)[1],
-            motors_allowed(plane.supply, plane.drive.motors_on),
-            turn,
-            others,
-            max(ticks, 1),
-            np.random.default_rng(self.parameters.seed),
-        )
-        search.run(self.parameters, int(lasts_s / units.tick_s), progress)
-        time_s, angles = sampled(units, start, search.legs, search.starts)
-        reason[search.given_up & moving] = Reason.NOT_CONVERGED
-        goal = np.where(moving[:, None], units.to_angles(start + search.turn), goal)
-        return PlannedMotion(SampledMotion(time_s, angles), goal, reason)
+        others = np.where(valid[..., None], angles, goal[:, None])
+        return timed(problem, goal, others, reason, self.parameters, progress, far=True)
+
+
+def timed(
+    problem: Problem,
+    goal: Angles,
+    others: Floats,
+    reason: Codes,
+    parameters: ScheduledParameters,
+    progress: ProgressCallback | None = None,
+    far: bool = False,
+) -> PlannedMotion:
+    """Find times and angles on the way for moves to given goals.
+
+    Args:
+        problem: the plane and the present joint angles.
+        goal: joint angles at the end [rad], shape (n, 2).
+        others: configurations that a robot may take instead [rad], shape (n, k, 2).
+        reason: Reason of each robot, shape (n,); those with another one than OK rest.
+        parameters: clearance to keep, effort to spend.
+        progress: called with the fraction that is done and a short text.
+        far: whether arms fold on the way, and robots that cannot get to their goals go elsewhere
+            to be in no one's way.
+
+    Returns:
+        The motion. Robots that cannot be freed rest or make way, for GOAL_BLOCKED where others that
+        rest leave them no way, else for NOT_CONVERGED; or they rest for OUTSIDE_JOINT_RANGE where
+        an approach would lead beyond the range of a joint.
+    """
+    units, reason = WireUnits.for_plane(problem.plane), reason.copy()
+    start = units.encoder_counts(problem.plane, problem.start)
+    moving = reason == Reason.OK
+    plane = problem.plane.with_enabled(moving)
+    turn = np.where(moving[:, None], units.to_counts(goal) - start, 0)
+    turns = np.where(moving[:, None, None], units.to_counts(others) - start[:, None], 0)
+    bound_s = power_bound_s(replace(problem, plane=plane))
+    ticks = int(np.ceil((1.0 + parameters.slack) * bound_s / units.tick_s))
+    lasts_s = bound_s * parameters.stretch
+    search = Search(
+        Conflicts.of_plane(plane, units, start, parameters.safety, lasts_s),
+        motors_of_plane(plane, units),
+        np.unique(plane.supply, return_inverse=True)[1],
+        motors_allowed(plane.supply, plane.drive.motors_on),
+        turn,
+        turns,
+        max(ticks, 1),
+        np.random.default_rng(parameters.seed),
+        far,
+    )
+    search.run(parameters, int(lasts_s / units.tick_s), progress)
+    time_s, angles = sampled(units, start, search.legs, search.starts)
+    reason[search.given_up & moving] = Reason.NOT_CONVERGED
+    reason[search.blocked & moving] = Reason.GOAL_BLOCKED
+    reason[~search.legs.possible & moving] = Reason.OUTSIDE_JOINT_RANGE
+    goal = np.where(moving[:, None], units.to_angles(start + search.legs.turn), goal)
+    return PlannedMotion(SampledMotion(time_s, angles), goal, reason)
+
+
+def _from_inside(problem: Problem) -> tuple[Problem, Mask]:
+    # the problem without robots that stand outside their limits, and those that have a target
+    low, high = np.moveaxis(problem.plane.limits, -1, 0)
+    inside = ((problem.start >= low) & (problem.start <= high)).all(axis=1)
+    plane = problem.plane.with_enabled(problem.plane.enabled & inside)
+    return replace(problem, plane=plane), problem.asked & ~inside
 
 
 def _inside_approaches(problem: Problem) -> Problem:
@@ -154,10 +188,7 @@ def _inside_approaches(problem: Problem) -> Problem:
 
 def _goals(problem: Problem, safety: Safety) -> tuple[Angles, Codes]:
     # goals as far apart as fast robots must be, unless more robots would lose their targets
-    plane = problem.plane
-    speeds = point_speeds(levers_of(plane), plane.speeds * plane.enabled[:, None])
-    two = np.repeat(np.argsort(speeds)[-1:], 2)
-    most_mm = float(safety.required_at(speeds, _LONG_S, two).max(initial=0.0))
+    most_mm = safety.at_full_speed_mm(problem.plane, _LONG_S)
     goal, reason = choose_goals(problem, most_mm + _ALLOWANCE_MM)
     other, why = choose_goals(problem, safety.margin_mm + _ALLOWANCE_MM)
     if (why == Reason.GOAL_BLOCKED).sum() < (reason == Reason.GOAL_BLOCKED).sum():

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """When each move begins: first-fit placing of moves under a limit of motors that are on at once.
 
-A robot makes up to five *legs*: phi to an angle on the way, theta's run, theta's approach, phi's
-run, phi's approach. Legs of a joint follow each other; otherwise each may begin when it wants.
+A robot makes up to six *legs*: each joint a run to an angle on the way, a run, an approach. Legs of
+a joint follow each other; otherwise each may begin when it wants.
 """
 
 import numba as nb
@@ -10,11 +10,12 @@ import numpy as np
 
 from fiber_core.array_types import Bools, Ints
 
-__all__ = ["LEGS", "PHI_APPROACH", "PHI_RUN", "PHI_VIA", "THETA_APPROACH", "THETA_RUN"]
-__all__ += ["Timetable"]
+__all__ = ["APPROACHES", "LEGS", "PHI_APPROACH", "PHI_RUN", "PHI_VIA", "RUNS", "THETA_APPROACH"]
+__all__ += ["THETA_RUN", "THETA_VIA", "Timetable", "VIAS"]
 
-LEGS = 5
-PHI_VIA, THETA_RUN, THETA_APPROACH, PHI_RUN, PHI_APPROACH = range(LEGS)
+LEGS = 6
+THETA_VIA, THETA_RUN, THETA_APPROACH, PHI_VIA, PHI_RUN, PHI_APPROACH = range(LEGS)
+VIAS, RUNS, APPROACHES = slice(0, None, 3), slice(1, None, 3), slice(2, None, 3)  # of both joints
 
 
 class Timetable:
@@ -40,17 +41,6 @@ class Timetable:
         more = np.zeros((len(self.on), ticks - self.ticks), dtype=np.int64)
         self.on = np.concatenate([self.on, more], axis=1)
 
-    def add(self, rows: Ints, starts: Ints, on: Ints, sign: int = 1) -> None:
-        """Enter the legs of some robots, or take them out.
-
-        Args:
-            rows: the robots, shape (m,).
-            starts: first tick of each leg, shape (m, 5).
-            on: ticks that its motor is on, 0 for no leg, shape (m, 5).
-            sign: 1 to enter, -1 to take out.
-        """
-        _add(self.on, self.group[rows], starts, on, sign)
-
     def place(
         self, rows: Ints, own: Ints, own_on: Ints, on: Ints, wanted: Ints
     ) -> tuple[Ints, Bools]:
@@ -59,12 +49,12 @@ class Timetable:
         Args:
             rows: the robots, shape (m,); one may be there several times.
             own, own_on: first ticks and lengths of the legs that each robot has now and that make
-                way, shape (m, 5).
-            on: ticks that the motor of each new leg is on, 0 for no leg, shape (m, 5).
-            wanted: earliest tick of each leg, shape (m, 5).
+                way, shape (m, 6).
+            on: ticks that the motor of each new leg is on, 0 for no leg, shape (m, 6).
+            wanted: earliest tick of each leg, shape (m, 6).
 
         Returns:
-            First tick of each leg, shape (m, 5), and whether all fit, shape (m,).
+            First tick of each leg, shape (m, 6), and whether all fit, shape (m,).
         """
         return _place(self.on, self.group[rows], self.allowed[rows], own, own_on, on, wanted)
 
@@ -73,8 +63,8 @@ class Timetable:
 
         Args:
             order: rows of the robots, shape (m,).
-            on, wanted: as for `place`, of all robots, shape (n, 5).
-            starts: first ticks, shape (n, 5); those of the robots in the order are set.
+            on, wanted: as for `place`, of all robots, shape (n, 6).
+            starts: first ticks, shape (n, 6); those of the robots in the order are set.
 
         Returns:
             Whether the legs of each robot were entered, shape (n,).
@@ -86,21 +76,13 @@ class Timetable:
 
         Args:
             rows: the robots, shape (m,).
-            starts, on: the new legs, shape (m, 5).
-            now, now_on: the present legs, shape (m, 5).
+            starts, on: the new legs, shape (m, 6).
+            now, now_on: the present legs, shape (m, 6).
 
         Returns:
             Whether the new legs were entered, shape (m,).
         """
         return _put(self.on, self.group[rows], self.allowed[rows], starts, on, now, now_on)
-
-
-@nb.njit(cache=True)
-def _add(table, group, starts, on, sign):
-    for i in range(len(group)):
-        for leg in range(LEGS):
-            for t in range(starts[i, leg], starts[i, leg] + on[i, leg]):
-                table[group[i], t] += sign
 
 
 @nb.njit(cache=True)
@@ -123,14 +105,9 @@ def _place_one(load, allowed, on, wanted, starts):
     full = np.empty(ticks, dtype=np.bool_)
     ends = np.zeros(LEGS, dtype=np.int64)
     # runs first: they are short, and approaches fit where something is left
-    for leg in (PHI_VIA, THETA_RUN, PHI_RUN, THETA_APPROACH, PHI_APPROACH):
-        before = 0
-        if leg == THETA_APPROACH:
-            before = ends[THETA_RUN]
-        elif leg == PHI_RUN:
-            before = ends[PHI_VIA]
-        elif leg == PHI_APPROACH:
-            before = max(ends[PHI_VIA], ends[PHI_RUN])
+    for leg in (PHI_VIA, THETA_VIA, THETA_RUN, PHI_RUN, THETA_APPROACH, PHI_APPROACH):
+        first = leg == THETA_VIA or leg == PHI_VIA
+        before = 0 if first else ends[leg - 1]
         begin = max(before, wanted[leg])
         starts[leg], ends[leg] = begin, before
         if on[leg] == 0:
