@@ -123,8 +123,10 @@ def _own(drive: Drive) -> tuple[Angles, Ints | None]:
         return drive.uncertainty_rad, drive.supply
     of_drive = drive.uncertainty_rad == np.deg2rad(figures.uncertainty_deg)
     supply = _supply(figures, drive.n)
-    named = supply is not None and np.array_equal(drive.supply, supply)
-    return np.where(of_drive, 0.0, drive.uncertainty_rad), None if named else drive.supply
+    own = drive.supply
+    if own is not None and supply is not None and np.array_equal(own, supply):
+        own = None
+    return np.where(of_drive, 0.0, drive.uncertainty_rad), own
 
 
 def _supply(figures: DriveFigures, n: int) -> Ints | None:

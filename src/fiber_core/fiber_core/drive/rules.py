@@ -36,7 +36,7 @@ def rules_broken(drive: Drive, motion: SegmentMotion) -> Mask:
     """
     if drive.listed is None:
         return np.zeros(motion.n, dtype=np.bool_)
-    broken: Mask = _broken(drive, motion).reshape(-1, 2).any(axis=1)
+    broken: Mask = np.any(_broken(drive, motion).reshape(-1, 2), axis=1)
     return broken
 
 
