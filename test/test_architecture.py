@@ -64,7 +64,13 @@ ARROWS = {
     "fiber_client": {"fiber_node", "fiber_formats", "rich"} | ROS,
     "fiber_client.gateway": {"fiber_client", "fiber_interfaces"},
     "fiber_recording": {"fiber_bus_bridge"},
-    "fiber_recording.node": {"fiber_recording.received_plans", "fiber_node"} | ROS,
+    "fiber_recording.node": {
+        "fiber_recording.measured_images",
+        "fiber_recording.received_plans",
+        "fiber_node",
+    }
+    | ROS,
+    "fiber_recording.measured_images": {"fiber_recording", "fiber_msgs_py"},
     "fiber_recording.received_plans": {"fiber_recording", "fiber_msgs_py"},
     "fiber_recording.settled_replay": {"fiber_recording", "fiber_client"},
     "fiber_recording.bag": {"fiber_recording", "fiber_msgs_py", "rosbags"} | ROS,

@@ -22,6 +22,8 @@ from fiber_core.outcomes import Outcome, Reason, Verdict
 from fiber_core.wire_units import WireUnits
 from fiber_metrology import ImageError
 from fiber_msgs_py import PlanStamp, layout, spots, topics
+from fiber_recording import load_recording
+from fiber_recording.node import recording_name
 
 WAIT_S, COMPILE_S, ROBOTS = 60.0, 600.0, 61
 ARMS = {"scale": 0.004, "backlash_deg": 0.08, "wave_deg": 0.12, "non_movers": 0.04}
@@ -48,9 +50,11 @@ class Night:
                   "memory": "none", "blind_um": 40.0}  # fmt: skip
         camera = {"plant": str(path), "seed": 3, "dark": 0.04}
         camera |= {f"arms.{name}": value for name, value in ARMS.items()}
+        self.recordings = folder / "recordings"
         self.graph = Graph(
-            bridge=bridge, metrology={"timeout_s": COMPILE_S}, camera=camera, domain=domain
-        )
+            bridge=bridge, metrology={"timeout_s": COMPILE_S}, camera=camera, domain=domain,
+            recorder={"folder": str(self.recordings)},
+        )  # fmt: skip
         self.graph.__enter__()
         self.metrology, self.camera = self.graph.nodes[-2:]
         self.client = PlaneClient(domain, args=[])
@@ -108,6 +112,23 @@ def test_corrections_bring_fibres_to_their_targets_by_what_the_camera_sees(night
     told = np.isfinite(ended.error_mm)
     assert np.abs(1e3 * ended.error_mm - off_um)[told].max() < 20.0
     assert (off_um[ended.reason == Reason.NOT_MOVED] > 300.0).all()
+
+
+def test_the_recording_of_the_blind_move_has_the_images_after_it_and_its_corrections(night, first):
+    _, _, blind, end = first
+    path = night.recordings / recording_name(PlanStamp(blind.stamp_ns))
+
+    def images():
+        found = load_recording(path).images if path.exists() else None
+        return 0 if found is None else len(found.place_mm)
+
+    night.client.wait_for(lambda: images() >= len(end.places), WAIT_S)
+    found = load_recording(path).images
+    np.testing.assert_allclose(found.place_mm, end.places, atol=1e-4)
+    names = np.vectorize(found.names.get)(found.verdict)
+    flagged = np.isin(night.client.plane.ids, list(end.flagged))
+    assert all("not_moved" in name for name in names[0, flagged])
+    assert (names[0, ~flagged] == "measured").mean() > 0.8
 
 
 def test_a_robot_that_sticks_is_flagged_and_an_obstacle_and_the_others_go_on(night, first):

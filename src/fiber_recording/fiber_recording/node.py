@@ -33,6 +33,7 @@ from fiber_msgs_py import (
     guarded,
     joint_states,
     layout,
+    measured,
     outcome,
     progress,
     targets,
@@ -41,8 +42,9 @@ from fiber_msgs_py import (
 )
 from fiber_node import PlaneNode, Reporter, SessionGate, run
 from fiber_recording.build_recording import build_recording
+from fiber_recording.measured_images import ImagesOfPlans, with_images
 from fiber_recording.received_plans import PlanAttempts, ReceivedPlan, ReceivedPlans
-from fiber_recording.recording_file import save_recording
+from fiber_recording.recording_file import load_recording, save_recording
 from fiber_recording.replay import replay, unexplained
 
 __all__ = ["RecorderNode", "main", "recording_name"]
@@ -112,7 +114,7 @@ class RecorderNode(PlaneNode):
         self._units: WireUnits | None = None
         self._states: JointState | None = None
         self._states_at_rest: JointState | None = None
-        self._received = ReceivedPlans()
+        self._received, self._images = ReceivedPlans(), ImagesOfPlans()
         self._began_ns = self.get_clock().now().nanoseconds
         self._report = Reporter(self, "recorder")
         gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
@@ -124,6 +126,7 @@ class RecorderNode(PlaneNode):
             gate.subscription(topic, self._refusing(topic.name, observe))
         for topic, observe in (
             (topics.TARGETS, self._on_targets),
+            (topics.MEASURED, self._on_measured),
             (topics.PROGRESS, self._on_progress),
             (topics.TRAJECTORY, self._on_trajectory),
             (topics.CORRIDORS, self._on_corridors),
@@ -169,6 +172,7 @@ class RecorderNode(PlaneNode):
             return  # the planner refuses them
         self._received.announce(attempt)
         if attempt.number == 1:  # later attempts have some of these targets again
+            self._images.begin(attempt.plan, targets.decode_straight(message))
             self._received.plan(attempt.plan).targets = message
 
     def _on_progress(self, message: DiagnosticStatus) -> None:
@@ -195,6 +199,9 @@ class RecorderNode(PlaneNode):
         plan.outcome, plan.outcome_s = ended, time.monotonic()
         self._report.debug(f"plan {stamp} has ended: waits for the last frames")
 
+    def _on_measured(self, message: PointCloud2) -> None:
+        self._images.add(PlanStamp.of(message), measured.decode(message))
+
     def _plane_with(self, states: JointState | None) -> _PlaneWithStates | None:
         if self._plane is None or self._units is None or states is None:
             return None
@@ -204,6 +211,7 @@ class RecorderNode(PlaneNode):
         now = self._plane_with(self._states)
         if now is None:
             return
+        self._write_images()
         for stamp, plan, ended in self._received.ended():
             try:
                 late = time.monotonic() > plan.outcome_s + _COMPLETION_S
@@ -224,6 +232,19 @@ class RecorderNode(PlaneNode):
             except Exception:
                 self._received.drop(stamp)  # the guard of this callback reports the error
                 raise
+
+    def _write_images(self) -> None:
+        for stamp, tables in self._images.waiting():
+            path = Path(self._config.value.folder) / recording_name(stamp)
+            if not path.exists():
+                continue  # its recording is not written yet, or was moved away
+            self._images.take(stamp)
+            try:
+                save_recording(path, with_images(load_recording(path), tables))
+            except (FiberError, OSError) as error:
+                self._report.refuse(f"images after plan {stamp} not recorded: {error}")
+            else:
+                self._report.info(f"plan {stamp}: {len(tables)} images recorded in {path}")
 
     def _is_missed(self, stamp: PlanStamp, plan: ReceivedPlan) -> bool:
         """Return whether a plan began before this node, and may have a recording of another."""
