@@ -72,6 +72,16 @@ def test_the_encoders_are_told_twenty_times_in_a_second_of_motion(rest):
     assert len(moving) >= 19 * 200e-6 * UNITS.tick_us
 
 
+def test_a_stop_waits_for_a_hundredth_of_a_second_of_the_buses_at_most(rest, monkeypatch):
+    session, until_s = rest.bridge._session, []
+    advance = session.advance
+    monkeypatch.setattr(session, "advance", lambda t: until_s.append(t) or advance(t))
+    rest.ready(9, turning(ticks=200))
+    assert rest.call(topics.START).success
+    rest.end(9)
+    assert len(until_s) > 50 and np.diff(until_s).max() < 0.0101
+
+
 def test_a_capture_is_written_of_each_plan(tmp_path):
     pytest.importorskip("vcd", reason="pyvcd is not installed: no captures")
     with RosClient("rest") as peer:

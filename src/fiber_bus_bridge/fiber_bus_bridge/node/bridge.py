@@ -20,7 +20,7 @@ from fiber_bus_bridge.node.accepted_plans import AcceptedPlans
 from fiber_bus_bridge.node.attempts import Attempts
 from fiber_bus_bridge.node.declared_parameters import declare_bridge
 from fiber_bus_bridge.node.disabled_parameter import follow_disabled_parameter
-from fiber_bus_bridge.node.hardware import Hardware, open_hardware
+from fiber_bus_bridge.node.hardware import SLICE_S, Hardware, open_hardware
 from fiber_bus_bridge.node.locked_calls import LockedCalls
 from fiber_bus_bridge.node.measured_robots import MeasuredRobots
 from fiber_bus_bridge.node.operator_changes import OperatorChanges
@@ -366,7 +366,7 @@ class BridgeNode(ManagedNode):
 
     def _advance(self) -> None:
         # from tick to tick, independent of the time that the polls take on the buses
-        clock, slice_s = self._hardware.clock, self._hardware.slice_s
+        clock, slice_s = self._hardware.clock, min(self._hardware.slice_s, SLICE_S)
         until_s = max(self._due_s, clock()) + _TICK_S
         while self._due_s < until_s and self._session.state is SessionState.MOVING:
             self._due_s = min(max(self._due_s, clock()) + slice_s, until_s)

@@ -23,6 +23,7 @@ from fiber_core.wire_units import WireUnits
 from fiber_node import NodeParameters
 
 __all__ = [
+    "SLICE_S",
     "DeclaredHardware",
     "Hardware",
     "declare_hardware",
@@ -34,7 +35,7 @@ __all__ = [
 
 _OF_THE_PLANT = ("clock_ppm", "start_skew_s", "faults", "faults_from_s", "faults_until_s")
 _PLANT_S = 60.0  # longest wait for a plant, which may have to compile its loops
-_SLICE_S = 0.01  # real time after which a waiting stop is served
+SLICE_S = 0.01  # time of the buses after which a waiting stop is served
 Part: TypeAlias = Callable[[FocalPlane], FocalPlane]
 
 
@@ -250,4 +251,4 @@ def device_hardware(
     except (OSError, ModuleNotFoundError) as error:
         raise BridgeError(f"devices {list(devices)}: {error}") from error
     units, timing = WireUnits.for_plane(plane), bus_timing(config.clock)
-    return Hardware(plane, units, start, buses, timing, time.monotonic, _SLICE_S, lines)
+    return Hardware(plane, units, start, buses, timing, time.monotonic, SLICE_S, lines)
