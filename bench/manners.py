@@ -106,6 +106,10 @@ class Questions:
         self._thread = threading.Thread(target=self._ask)
         self._thread.start()
 
+    def ready(self) -> bool:
+        """Return whether all nodes can be asked."""
+        return all(client.service_is_ready() for client in self._clients.values())
+
     def close(self) -> None:
         self._ended = True
         self._thread.join()
@@ -170,6 +174,8 @@ def reach(client: PlaneClient, stage: str, seed: int) -> None:
 
 def answers(client: PlaneClient, asked: Questions, seed: int) -> None:
     """Carry out a plan while the nodes are asked."""
+    client.wait_for(asked.ready, _WAIT_S, "the parameters of all nodes")
+    _go_on(client, 1.0)
     rng = np.random.default_rng(seed)
     drawn = random_field(client.plane, rng, start=client.angles).problem
     asked.stage = "planning"
