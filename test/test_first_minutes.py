@@ -62,12 +62,17 @@ def test_a_machine_without_loopback_is_refused_in_one_line(tmp_path):
     assert "the loopback interface is down" in ran.stderr
 
 
+def _by_hand():
+    # the environment of a make that is called by hand, and not by the make that runs the tests
+    made = ("MAKEFLAGS", "MAKELEVEL")
+    return {name: value for name, value in os.environ.items() if name not in made}
+
+
 def make(*words):
-    environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
     # the whole of it is built again if anything is built
     command = ["make", "-W", "requirements.lock", *words]
     return subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment, timeout=60
+        command, cwd=ROOT, capture_output=True, text=True, check=False, env=_by_hand(), timeout=60
     )
 
 
@@ -92,9 +97,8 @@ def test_a_clone_in_a_path_with_a_space_is_refused_in_one_line(tmp_path):
     clone = tmp_path / "a clone"
     clone.mkdir()
     shutil.copy(ROOT / "Makefile", clone)
-    environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
     ran = subprocess.run(
-        ["make", "demo"], cwd=clone, capture_output=True, text=True, check=False, env=environment
+        ["make", "demo"], cwd=clone, capture_output=True, text=True, check=False, env=_by_hand()
     )
     assert ran.returncode != 0 and ran.stderr.count("\n") == 1 and "has a space" in ran.stderr
 
