@@ -75,6 +75,19 @@ def test_a_node_that_waits_needs_little_to_end(new_domain, module):
     assert ends_with_code_0(process, signal.SIGTERM) < 0.15
 
 
+def test_signals_that_follow_the_first_do_not_break_into_the_end(new_domain):
+    # a terminal and a launch both tell a node to end
+    process = started("fiber_viewer.node", new_domain(), said="waits for")
+    try:
+        while process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            time.sleep(0.002)
+        _, text = process.communicate(timeout=ENDS_S)
+    finally:
+        process.kill()
+    assert process.returncode == 0 and "Traceback" not in text, text
+
+
 @pytest.mark.parametrize("how", SIGNALS)
 def test_a_bridge_ends_while_it_waits_for_its_plant(new_domain, tmp_path, how):
     # it waits for a minute

@@ -3,8 +3,11 @@
 
 import gc
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
+from types import FrameType
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -43,6 +46,9 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         return code
     use_loopback()
     keep_private()
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if in_main_thread:
+        signal.signal(signal.SIGINT, _interrupt_once())
     rclpy.init(args=given)
     executor, code = ThreadExecutor(3), 0
     try:
@@ -69,11 +75,28 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         for node in nodes:
             node.destroy_node()
         try_shutdown()
+        if in_main_thread:  # Python gives a handler back to the system before it has ended
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not all(getattr(node, "ended", True) for node in nodes):
         # work that does not follow its cancellation may go on for a minute; this process shall not
         sys.stderr.flush()
         os._exit(code)
     return code
+
+
+def _interrupt_once() -> Callable[[int, FrameType | None], None]:
+    """Return a handler that raises KeyboardInterrupt for the first signal alone.
+
+    A terminal signals the whole group of a launch, and without a terminal the launch signals each
+    process again: the second signal would break into the end that the first has begun.
+    """
+    first = iter((True,))
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        if next(first, False):
+            raise KeyboardInterrupt
+
+    return interrupt
 
 
 def _of_ros_alone(make_node: Callable[[], Node], given: Sequence[str]) -> int | None:
