@@ -58,12 +58,11 @@ class Observer:
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
         for plane in ("north", "south"):
             for topic, kind in (
-                ("layout", PointCloud2), ("joint_states", JointState), ("outcome", PointCloud2)
+                ("layout", PointCloud2), ("joint_states", JointState), ("outcome", PointCloud2),
+                ("segments", PointCloud2),  # kept, as targets are not
             ):  # fmt: skip
                 name = f"/{plane}/focal_plane/{topic}"
                 self.node.create_subscription(kind, name, self._keep(name), LATCHED)
-            name = f"/{plane}/focal_plane/targets"
-            self.node.create_subscription(PointCloud2, name, self._keep(name), 10)
 
     def close(self):
         self.executor.shutdown()
@@ -303,12 +302,12 @@ def test_the_end_of_a_client_by_sigterm_stops_its_robots(observer, in_place):
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         observer.until(
             lambda: (
-                all(observer.heard("north", topic, begin) for topic in ("targets", "joint_states"))
+                all(observer.heard("north", topic, begin) for topic in ("segments", "joint_states"))
                 and observer.moving("north")
             ),
             COMPILE_S,
         )
-        plan = observer.stamp("north", "targets")
+        plan = observer.stamp("north", "segments")
         process.send_signal(signal.SIGTERM)
         _, err = process.communicate(timeout=WAIT_S)
     assert process.returncode == 1 and "told to stop" in err
