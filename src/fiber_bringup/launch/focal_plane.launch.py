@@ -4,6 +4,7 @@
 ros2 launch fiber_bringup focal_plane.launch.py preset:=desi robots:=500
 """
 
+import difflib
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,6 +13,7 @@ from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
     GroupAction,
+    LogInfo,
     OpaqueFunction,
     SetEnvironmentVariable,
     Shutdown,
@@ -89,6 +91,7 @@ _MANAGED: Mapping[str, type] = {"autostart": bool}
 def generate_launch_description() -> LaunchDescription:
     """Return the launch arguments, the environment and the nodes."""
     scope = [
+        OpaqueFunction(function=_name_unknown),
         *_environment(),
         PushRosNamespace(LaunchConfiguration("namespace")),
         SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
@@ -112,6 +115,21 @@ def _arguments() -> list[DeclareLaunchArgument]:
             "params_file", default_value=file, description="file with the parameters of the nodes"
         )
     ]
+
+
+def _name_unknown(context: LaunchContext) -> list[LogInfo]:
+    """Name the arguments of the command line that this file does not have: launch says nothing.
+
+    They are not refused, as a launch file that includes this one may have them.
+    """
+    known = [*_ARGUMENTS, "params_file"]
+    texts = []
+    for name in (each.split(":=")[0] for each in context.argv if ":=" in each):
+        if name not in known:
+            meant = difflib.get_close_matches(name, known, 1)
+            hint = f"; did you mean {meant[0]}?" if meant else ""
+            texts.append(f"focal_plane.launch.py has no argument {name}: it has no effect{hint}")
+    return [LogInfo(msg=text) for text in texts]
 
 
 def _environment() -> list[SetEnvironmentVariable]:

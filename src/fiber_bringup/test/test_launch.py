@@ -350,4 +350,17 @@ def test_a_camera_with_sectors_is_refused_before_anything_is_started(
     else:
         module["_check_camera"](context)
     functions = [each.given["function"].__name__ for each in all_of(description, "OpaqueFunction")]
-    assert functions[0] == "_check_camera"
+    assert functions[:2] == ["_name_unknown", "_check_camera"]
+
+
+def test_an_argument_that_the_launch_file_does_not_have_is_named(launch_file):
+    module, description = launch_file
+    given = ["robot:=61", "seed:=3", "params_file:=own.yaml", "bogus:=1", "--noninteractive"]
+    texts = [each.given["msg"] for each in module["_name_unknown"](SimpleNamespace(argv=given))]
+    assert texts == [
+        "focal_plane.launch.py has no argument robot: it has no effect; did you mean robots?",
+        "focal_plane.launch.py has no argument bogus: it has no effect",
+    ]
+    declared = {each.args[0] for each in all_of(description, "DeclareLaunchArgument")}
+    others = [f"{name}:=" for name in declared]
+    assert len(others) > 20 and not module["_name_unknown"](SimpleNamespace(argv=others))
