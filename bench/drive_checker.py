@@ -110,7 +110,7 @@ def check(problem_file, plan_file, step_s=2e-3, errors=0, seed=0) -> Verdict:
     uncertainty = problem.get("uncertainty_rad", np.zeros((n, 2)))
     surely = {"uncertainty_rad": 0.0 * uncertainty, "lost_motion_rad": 0.0 * uncertainty}
     reported = judge_gaps({**problem, **surely}, plan)
-    true_gaps, rng = np.full(len(pairs), reported.least_mm), np.random.default_rng(seed)
+    true_gaps, rng = np.full(len(pairs), np.inf), np.random.default_rng(seed)
     for _ in range(errors):
         # half of the joints at an end of their interval, and every joint its own sign
         error = uncertainty * np.clip(rng.uniform(-2.0, 2.0, (n, 2)), -1.0, 1.0)
@@ -122,7 +122,7 @@ def check(problem_file, plan_file, step_s=2e-3, errors=0, seed=0) -> Verdict:
         reported.contacts,
         max(reported.contacts, int((true_gaps <= 0.0).sum())),
         reported.least_mm,
-        float(true_gaps.min(initial=np.inf)),
+        float(true_gaps.min(initial=reported.least_mm)),
         _end_error_um(problem, plan, ordered),
     )
 

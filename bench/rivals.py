@@ -11,6 +11,7 @@ its constant-velocity segments, as they would be sent, in continuous time with w
 """
 
 import argparse
+import json
 import subprocess
 import sys
 import tempfile
@@ -150,11 +151,12 @@ def has_kaiju(python: str) -> bool:
 
 _PREFACE = """# Rivals on the same problems
 
-Made by `make rivals KAIJU=python`: `bench/rivals.py`. Arms of SDSS-V, all folded at first, one
-target for each robot. Ours are down to the bytes and keep the margin of `Safety`; the answers of
-sdss-kaiju are the simplified paths that its own program sends, with its defaults (steps of
-0.1 deg). Where a robot of it is in a deadlock its makespan is its limit of steps. Gaps are those
-of whole outlines in continuous time.
+Made by `make rivals KAIJU=python`: `bench/rivals.py`, which fails if a plan of ours is not
+certified with the margin of `Safety`. Arms of SDSS-V, all folded at first, one target for each
+robot. Ours are down to the bytes; the answers of sdss-kaiju are the simplified paths that its own
+program sends, with its defaults (steps of 0.1 deg). Where a robot of it is in a deadlock its
+makespan is its limit of steps. Gaps are those of whole outlines in continuous time. Each field is
+a line of `rivals.jsonl`.
 
 """
 
@@ -205,16 +207,19 @@ def main(argv: list[str] | None = None) -> int:
     rows: list[Row] = []
     for seed in range(options.first_seed, options.first_seed + options.fields):
         field = field_of(options.robots, seed)
-        rows += [ours(planner, field) for planner in OURS]
+        found = [ours(planner, field) for planner in OURS]
         if theirs_too:
-            rows += [theirs(each, field, seed, options.kaiju_python) for each in THEIRS]
-        for row in rows[-len(OURS) - len(THEIRS) * theirs_too :]:
-            print({"seed": seed} | row, flush=True)
+            found += [theirs(each, field, seed, options.kaiju_python) for each in THEIRS]
+        rows += [{"seed": seed} | row for row in found]
+        for row in rows[-len(found) :]:
+            print(json.dumps(row), flush=True)
     table = markdown(rows)
     print(table)
     if options.out:
         options.out.write_text(_PREFACE + table)
-    return 0
+        lines = options.out.with_suffix(".jsonl")
+        lines.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return int(any(row["certified"] == "no" for row in rows if row["planner"] in OURS))
 
 
 if __name__ == "__main__":

@@ -209,6 +209,20 @@ def broken_off(moves: Movements, now_s: float) -> Bools:
     return np.minimum(moves.ended_s, now_s) < moves.started_s + lasts_s - 1e-4
 
 
+def starts_of(row):
+    """Return the common start of each movement, shape (m,), from their robots in time order, (m,).
+
+    A start ends where a robot of it begins again: a sector is late in its own, by any time.
+    """
+    number, begun, numbers = 0, set(), np.zeros(len(row), dtype=np.int64)
+    for at, robot in enumerate(row.tolist()):
+        if robot in begun:
+            number, begun = number + 1, set()
+        begun.add(robot)
+        numbers[at] = number
+    return numbers
+
+
 def judge(plane, units, rows, found) -> _Truth:
     most = max(moves.ticks.shape[2] for _, moves, *_ in found)
 
@@ -236,7 +250,7 @@ def judge(plane, units, rows, found) -> _Truth:
     certificate = certify_arms(plane, motion, _EXACT, neighbour_pairs(plane))
     ended_s = np.minimum(moves.ended_s, now_s)
     early = broken_off(moves, now_s)
-    phase = np.cumsum(np.diff(moves.started_s, prepend=moves.started_s[0]) > 5e-3)
+    phase = starts_of(moves.row)
     skew_s = stop_s = 0.0
     for each in np.unique(phase):
         mine = phase == each

@@ -51,3 +51,14 @@ def test_what_lies_beyond_an_order_is_no_part_of_it(sectors):
         np.arange(2), np.zeros(2), np.full(2, 0.4), np.full(2, 4e-3), counts, ticks, ticks
     )
     np.testing.assert_array_equal(sectors.broken_off(moves, 9.0), [False, True])
+
+
+@pytest.mark.parametrize("late_s", [0.0, 1e-3, 6e-3, 0.5])
+def test_a_sector_that_starts_late_is_late_in_its_start_by_any_time(sectors, late_s):
+    # six robots start twice, of which the last two are late in the second start
+    begun = [(0.0, robot) for robot in range(6)]
+    begun += [(3.0, robot) for robot in range(4)] + [(3.0 + late_s, robot) for robot in (4, 5)]
+    started_s, row = np.array(sorted(begun)).T
+    of = sectors.starts_of(row.astype(int))
+    assert of.tolist() == [0] * 6 + [1] * 6
+    assert np.ptp(started_s[of == 1]) == pytest.approx(late_s)

@@ -225,8 +225,8 @@ FRAMES = _topic(
 )  # fmt: skip
 JOINT_STATES = _topic(
     "joint_states", JointState, qos.LATEST,
-    "Readings of the robots' encoders: ten a second of the buses while robots move, one a second "
-    "at rest. The viewer subscribes while it has subscribers itself.",
+    "Readings of the robots' encoders: twenty a second of the buses while robots move, one a "
+    "second at rest. The viewer subscribes while it has subscribers itself.",
 )  # fmt: skip
 CORRIDORS = _topic(
     "corridors", PointCloud2, qos.LATEST,
