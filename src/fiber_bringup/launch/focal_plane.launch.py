@@ -267,14 +267,20 @@ def _one_bridge() -> EqualsSubstitution:
 
 
 def _check_camera(context: LaunchContext) -> None:
-    """Refuse what no camera can see yet.
+    """Refuse what no camera can see yet, and errors of drives that sectors do not contain yet.
 
     Raises:
-        RuntimeError: a camera and sectors are asked for; `ros2 launch` shows the text.
+        RuntimeError: a camera or `blind_um` with sectors; `ros2 launch` shows the text.
     """
     given = {
-        name: LaunchConfiguration(name).perform(context).lower() for name in ("camera", "sectors")
+        name: LaunchConfiguration(name).perform(context).lower()
+        for name in ("camera", "sectors", "blind_um")
     }
+    if float(given["blind_um"]) != 0.0 and given["sectors"] != "0":
+        raise RuntimeError(
+            f"blind_um:={given['blind_um']} sectors:={given['sectors']}: robots of sectors have no "
+            "wider outlines, leave out sectors or blind_um"
+        )
     if given["camera"] in ("true", "1") and given["sectors"] != "0":
         raise RuntimeError(
             f"camera:={given['camera']} sectors:={given['sectors']}: a camera needs one bridge "

@@ -343,7 +343,9 @@ def test_a_camera_with_sectors_is_refused_before_anything_is_started(
     launch_file, camera, sectors, refused
 ):
     module, description = launch_file
-    context = SimpleNamespace(configurations={"camera": camera, "sectors": sectors})
+    context = SimpleNamespace(
+        configurations={"camera": camera, "sectors": sectors, "blind_um": "0.0"}
+    )
     if refused:
         with pytest.raises(RuntimeError, match="a camera needs one bridge"):
             module["_check_camera"](context)
@@ -351,6 +353,14 @@ def test_a_camera_with_sectors_is_refused_before_anything_is_started(
         module["_check_camera"](context)
     functions = [each.given["function"].__name__ for each in all_of(description, "OpaqueFunction")]
     assert functions[:2] == ["_name_unknown", "_check_camera"]
+
+
+def test_errors_of_drives_with_sectors_are_refused(launch_file):
+    module, _ = launch_file
+    given = {"camera": "false", "sectors": "2", "blind_um": "40"}
+    with pytest.raises(RuntimeError, match="blind_um:=40 sectors:=2: robots of sectors"):
+        module["_check_camera"](SimpleNamespace(configurations=given))
+    module["_check_camera"](SimpleNamespace(configurations=given | {"sectors": "0"}))
 
 
 def test_an_argument_that_the_launch_file_does_not_have_is_named(launch_file):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sequential discretization: a safe motion stays safe, and hard cases."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -212,3 +214,31 @@ def test_one_thread_and_two_give_the_same_bytes(monkeypatch):
     assert calls.count(1) > calls.count(1000) > 0  # work was divided the first time
     for column, other in zip(wires[0].arrays, wires[1].arrays):
         assert column.tobytes() == other.tobytes()
+
+
+@pytest.mark.timeout(60)
+def test_an_end_that_lies_beyond_a_corridor_ends_the_search_for_a_path():
+    # The trajectory ends a little inside of where arm 0 meets arm 1, and the encoder of its resting
+    # theta, which may be off by the tolerance, well beyond that.
+    plane = preset("desi", 2)
+    plane = replace(plane, centers=[[0.0, 0.0], [10.4, 0.0]])
+    ends = np.radians([[0.0, 30.0], [180.0, 60.0]])
+    thetas = np.linspace(-0.4, 0.4, 400)
+    poses = np.tile(ends[:, :, None], len(thetas))
+    poses[0, 0] = thetas
+    (gaps,) = sampled_gaps(plane, [[0, 1]], poses)
+    bound = thetas[np.flatnonzero((gaps[:-1] < 0.06) & (gaps[1:] >= 0.06))[0] + 1]
+    ends[0, 0] = bound + 0.05
+    begins = np.radians([[0.0, 170.0], [100.0, 170.0]])
+    begins[0, 0] = ends[0, 0]
+    path = np.stack([begins, 0.5 * (begins + ends), ends], axis=-1)
+    start = UNITS.to_counts(begins - [[0.1, 0.0], [0.0, 0.0]])
+    trajectory, options = (
+        SampledMotion([0.0, 1.0, 2.0], path), DiscretizeOptions(start_tolerance_rad=0.2)
+    )  # fmt: skip
+    plan = SegmentPlan(plane, UNITS, start, SAFETY, 3.0)
+    made = candidates.Candidates(plan, start, trajectory, options)
+    plan.assign(np.array([1]), made.straight(np.array([1])))
+    for joint in range(2):
+        _, found = made.along_trajectory(np.array([0]), plan.motion, plan.most_required_mm, joint)
+        assert not found.any()

@@ -5,7 +5,8 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ DEAF_CODE = 3
 _LOOK_S, _LOOKS = 1.0, 5
 _THREAD = "dds.udp."  # and its port: the thread of Fast DDS that receives at a socket
 _TASKS, _SOCKETS = Path("/proc/self/task"), Path("/proc/self/net/udp")
+_OPEN = Path("/proc/self/fd")
 
 
 class _Receiver(NamedTuple):
@@ -76,7 +78,20 @@ def _asleep() -> set[_Receiver]:
 
 
 def _ports_with_messages() -> set[int]:
+    own = set(_inodes())  # the table has the sockets of all processes
     lines = _SOCKETS.read_text(encoding="ascii").splitlines()[1:]
     columns = [line.split() for line in lines]
-    # local address:port, and bytes that wait to be sent:received, hexadecimal
-    return {int(each[1].split(":")[1], 16) for each in columns if int(each[4].split(":")[1], 16)}
+    # local address:port, bytes that wait to be sent:received, hexadecimal, and the inode
+    return {
+        int(each[1].split(":")[1], 16)
+        for each in columns
+        if each[9] in own and int(each[4].split(":")[1], 16)
+    }
+
+
+def _inodes() -> Iterator[str]:
+    for each in _OPEN.iterdir():
+        with suppress(OSError):  # it is closed
+            target = os.readlink(each)
+            if target.startswith("socket:["):
+                yield target[len("socket:[") : -1]

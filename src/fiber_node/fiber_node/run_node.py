@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a node as a process."""
 
+import atexit
 import gc
 import os
 import signal
@@ -46,9 +47,10 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         return code
     use_loopback()
     keep_private()
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    if in_main_thread:
+    if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, _interrupt_once())
+        # Python gives handlers back to the system before it has ended
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     rclpy.init(args=given)
     executor, code = ThreadExecutor(3), 0
     try:
@@ -75,8 +77,6 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
         for node in nodes:
             node.destroy_node()
         try_shutdown()
-        if in_main_thread:  # Python gives a handler back to the system before it has ended
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not all(getattr(node, "ended", True) for node in nodes):
         # work that does not follow its cancellation may go on for a minute; this process shall not
         sys.stderr.flush()

@@ -16,7 +16,7 @@ pytestmark = [
 
 # a thread with the name of one of Fast DDS, at a socket to which something is sent all the time
 PROCESS = """
-import socket, sys, threading, time
+import socket, subprocess, sys, threading, time
 from pathlib import Path
 from fiber_node import deafness
 
@@ -24,7 +24,13 @@ deafness._LOOK_S = 0.1
 inbox, other = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
 inbox.bind(("127.0.0.1", 0))
 place = inbox.getsockname()
-kind = sys.argv[1]
+kind, to = sys.argv[1], place
+if kind == "another's":  # has a socket with the same port at another address, and does not read it
+    to = ("127.0.0.2", place[1])
+    code = f"import socket, time; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); "
+    code += f"s.bind({to}); print(flush=True); time.sleep(4)"
+    child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    child.stdout.readline()
 
 def receive():
     name = "dds.udp." if kind != "another" else "dds.shm."
@@ -42,13 +48,14 @@ threading.Thread(target=receive, daemon=True).start()
 deafness.watch_hearing()
 end = time.monotonic() + 3.0
 while time.monotonic() < end:
-    other.sendto(b"announcement", place)
+    other.sendto(b"announcement", to)
     time.sleep(0.01)
 """
 
 
 @pytest.mark.parametrize(
-    ("kind", "code"), [("deaf", DEAF_CODE), ("hears", 0), ("slow", 0), ("another", 0)]
+    ("kind", "code"),
+    [("deaf", DEAF_CODE), ("hears", 0), ("slow", 0), ("another", 0), ("another's", 0)],
 )
 def test_a_process_that_does_not_receive_any_more_ends(kind, code):
     done = subprocess.run(

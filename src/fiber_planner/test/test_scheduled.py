@@ -92,6 +92,19 @@ def test_two_runs_are_quicker_than_creep_to_a_near_goal(plane):
     assert (saved_s[(plane.drive.scale == 1.0).all(axis=(1, 2))] > 2 * (0.8 - 0.2)).all()
 
 
+def test_a_run_on_the_way_that_is_the_whole_turn_still_ends_with_an_approach(plane):
+    units = WireUnits.for_plane(plane)
+    motors, rows = motors_of_plane(plane, units), np.arange(_N)
+    start = motors.ranges.mean(axis=2).astype(np.int64)
+    turn = np.stack([np.zeros(_N, dtype=np.int64), 40 * motors.run[:, 1, 1]], axis=1)
+    legs = legs_by_way_of(motors, rows, start, turn, turn)
+    assert legs.possible.all()
+    assert (np.abs(legs.turn - turn) <= motors.creep.max(axis=2) // 2 + 1).all()
+    starts = np.cumsum(legs.on, axis=1) - legs.on
+    motion = orders_of(plane, units, legs, starts, start)
+    assert motion.moves.all() and not rules_broken(plane.drive, motion).any()
+
+
 def test_no_move_leaves_the_range_of_a_joint(plane):
     units, rng = WireUnits.for_plane(plane), np.random.default_rng(3)
     motors = motors_of_plane(plane, units)

@@ -75,6 +75,11 @@ class Hardware:
         """Whether the time of the buses is the time of this machine."""
         return bool(np.isfinite(self.slice_s))
 
+    @property
+    def robots_outlive(self) -> bool:
+        """Whether the robots are still there when the bridge has ended."""
+        return self.in_real_time or self.plant is not None
+
     def session(self, safety: Safety, config: SessionConfig, tap: BusBackend | None) -> Session:
         """Return a session with these robots.
 

@@ -37,10 +37,10 @@ def memory_path(config: MemoryConfig, hardware: Hardware) -> Path | None:
         return None
     if config.memory != "auto":
         return Path(config.memory)
+    if not hardware.robots_outlive:
+        return None
     if hardware.plant is not None:
         return hardware.plant.with_name(hardware.plant.name + ".robots.json")
-    if not hardware.in_real_time:
-        return None  # the robots end with the bridge
     base = os.environ.get("XDG_STATE_HOME")
     folder = Path(base) if base else Path.home() / ".local" / "state"
     return folder / "fiber_positioners" / f"robots-{fingerprint(hardware.plane)}.json"
@@ -131,4 +131,7 @@ class Remembered:
             save_memory(self._path, memory, self._session.plane, self._session.units.quantum_prad)
             self._saved = memory
         if not memory.moving:
-            self._stop_note.unlink(missing_ok=True)
+            try:
+                self._stop_note.unlink(missing_ok=True)
+            except OSError as error:
+                self._warn(f"the note of a stop beside the memory of the robots stays: {error}")

@@ -247,7 +247,12 @@ class Candidates:
             left, fitted = left[possible], fitted.of(np.flatnonzero(possible))
             path = path.with_profiles(left, fitted)
             samples = fitted.at(np.tile(_SHARES, (len(left), 1)))
-            left = left[~keep_inside(task, corridors, left, samples, _PAD_RAD)]
+            before = corridors.bounds[:, left].copy()
+            inside = keep_inside(task, corridors, left, samples, _PAD_RAD)
+            # no fit changes where an end, which is given, lies beyond a bound
+            changed = (corridors.bounds[:, left] != before).any(axis=(0, 2))
+            found[left[~inside & ~changed]] = False
+            left = left[~inside & changed]
         time_s = path.time_s * task.times[path.parts.owner, -1]
         return Polylines(path.offsets, time_s, path.angles), found
 

@@ -71,6 +71,8 @@ def legs_by_way_of(motors: Motors, rows: Ints, start: Counts, turn: Ints, via: I
     """
     m = len(rows)
     via_ticks, via_velocity = run_ticks(motors, rows, via)
+    # where nothing would be left to turn there would be no approach either
+    via_ticks = np.where(via_ticks * via_velocity == turn, 0, via_ticks)
     by_way = via_ticks * via_velocity
     moves = moves_to(motors, rows, start + by_way, turn - by_way)
     via_ticks, by_way = (np.where(moves.possible[:, None], a, 0) for a in (via_ticks, by_way))

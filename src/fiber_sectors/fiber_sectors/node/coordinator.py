@@ -34,6 +34,11 @@ class _SectoredHardware(Hardware):
     terms: Terms = Terms()
     sectors: SectorsConfig = SectorsConfig()
 
+    @property
+    def robots_outlive(self) -> bool:
+        """No: sectors have simulated robots, also on the clocks of their hosts."""
+        return False
+
     def session(self, safety: Safety, config: SessionConfig, tap: BusBackend | None) -> Session:
         if tap is not None:
             raise BridgeError("a coordinator has no buses to capture: give capture to the sectors")
