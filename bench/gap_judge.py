@@ -152,25 +152,22 @@ def _hulls(outlines) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _hull(points) -> list:
-    # gift wrapping: the next corner is the one with all others on its left
+    # Andrew's monotone chain of points that are sorted, which ends on any input
     if len(points) < 3:
         return list(points)
-    corners = [points[0]]  # the leftmost
-    while True:
-        here = corners[-1]
-        way = points - here
-        far = np.hypot(*way.T)
-        best = -1
-        for k in np.flatnonzero(far > 0.0):
-            if best < 0:
-                best = k
-                continue
-            turn = way[best, 0] * way[k, 1] - way[best, 1] * way[k, 0]
-            if turn < 0.0 or (turn == 0.0 and far[k] > far[best]):
-                best = k
-        if np.array_equal(points[best], corners[0]):
-            return corners
-        corners.append(points[best])
+    return _chain(points)[:-1] + _chain(points[::-1])[:-1]
+
+
+def _chain(points) -> list:
+    kept = []
+    for point in points:
+        while len(kept) > 1:
+            (ax, ay), (bx, by) = kept[-1] - kept[-2], point - kept[-1]
+            if ax * by - ay * bx > 0.0:
+                break
+            kept.pop()
+        kept.append(point)
+    return kept
 
 
 def _pairs_of(bodies: _Bodies, n: int, margin_mm: float) -> np.ndarray:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from fiber_core.clearance import Safety, certify
 from fiber_core.drive.named import with_drive
@@ -14,7 +15,7 @@ from fiber_core.presets import preset
 from fiber_positioners import random_problem, reconfigure
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
-from gap_judge import judge_gaps  # noqa: E402
+from gap_judge import _hull, judge_gaps  # noqa: E402
 
 
 def planes():
@@ -93,3 +94,18 @@ def test_a_contact_of_a_moment_between_two_waits_is_found():
         found = judge_gaps(problem, plan)
         assert found.contacts == contacts
         assert found.least_mm == pytest.approx(gap_mm, abs=5e-4)
+
+
+def test_hulls_are_those_of_scipy_also_where_corners_lie_on_edges():
+    rng = np.random.default_rng(0)
+    square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
+    for _ in range(300):
+        turn = rng.uniform(0.0, 2.0 * np.pi)
+        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        share = rng.random((12, 1))
+        on_edges = share * square[[0, 1, 2] * 4] + (1.0 - share) * square[[1, 2, 3] * 4]
+        points = np.unique(np.concatenate([square, on_edges]) @ rotation.T, axis=0)
+        hull = np.array(_hull(points))
+        x, y = hull.T
+        area = 0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1))
+        assert area == pytest.approx(ConvexHull(points).volume, rel=1e-9)

@@ -120,11 +120,18 @@ def test_outlines_of_a_blind_move_hold_the_errors_of_the_drive_and_those_of_a_co
     rest.until(lambda: np.allclose(rest.wider_mm(), np.hypot(blind_mm, 0.03)))
 
 
-@pytest.mark.parametrize(("straight", "runs"), [(True, True), (False, False)])
-def test_a_blind_move_that_passes_too_close_for_its_errors_is_held(peer, tmp_path, straight, runs):
+@pytest.mark.parametrize(
+    ("straight", "seen", "runs"),
+    [(True, True, True), (False, True, False), (True, False, False)],
+    ids=["a correction", "a blind move", "a correction of what no image has seen"],
+)
+def test_what_passes_too_close_for_its_errors_is_held(peer, tmp_path, straight, seen, runs):
     start = np.stack([np.zeros(N), np.full(N, 2.6)], axis=1)
     rest = Seen(peer, problem_file(tmp_path, start), blind_um=700.0)
     counts = UNITS.to_counts(start)
+    if seen:
+        rest.tell(8, NO_PLACE, start, Verdict.MISSING, wider_mm=0.03)
+        rest.until(lambda: rest.images() == "1")
     ask_straight(rest, 9, straight)
     offsets = np.repeat(np.arange(N + 1), 2)[1:]
     orders = WireMotion(UNITS, counts, offsets, np.full(N, 50), np.full(N, 700))

@@ -167,6 +167,17 @@ def test_lists_of_speeds_that_it_cannot_plan_with_are_refused(plane, values, wor
         ScheduledPlanner().plan(problem)
 
 
+@pytest.mark.parametrize("joint", [0, 1])
+def test_the_least_move_of_each_joint_counts_with_its_scale(plane, joint):
+    scale = np.ones((_N, 2, 2))
+    scale[:, joint] = 1.2
+    values = {"approach_rad": np.full(2, 0.05), "least_rad": np.array([0.08, 0.05])}
+    drive = Drive(_N, listed=replace(plane.drive.listed, **values), scale=scale)
+    other = replace(plane, drive=drive)
+    with pytest.raises(PlannerError, match=f"and {('theta', 'phi')[joint]} may move as little as"):
+        ScheduledPlanner().plan(random_problem(other, np.random.default_rng(0)))
+
+
 def test_a_timetable_never_has_more_motors_on_than_allowed():
     rng, n = np.random.default_rng(2), 30
     group, ticks = np.arange(n) % 3, 130

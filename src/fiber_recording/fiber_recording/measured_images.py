@@ -39,7 +39,9 @@ class ImagesOfPlans:
 
     def add(self, plan: PlanStamp, table: Measured) -> None:
         """Add an image that was taken after a plan or a correction."""
-        self._waiting.setdefault(self._plan_of.get(plan, plan), []).append(table)
+        tables = self._waiting.setdefault(self._plan_of.get(plan, plan), [])
+        tables.append(table)
+        del tables[:-_KEPT]
         for old in sorted(self._waiting)[:-_KEPT]:
             del self._waiting[old]
 

@@ -195,6 +195,7 @@ class Attempts:
 
     def begin_home(self) -> None:
         """Make the motion that folds the robots the current plan."""
+        self._outlines.move_blind()
         self.current = Attempt.first(PlanStamp(self._outgoing.now_ns()))
         self._replanning = Replanning(self._no_targets(), 1)
 

@@ -45,7 +45,8 @@ class Outlines:
     """Grows the outlines of a session by what is not known of its arms.
 
     In a blind move they hold what the last image left unknown and the error of the drive; in a
-    correction the former alone. Between plans they are those of a blind move.
+    correction the former alone, if an image was taken since the last blind move. Between plans they
+    are those of a blind move.
 
     Args:
         session: the session with the robots.
@@ -62,6 +63,7 @@ class Outlines:
         self._blind_mm = np.stack(arms_within(exact, half_rad), axis=1)
         self.known_mm: Floats = np.zeros((exact.n, 2))  # what the last image left unknown
         self._grown_mm: Floats = np.zeros((exact.n, 2))
+        self._seen = False  # whether an image was taken since the last blind move
 
     def use(self, straight: bool) -> None:
         """Grow the outlines for a plan; publish the layout if they change.
@@ -72,8 +74,13 @@ class Outlines:
         Raises:
             SessionError: they would change, and robots move, are stopped or have orders.
         """
-        if self._grow(self.known_mm, straight):
-            self._outgoing.publish_layout(always=True)
+        if not straight:
+            self.move_blind()
+        self._wear(straight)
+
+    def move_blind(self) -> None:
+        """Forget that an image was taken: the arms move, and no image tells where they end."""
+        self._seen = False
 
     def rest(self) -> None:
         """Grow the outlines for a blind move, unless orders wait, robots move or are stopped.
@@ -81,7 +88,7 @@ class Outlines:
         The next targets are drawn with outlines that a blind move needs.
         """
         if self._session.state is SessionState.IDLE:
-            self.use(straight=False)
+            self._wear(straight=False)
 
     def learn(self, known_mm: Floats) -> None:
         """Take over how far points of the outlines may be from where the counters put them.
@@ -94,7 +101,11 @@ class Outlines:
                 infinite.
         """
         self._grow(known_mm, straight=False)
-        self.known_mm = known_mm
+        self.known_mm, self._seen = known_mm, True
+
+    def _wear(self, straight: bool) -> None:
+        if self._grow(self.known_mm, straight and self._seen):
+            self._outgoing.publish_layout(always=True)
 
     def _grow(self, known_mm: Floats, straight: bool) -> bool:
         # errors of the image and of the drive know nothing of each other

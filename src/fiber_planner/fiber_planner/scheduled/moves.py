@@ -114,9 +114,10 @@ def _check_approach(plane: FocalPlane) -> None:
             f"of {ramp_s:.4g} s"
         )
     parts = listed.approach_rad if listed.returns else np.zeros(2)
-    joint = int(np.argmin(parts))
+    needs = least * plane.drive.scale.max(axis=(0, 2), initial=0.0)
+    joint = int(np.argmin(parts - needs))
     name = ("theta", "phi")[joint]
-    if parts[joint] < least * plane.drive.scale[:, joint].max(initial=0.0):
+    if parts[joint] < needs[joint]:
         raise PlannerError(
             f"the planner 'scheduled' ends each joint with back and forth, and {name} "
             f"may move as little as {np.rad2deg(parts[joint]):.4g} deg then: the least move of its "
