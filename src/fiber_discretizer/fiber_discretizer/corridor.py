@@ -106,7 +106,8 @@ def _open_corridor(task, corridors, robot, r, side):
     wish, begin, t = task.desired[r, task.joint], corridors.begin[r], task.times.shape[1]
     if not _begin_at(task, corridors, robot, r, t - 1, wish[t - 1], 0):
         return False
-    diverted = False
+    bottom, top = robot[1][2], robot[1][3]
+    diverted = was_outside = False
     for k in range(t):
         # Begin at the desired angle, after a diversion at the free angle before.
         first = begin[k - 1] if diverted and k < t - 1 else wish[k]
@@ -115,8 +116,11 @@ def _open_corridor(task, corridors, robot, r, side):
             return False
         was_diverted = diverted
         diverted = not _reaches(task, corridors, robot, r, k, wish[k])
-        # An interval on the other side of a neighbour has to connect to the ones before.
-        back = k if was_diverted or diverted else 0
+        # An interval on the other side of a neighbour has to connect to the ones before, and one
+        # outside the limits of the joint, which has no width.
+        outside = not bottom <= begin[k] <= top
+        back = k if was_diverted or diverted or outside or was_outside else 0
+        was_outside = outside
         while back > 0 and not _connected(task, corridors, robot, r, back):
             back -= 1
             if back == 0 or not _begin_at(task, corridors, robot, r, back, begin[back + 1], side):
