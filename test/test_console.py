@@ -189,6 +189,35 @@ def test_a_plan_is_started_seen_and_stopped(opened, plane):
 
 
 @needs_browser("the console in a browser")
+def test_while_a_stop_waits_for_its_answer_no_picture_delays_it(opened):
+    waited = opened.execute_async_script("""
+        const done = arguments[0], {orders} = player, send = orders.send, now = performance.now();
+        const after = (frames, act) => frames ? requestAnimationFrame(() => after(frames - 1, act)) : act();
+        const seen = [];
+        performance.now = () => now;
+        orders.send = () => -7;
+        after(3, () => {
+          orders.ask("stop");
+          const began = player.frames;
+          player.move(...player.newest);
+          after(5, () => {
+            seen.push(player.frames - began);
+            performance.now = () => now + 501;  // a console that hangs stops no picture for long
+            after(5, () => {
+              seen.push(player.frames - began);
+              delete performance.now;
+              orders.send = send;
+              orders.lost();
+              done([...seen, document.querySelector("#answers li").textContent]);
+            });
+          });
+        });
+    """)
+    assert waited[0] == 0 < waited[1]
+    assert waited[2].startswith("stop: no answer, the connection was lost")
+
+
+@needs_browser("the console in a browser")
 def test_watched_robots_are_disabled_and_enabled(opened, plane):
     opened.execute_script("player.watch(8)")
     answer = press(opened, "disable")
@@ -207,8 +236,11 @@ def test_watched_robots_are_disabled_and_enabled(opened, plane):
 
 @needs_browser("the console in a browser")
 def test_the_plane_goes_on_without_the_console_and_the_page_with_the_next(opened, plane, console):
+    opened.execute_script("player.orders.sent.set(0, {order: 'home', began: performance.now()})")
     console.kill()
     until(opened, "return !document.getElementById('problem').hidden")
+    first = opened.find_element(By.CSS_SELECTOR, "#answers li")
+    assert first.text.startswith("home: no answer, the connection was lost")
     assert "do not depend" in opened.find_element(By.ID, "problem").text
     opened.find_element(By.CSS_SELECTOR, "[data-order=stop]").click()
     until(opened, "return document.querySelector('#answers li')?.textContent.includes('not sent')")

@@ -3,12 +3,17 @@
 
 import os
 import re
+import signal
 import stat
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from rcl_interfaces.srv import ListParameters
+from rclpy.qos import qos_profile_sensor_data
+from std_msgs.msg import String
 
 from fiber_node import RosClient
 
@@ -21,11 +26,15 @@ SCRIPT = """
 import sys
 from pathlib import Path
 from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from std_msgs.msg import String
 from fiber_node import run
 
 def make():
     Path(sys.argv[1], "written").write_text("by a node")
-    return Node("lonely")
+    node = Node("lonely")
+    node.create_subscription(String, "flood", lambda _: None, qos_profile_sensor_data)
+    return node
 
 run(make, [])
 """
@@ -33,14 +42,18 @@ OURS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 LOOPBACK = "0100007F"
 
 
+def inodes(pid):
+    """Return the inodes of the sockets of a process."""
+    links = [os.readlink(each) for each in Path(f"/proc/{pid}/fd").iterdir() if each.is_symlink()]
+    return {match[1] for link in links if (match := re.match(r"socket:\[(\d+)\]", link))}
+
+
 def sockets(pid):
     """Return the local address, in hexadecimal, of each internet socket of a process."""
-    links = [os.readlink(each) for each in Path(f"/proc/{pid}/fd").iterdir() if each.is_symlink()]
-    inodes = {match[1] for link in links if (match := re.match(r"socket:\[(\d+)\]", link))}
-    found = []
+    found, own = [], inodes(pid)
     for table in ("udp", "udp6", "tcp", "tcp6"):
         lines = Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]
-        found += [line.split()[1].split(":")[0] for line in lines if line.split()[9] in inodes]
+        found += [line.split()[1].split(":")[0] for line in lines if line.split()[9] in own]
     return found
 
 
@@ -53,6 +66,7 @@ def lonely(tmp_path, new_domain):
     started, domain = [], new_domain()
 
     def start(**environment):
+        start.domain = domain
         rest = {name: value for name, value in os.environ.items() if name not in OURS}
         rest |= {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(tmp_path / "log"), **environment}
         command = [sys.executable, "-c", SCRIPT, str(tmp_path)]
@@ -86,6 +100,33 @@ def shared(pid):
 def test_no_message_passes_through_shared_memory(lonely):
     # its ports lose a process that is paused while others send
     assert not shared(lonely())
+
+
+def test_a_request_that_the_kernel_drops_is_sent_again_at_once(lonely):
+    # the order to stop is such a request, and large tables fill the same socket
+    pid = lonely()
+    with RosClient("asks", lonely.domain) as asks:
+        client = asks.node.create_client(ListParameters, "/lonely/list_parameters")
+        flood = asks.node.create_publisher(String, "flood", qos_profile_sensor_data)
+        asks.wait_for(client.service_is_ready, 20.0, "the services of the node")
+        asks.wait_for(lambda: flood.get_subscription_count() == 1, 20.0, "its subscription")
+        os.kill(pid, signal.SIGSTOP)
+        for size in (*[4_000_000] * 4, *[1] * 4000):  # small ones fill the rest of the buffer
+            flood.publish(String(data="x" * size))
+        answer = client.call_async(ListParameters.Request())
+        dropped = _drops(pid)
+        os.kill(pid, signal.SIGCONT)
+        woken = time.monotonic()
+        asks.wait_for(answer.done, 20.0, "the answer")
+        took_s = time.monotonic() - woken
+    assert dropped > 0, "nothing was dropped, so this test shows nothing"
+    assert took_s < 1.5  # the middleware's own settings send it again after 3 s
+
+
+def _drops(pid):
+    """Return how many packets the UDP sockets of a process have dropped."""
+    lines = Path(f"/proc/{pid}/net/udp").read_text().splitlines()[1:]
+    return sum(int(line.split()[12]) for line in lines if line.split()[9] in inodes(pid))
 
 
 def test_what_a_node_writes_is_readable_by_its_owner_only(lonely, tmp_path):

@@ -28,7 +28,7 @@ class Console {
       connected: (whether) => this.connected(whether),
       motion: (angles, speeds) => this.move(angles, speeds),
       status: (message) => this.showStatus(message),
-      answer: (message) => this.orders.answered(message),
+      answer: (message) => this.answered(message),
     });
     this.orders = new Orders(this, (order, more) => this.connection.order(order, more), {
       buttons: element("orders"), dialog: element("confirm"), heading: element("confirm-title"),
@@ -43,6 +43,12 @@ class Console {
     element("problem").hidden = whether;
     this.version = null;
     document.body.classList.toggle("lost", !whether);
+    if (!whether) this.orders?.lost();
+  }
+
+  answered(message) {
+    this.orders.answered(message);
+    if (this.newest) this.move(...this.newest); // what came while a stop waited
   }
 
   /** Opens the plane again when its version has changed: another layout, targets or outcome. */
@@ -86,7 +92,7 @@ class Console {
 
   move(angles, speeds) {
     this.newest = [angles, speeds];
-    if (!this.recording || angles.length !== this.angles.length) return;
+    if (this.orders.isStopping || !this.recording || angles.length !== this.angles.length) return;
     this.before = this.after ? Float64Array.from(this.angles) : angles;
     this.after = angles;
     this.arrived = performance.now();
@@ -100,7 +106,8 @@ class Console {
     this.waiting = true;
     requestAnimationFrame(() => {
       this.waiting = false;
-      this.frame();
+      if (this.orders.isStopping) this.redraw();
+      else this.frame();
     });
   }
 

@@ -10,6 +10,7 @@ const QUESTIONS = {
   enable: ["Enable robots?", "They are part of the next plan."],
 };
 const ANSWERS_KEPT = 20;
+const STOP_WAIT_MS = 500; // longest time that drawing waits for the answer of a stop
 
 export class Orders {
   /** `send(order, more)` returns the number of the order; `app` has `ready`, the plan, and the watched robots. */
@@ -60,7 +61,19 @@ export class Orders {
   order(order, more = {}) {
     const number = this.send(order, more);
     if (number === null) this.list(`${order}: not sent, as the console does not answer`, false);
-    else this.sent.set(number, { began: performance.now(), plan: more.plan });
+    else this.sent.set(number, { order, began: performance.now(), plan: more.plan });
+  }
+
+  /** Whether a stop waits for its answer: a page that draws meanwhile would delay it. */
+  get isStopping() {
+    const since = performance.now() - STOP_WAIT_MS;
+    return [...this.sent.values()].some(({ order, began }) => order === "stop" && began > since);
+  }
+
+  /** Lists the orders whose answers cannot come any more, as the connection is lost. */
+  lost() {
+    for (const { order } of this.sent.values()) this.list(`${order}: no answer, the connection was lost; look at the plane`, false);
+    this.sent.clear();
   }
 
   answered({ number, order, ok, text }) {
