@@ -192,7 +192,9 @@ def test_a_plan_is_started_seen_and_stopped(opened, plane):
 def test_while_a_stop_waits_for_its_answer_no_picture_delays_it(opened):
     waited = opened.execute_async_script("""
         const done = arguments[0], {orders} = player, send = orders.send, now = performance.now();
-        const after = (frames, act) => frames ? requestAnimationFrame(() => after(frames - 1, act)) : act();
+        const after = (frames, act) => frames
+            ? requestAnimationFrame(() => after(frames - 1, act))
+            : act();
         const seen = [];
         performance.now = () => now;
         orders.send = () => -7;
