@@ -21,8 +21,8 @@ local FAULTS = {
   [0] = "NONE", [1] = "BAD_LENGTH", [2] = "BAD_OPCODE", [3] = "BAD_CRC", [4] = "BAD_DURATION",
   [5] = "BAD_VELOCITY", [6] = "BAD_PADDING", [7] = "BAD_VERSION", [8] = "BAD_VALUE",
   [16] = "NOT_CONFIGURED", [17] = "WRONG_STATE", [18] = "STALE_SEQUENCE", [19] = "OVER_SPEED",
-  [20] = "OUTSIDE_LIMITS", [21] = "OTHER_QUANTUM", [32] = "WATCHDOG", [33] = "MEMORY",
-  [34] = "STALL", [35] = "SILENCE",
+  [20] = "OUTSIDE_LIMITS", [21] = "OTHER_QUANTUM", [22] = "OTHER_GEARS", [32] = "WATCHDOG",
+  [33] = "MEMORY", [34] = "STALL", [35] = "SILENCE",
 }
 
 local f = {
@@ -50,11 +50,15 @@ local f = {
   watchdog = ProtoField.uint16("fiber.watchdog_ms", "Watchdog (ms)"),
   silence = ProtoField.uint16("fiber.silence_ms", "Silence (ms)"),
   slot = ProtoField.uint16("fiber.slot", "Slot in the roll call"),
+  block = ProtoField.uint8("fiber.block", "Block", base.DEC, { [1] = "GEARS" }),
+  coupling = ProtoField.bytes("fiber.coupling", "Coupling (2^-22), motor by joint"),
+  motor_limits = ProtoField.bytes("fiber.motor_limits", "Motor limits (quanta)"),
+  motor_speed = ProtoField.bytes("fiber.motor_speed", "Motor speeds (2^-8 units)"),
   present = ProtoField.bytes("fiber.present", "Roll call, 0 = present"),
   serial = ProtoField.uint32("fiber.serial", "Serial number"),
   new_address = ProtoField.uint16("fiber.new_address", "New address", base.DEC, nil, 0x7FFF),
   state = ProtoField.uint8("fiber.state", "State", base.DEC, STATES, 0xF0),
-  order_crc = ProtoField.uint16("fiber.order_crc", "CRC of the stored order", base.HEX),
+  order_crc = ProtoField.uint16("fiber.order_crc", "CRC of stored order and configuration", base.HEX),
   boot = ProtoField.uint8("fiber.boot", "Boot counter"),
   fault = ProtoField.uint8("fiber.fault", "Fault", base.DEC, FAULTS),
   alerts = ProtoField.uint8("fiber.alerts", "Alerts", base.HEX),
@@ -82,10 +86,13 @@ local COMMANDS = {
     { f.opcode, 0 }, { f.version, 1 }, { f.velocity_bits, 1 }, { f.duration_bits, 1 },
     { f.tick, 4 }, { f.quantum, 4 }, { f.theta_low, 4 }, { f.theta_high, 4 }, { f.phi_low, 4 },
     { f.phi_high, 4 }, { f.theta_speed, 2 }, { f.phi_speed, 2 }, { f.watchdog, 2 },
-    { f.silence, 2 }, { f.slot, 2 }, { f.crc, 2 },
+    { f.silence, 2 }, { f.slot, 2 },
   },
   [9] = { { f.opcode, 1 }, { f.serial, 4 }, { f.new_address, 2 }, { f.crc, 2 } },
   [10] = { { f.opcode, 1 }, { f.theta_position, 4 }, { f.phi_position, 4 }, { f.crc, 2 } },
+}
+local BLOCKS = {
+  [1] = { { f.coupling, 16 }, { f.motor_limits, 16 }, { f.motor_speed, 8 } },
 }
 local SHORT = { { f.opcode, 1 }, { f.pec, 1 } }
 local VERIFY = { { f.state, 0 }, { f.sequence, 1 }, { f.order_crc, 2 }, { f.boot, 1 }, { f.pec, 1 } }
@@ -103,6 +110,20 @@ local function size_of(layout)
   return size
 end
 
+-- adds the blocks of a CONFIG; returns where they end
+local function blocks(tree, data, at)
+  while data:len() - at >= 4 do
+    local layout = BLOCKS[data(at, 1):uint()]
+    local size = data(at + 1, 1):uint()
+    tree:add(f.block, data(at, 1))
+    if layout and size == size_of(layout) and data:len() - at >= size + 4 then
+      fill(tree, data, at + 2, layout)
+    end
+    at = at + 2 + size
+  end
+  return at
+end
+
 local function command(tree, data, at)
   local left = data:len() - at
   if left < 2 then return "frame cut short" end
@@ -114,6 +135,11 @@ local function command(tree, data, at)
     if left > 4 then tree:add(f.segments, data(at, left - 4)) end
     tree:add(f.crc, data(data:len() - 2, 2))
     return string.format("LOAD, %d + %d segments", both:bitfield(0, 4), both:bitfield(4, 4))
+  end
+  if opcode == 6 and left >= size_of(COMMANDS[6]) + 2 then
+    at = blocks(tree, data, fill(tree, data, at, COMMANDS[6]))
+    if data:len() - at == 2 then tree:add(f.crc, data(at, 2)) end
+    return name
   end
   local layout = COMMANDS[opcode] or SHORT
   if left == size_of(layout) then fill(tree, data, at, layout) end

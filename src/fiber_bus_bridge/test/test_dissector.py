@@ -3,6 +3,7 @@
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from fiber_bus_bridge.wire import (
     Configuration,
     Fault,
     Frames,
+    Gears,
     Opcode,
     RobotState,
     decode_command,
@@ -52,23 +54,29 @@ TO = Addresses([0, 0, 1, 1], [8, 0x77, 300, 1022], [False, False, True, True])
 CALLED = general_call([0, 1])
 UNITS = WireUnits()
 NOTHING = Frames(TO, np.zeros(5, dtype=int), np.zeros(0, dtype=np.uint8))
+GEARS = Gears(
+    np.tile(np.array([[1, 0], [-1.5, 1.5]]) * 2**22, (4, 1, 1)).astype(int),
+    np.tile([[-2_000_000, 2_000_000], [-4_000_000, 4_000_000]], (4, 1, 1)),
+    np.full((4, 2), 8000 * 256),
+)
 # width of the fields that the dissector shows in hexadecimal
 HEX = {"order_crc": 4, "alerts": 2, "crc": 4, "pec": 2}
 FIELDS = (
     "bus address ten_bit read opcode sequence theta_segments phi_segments segments countdown "
     "version velocity_bits duration_bits tick_us quantum_prad theta_low theta_high phi_low "
-    "phi_high theta_speed phi_speed watchdog_ms silence_ms slot present serial new_address "
-    "state order_crc boot fault alerts theta phi crc pec"
+    "phi_high theta_speed phi_speed watchdog_ms silence_ms slot block coupling motor_limits "
+    "motor_speed present serial new_address state order_crc boot fault alerts theta phi crc pec"
 ).split()
 
 
 @pytest.fixture(scope="module")
 def traffic():
     """A tap with frames of every kind: configuration, orders, motion, refusals, absent robots."""
-    robots = Positioners(TO, [11, 22, 33, 44], UNITS.quantum_prad, np.full((4, 2), -70_000))
+    at = np.full((4, 2), -70_000)
+    robots = Positioners(TO, [11, 22, 33, 44], UNITS.quantum_prad, at, coupling=GEARS.coupling)
     tap, t = Tap(SimulatedBuses(robots, bus_timing("1M")), bus_timing("1M")), 0.0
     limits = np.tile([[-2_000_000, 2_000_001], [-1_000_002, 2_000_003]], (4, 1, 1))
-    config = Configuration(UNITS, limits, np.tile([8000, 7000], (4, 1)), 9000, 20, [3, 11, 0, 1])
+    plain = Configuration(UNITS, limits, np.tile([8000, 7000], (4, 1)), 9000, 20, [3, 11, 0, 1])
     offsets = [0, 1, 2, 2, 2, 3, 3, 4, 4]
     orders = WireMotion.from_zero(UNITS, offsets, [9, 8, 7, 6], [50, -60, 70, 0])
     load = encode_load(TO, 5, orders)
@@ -76,7 +84,9 @@ def traffic():
     for frames, read in (
         (encode_command(Opcode.IDENTIFY, TO), IDENTITY_BYTES),
         (load, 0),  # refused: no robot is configured
-        (encode_config(config, TO), 0),
+        (encode_config(plain, TO), 0),  # refused: the robots have gears
+        (NOTHING, STATUS_BYTES),
+        (encode_config(replace(plain, gears=GEARS), TO), 0),
         (NOTHING, STATUS_BYTES),
         (load, 0),
         (NOTHING, VERIFY_BYTES),
@@ -151,6 +161,10 @@ def written(to, frame, payload):
         fields |= {"version": VERSION} | {name: getattr(units, name) for name in named}
         fields |= {"watchdog_ms": config.watchdog_ms, "silence_ms": config.silence_ms}
         fields |= {"slot": int(np.asarray(config.slot)[0])}
+        if config.gears is not None:
+            block = head[-42:-2]
+            fields |= {"block": 1, "coupling": block[:16].hex()}
+            fields |= {"motor_limits": block[16:32].hex(), "motor_speed": block[32:].hex()}
         return fields | limits | speeds | {"crc": int.from_bytes(head[-2:])}
     return fields | {"pec": head[-1]}
 

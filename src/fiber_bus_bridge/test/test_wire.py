@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wire format: golden bytes with their meaning, a slow reference, and malformed frames."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from fiber_bus_bridge.wire import (
     Configuration,
     Fault,
     Frames,
+    Gears,
     Opcode,
     RobotState,
     decode_command,
@@ -52,17 +54,28 @@ GOLDEN = {
     "ADDRESS": "90 00 00 12 67 81 2d 09 73",
     "ADDRESS, general call": "f1 90 00 00 12 67 81 2d bb fc",
     "PLACE": "a0 ff fc 2f 70 00 1e 9f d8 9e 4a",
-    "CONFIG": "63 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 1e a1 66 "
-    "1f 5e 1f 5e 27 10 00 19 00 4d 7a f6",
+    "CONFIG": "64 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 1e a1 66 "
+    "1f 5e 1f 5e 27 10 00 19 00 4d 97 45",
+    "CONFIG with gears": "64 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 "
+    "1e a1 66 1f 5e 1f 5e 27 10 00 19 00 4d 01 28 00 40 00 00 00 00 00 00 ff a0 00 00 00 60 00 00 "
+    "ff de fc ce 00 21 03 32 ff ce 7b 34 00 5f 76 e8 00 1f 5e 01 00 1f 5e 01 a3 8a",
     "VERIFY": "35 6c e1 07 e0",
     "STATUS": "35 6c e1 07 e0 14 01 ff fc 2f 70 00 1e 9f d8 3d f0",
     "VERIFY, 0x20": "20 00 00 01 63",
-    "ID": "73 00 00 12 67 81 2c 07 7b",
+    "ID": "74 00 00 12 67 81 2c 07 02",
 }
 # theta 1000 for 250 ticks then -1 for 1, phi -8191 for 1023; sequence 5
 ORDER = WireMotion.from_zero(UNITS, [0, 2, 3], [250, 1, 1023], [1000, -1, -8191])
 CONFIG = Configuration(
     UNITS, np.array([[[-2163504, 2163504], [0, 2007398]]]), np.array([[8030, 8030]]), 10_000, 25, 77
+)
+GEARED = replace(
+    CONFIG,
+    gears=Gears(
+        np.array([[[2**22, 0], [-3 * 2**21, 3 * 2**21]]]),
+        np.array([[[-2163506, 2163506], [-3245260, 6256360]]]),
+        np.array([[2055681, 2055681]]),
+    ),
 )
 
 
@@ -106,6 +119,7 @@ def test_golden_writes():
         "ADDRESS, general call": encode_address(general_call([3]), [4711], NEXT),
         "PLACE": encode_place(ROBOT, [[-250_000, 2_007_000]]),
         "CONFIG": encode_config(CONFIG, ROBOT),
+        "CONFIG with gears": encode_config(GEARED, ROBOT),
     }
     assert {name: frames.payload(0).hex(" ") for name, frames in written.items()} == {
         name: GOLDEN[name] for name in written
@@ -142,6 +156,11 @@ def test_golden_reads():
     assert config.units == UNITS and (config.watchdog_ms, config.silence_ms) == (10_000, 25)
     assert np.array_equal(config.limits, CONFIG.limits)
     assert np.array_equal(config.speed, CONFIG.speed) and config.slot == [77]
+    assert config.gears is None
+    geared = decode_config(golden("CONFIG with gears"), 300, True)
+    assert geared.gears is not None and np.array_equal(geared.limits, CONFIG.limits)
+    for name, value in vars(GEARED.gears).items():
+        assert np.array_equal(getattr(geared.gears, name), value)
 
 
 def test_the_page_of_the_wire_format_shows_the_golden_bytes():
@@ -300,11 +319,36 @@ def test_only_go_and_config_carry_low_bits():
 
 
 def test_a_config_of_another_version_is_refused():
-    body = b"\x62" + golden("CONFIG")[1:-2]
+    body = b"\x63" + golden("CONFIG")[1:-2]
     payload = body + crc16.ibm_3740(wire_bytes(ROBOT, 0, body)).to_bytes(2, "big")
     with pytest.raises(WireError) as error:
         decode_config(payload, 300, True)
     assert error.value.fault == Fault.BAD_VERSION
+
+
+def with_blocks(*blocks):
+    body = golden("CONFIG")[:-2] + b"".join(blocks)
+    return body + crc16.ibm_3740(wire_bytes(ROBOT, 0, body)).to_bytes(2, "big")
+
+
+GEARS_BLOCK = golden("CONFIG with gears")[len(golden("CONFIG")) - 2 : -2]
+
+
+@pytest.mark.parametrize(
+    ("blocks", "fault"),
+    [
+        ((GEARS_BLOCK, GEARS_BLOCK), Fault.BAD_VALUE),
+        ((GEARS_BLOCK[:-1],), Fault.BAD_LENGTH),
+        ((GEARS_BLOCK, b"\x07"), Fault.BAD_LENGTH),
+        ((b"\x01\x27" + GEARS_BLOCK[3:],), Fault.BAD_VALUE),
+        ((b"\x7f\x00",), Fault.BAD_VALUE),
+    ],
+)
+def test_a_block_of_a_config_that_is_not_known_is_refused(blocks, fault):
+    assert decode_config(with_blocks(GEARS_BLOCK), 300, True).gears is not None
+    with pytest.raises(WireError) as error:
+        decode_config(with_blocks(*blocks), 300, True)
+    assert error.value.fault == fault
 
 
 @pytest.mark.parametrize(
@@ -313,6 +357,7 @@ def test_a_config_of_another_version_is_refused():
         {"limits": np.full((1, 2, 2), 2**31)},
         {"speed": np.full((1, 2), 2**16)},
         {"watchdog_ms": -1},
+        {"gears": replace(GEARED.gears, motor_speed=np.full((1, 2), 2**32))},
         {"units": WireUnits(quantum_prad=2**32)},
     ],
 )

@@ -41,7 +41,7 @@ class MemoryFile:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise PlantError(f"the memory file {path} cannot be used: {error}") from error
-        constant = robots.memory[["address", "ten_bit", "serial", "quantum_prad"]]
+        constant = robots.memory[["address", "ten_bit", "serial", "quantum_prad", "coupling"]]
         digest = hashlib.sha256(repr(robots.memory.dtype).encode() + constant.tobytes()).digest()
         # a digest that ends with a zero byte would be cut there
         digest = digest[:31] + b"."

@@ -15,6 +15,7 @@ from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.transactions import Transactions
 from fiber_bus_bridge.wire import (
     Frames,
+    Gears,
     Opcode,
     Statuses,
     encode_command,
@@ -176,6 +177,7 @@ class Context:
         self.limits: Ints = self.units.range_counts(self.plane)
         speed = np.floor(self.plane.speeds / self.units.velocity_rad_s).astype(np.int64)
         self.speed: Ints = np.minimum(speed, self.units.max_velocity)
+        self.gears = Gears.of(self.plane, self.units)
         self._heartbeats: tuple[bytes, Frames] | None = None
 
     @property

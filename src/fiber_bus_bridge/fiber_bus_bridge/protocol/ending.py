@@ -8,7 +8,13 @@ from fiber_bus_bridge.protocol.context import Context
 from fiber_bus_bridge.protocol.decisions import own_fault
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import begin_sequences
-from fiber_bus_bridge.wire import Configuration, Opcode, RobotState, encode_config
+from fiber_bus_bridge.wire import (
+    Configuration,
+    Opcode,
+    RobotState,
+    config_crcs,
+    encode_config,
+)
 from fiber_core.array_types import Ints, Rows
 from fiber_core.outcomes import Reason
 
@@ -18,7 +24,7 @@ _CONFIGS = 2  # attempts to configure a robot that reports a fault afterwards
 
 
 def configure(c: Context) -> Event:
-    """Identify the robots, and send units, limits and speeds to them."""
+    """Identify the robots, and send units, limits, speeds and gears to them."""
     transactions, robots, t = c.transactions, c.robots, c.t
     transactions.revive(power=True, t=t)
     identity = transactions.identities(np.arange(c.plane.n), t)
@@ -30,9 +36,11 @@ def configure(c: Context) -> Event:
         todo = rows[~robots["known"][rows]]
         config = Configuration(
             c.units, c.limits[todo], c.speed[todo], c.config.watchdog_ms,
-            c.config.silence_ms, c.slot[todo],
+            c.config.silence_ms, c.slot[todo], None if c.gears is None else c.gears[todo],
         )  # fmt: skip
-        transactions.send(todo, encode_config(config, transactions.addresses[todo]), t)
+        frames = encode_config(config, transactions.addresses[todo])
+        robots["config_crc"][todo] = config_crcs(frames)
+        transactions.send(todo, frames, t)
         status = c.read(todo, t)
         # the fault may be of a frame for another robot, so the robot is configured once more
         configured = (status.state != RobotState.UNCONFIGURED) & (status.fault == 0)

@@ -199,7 +199,8 @@ def deliver(c: Context, phase: Phase, rows: Rows, frames: Frames) -> Delivery:
         phase.verify_s = max(phase.verify_s, transactions.now_s - begin_s)
         sent = decode_load(c.units, frames[todo])
         loaded = (status.state == RobotState.LOADED) & (status.sequence == sent.sequence)
-        same = (status.order_crc == sent.crc) & (status.boot == boot[rows[todo]])
+        stored = sent.crc ^ c.robots["config_crc"][rows[todo]]  # the order and the configuration
+        same = (status.order_crc == stored) & (status.boot == boot[rows[todo]])
         verified[todo] = status.ok & loaded & same
         suspect[todo] = ~verified[todo] & (~status.ok | loaded)
         replied[todo] = status.ok

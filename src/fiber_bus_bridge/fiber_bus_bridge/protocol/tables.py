@@ -33,6 +33,7 @@ ROBOT = np.dtype(
         # as the robot was read last
         ("known", "?"),  # found and configured: it can be commanded
         ("boot", "i8"),  # boot counter at configuration, -1 before
+        ("config_crc", "i8"),  # of the configuration that it was sent
         ("counts", "i8", (2,)),  # encoders [quanta]
         ("lost", "?"),  # moved at its last status, or was started since: its place is unknown
         ("placed", "?"),  # its place was read, or is vouched for

@@ -12,6 +12,7 @@ from fiber_bus_bridge.errors import BridgeError
 from fiber_bus_bridge.simulation.buses import SimulatedBuses
 from fiber_bus_bridge.simulation.faults import FaultKind, Faults, draw_faults
 from fiber_bus_bridge.simulation.positioners import Positioners
+from fiber_bus_bridge.wire import gear_counts
 from fiber_core import bounds
 from fiber_core.array_types import Angles
 from fiber_core.focal_plane import FocalPlane
@@ -147,6 +148,7 @@ def simulated_buses(
         units.encoder_counts(plane, start),
         clock_ppm=rng.uniform(-config.clock_ppm, config.clock_ppm, plane.n),
         start_skew_s=rng.uniform(0.0, config.start_skew_s, plane.n),
+        coupling=gear_counts(plane),
     )
     faults = Faults()
     if kinds := config.fault_kinds():

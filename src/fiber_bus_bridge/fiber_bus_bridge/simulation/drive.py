@@ -6,6 +6,8 @@ from numba import njit
 
 from fiber_bus_bridge.simulation.memory import NOTHING, Robot
 from fiber_bus_bridge.wire.codes import Alert, Fault, RobotState
+from fiber_bus_bridge.wire.commands import config_crc
+from fiber_bus_bridge.wire.config_blocks import GEAR_UNIT, MOTOR_SPEED_UNIT
 from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import frame_crc
 from fiber_bus_bridge.wire.orders import order_fault, read_segment, segment_counts
@@ -13,6 +15,7 @@ from fiber_bus_bridge.wire.roll_call import NO_SLOT
 
 __all__ = [
     "advance_robot",
+    "config_crc_of",
     "encoder",
     "halt",
     "order_refusal",
@@ -148,7 +151,67 @@ def order_refusal(r: Robot, data: Bytes, first: Whole, last: Whole) -> int:
             if position < low or position > high:
                 return _OUTSIDE_LIMITS
             at += size
-    return _NONE
+    return _motors_refusal(r, data, first) if r.coupling.any() else _NONE
+
+
+@njit(cache=True)
+def _motors_refusal(r, data, first):
+    """Return the Fault of the coupled motors in an order whose joints are in order, or NONE.
+
+    Both joints are followed at once, from one segment of either joint to the next.
+    """
+    widths = r.velocity_bits, r.duration_bits
+    size = (widths[0] + widths[1] + 7) // 8
+    left = segment_counts(data, first)
+    at = np.array([first + 2, first + 2 + left[0] * size])
+    ends = np.array([at[1], at[1] + left[1] * size])
+    position = r.position.copy()
+    ticks, velocity = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
+    begin = _motors(r, position)
+    while True:
+        step = 0
+        for joint in range(2):
+            if ticks[joint] == 0:
+                velocity[joint] = 0
+                if at[joint] < ends[joint]:
+                    ticks[joint], velocity[joint], _padding = read_segment(
+                        data, at[joint], widths[0], widths[1]
+                    )
+                    at[joint] += size
+            if ticks[joint] > 0:
+                step = min(step, ticks[joint]) if step else ticks[joint]
+        if step == 0:
+            return _NONE
+        position += step * velocity
+        ticks -= np.minimum(ticks, step)
+        speed, place = _motors(r, velocity), _motors(r, position)
+        for motor in range(2):
+            if abs(speed[motor]) > r.motor_speed[motor] * MOTOR_SPEED_UNIT:
+                return _OVER_SPEED
+            low = min(begin[motor], r.motor_limits[motor, 0])
+            high = max(begin[motor], r.motor_limits[motor, 1])
+            if place[motor] < low or place[motor] > high:
+                return _OUTSIDE_LIMITS
+
+
+@njit(cache=True)
+def _motors(r, joints):
+    """Return positions or velocities of both motors by those of the joints."""
+    motors = np.empty(2)
+    for k in range(2):
+        motors[k] = r.coupling[k, 0] * joints[0] + r.coupling[k, 1] * joints[1]
+    return motors * GEAR_UNIT
+
+
+@njit(cache=True)
+def config_crc_of(r: Robot) -> Whole:
+    """Return the checksum over the stored configuration as it is in memory now.
+
+    It is added to that of a stored order, so that a VERIFY tells of both; 0 without an order.
+    """
+    if r.order_length == 0:
+        return 0
+    return config_crc(r.config, 0, r.config_length)
 
 
 @njit(cache=True)

@@ -6,6 +6,7 @@ from numba import njit
 
 from fiber_bus_bridge.simulation.drive import (
     advance_robot,
+    config_crc_of,
     encoder,
     halt,
     order_refusal,
@@ -13,20 +14,22 @@ from fiber_bus_bridge.simulation.drive import (
     start_order,
     stored_crc,
 )
-from fiber_bus_bridge.simulation.memory import NOTHING, Robot
+from fiber_bus_bridge.simulation.memory import MAX_CONFIG_BYTES, NOTHING, Robot
 from fiber_bus_bridge.wire.codes import COUNTDOWN_S, VERSION, Alert, Fault, Opcode, RobotState
 from fiber_bus_bridge.wire.commands import (
     ADDRESS_BYTES,
     ADDRESS_FIELDS,
     CONFIG_BYTES,
     CONFIG_FIELDS,
+    CRC_BYTES,
     GO_BYTES,
     GO_FIELDS,
     PLACE_BYTES,
     PLACE_FIELDS,
     command_fault,
 )
-from fiber_bus_bridge.wire.fields import Bytes, Whole, field_offset
+from fiber_bus_bridge.wire.config_blocks import Block, block_at, blocks_fault, read_gears
+from fiber_bus_bridge.wire.fields import Bytes, Whole, field_offset, number, signed
 from fiber_bus_bridge.wire.replies import (
     IDENTITY_BYTES,
     STATUS_BYTES,
@@ -48,11 +51,13 @@ _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
 _DONE, _STOPPED = int(RobotState.DONE), int(RobotState.STOPPED)
 _FAULT = int(RobotState.FAULT)
 
-_NONE = int(Fault.NONE)
+_NONE, _BAD_LENGTH = int(Fault.NONE), int(Fault.BAD_LENGTH)
 _BAD_VERSION, _BAD_VALUE = int(Fault.BAD_VERSION), int(Fault.BAD_VALUE)
 _NOT_CONFIGURED, _WRONG_STATE = int(Fault.NOT_CONFIGURED), int(Fault.WRONG_STATE)
 _STALE_SEQUENCE, _OTHER_QUANTUM = int(Fault.STALE_SEQUENCE), int(Fault.OTHER_QUANTUM)
+_OTHER_GEARS = int(Fault.OTHER_GEARS)
 _REFUSED = int(Alert.REFUSED)
+_GEARS = int(Block.GEARS)
 
 _TICK = field_offset(CONFIG_FIELDS, "tick_us")
 _QUANTUM = field_offset(CONFIG_FIELDS, "quantum_prad")
@@ -81,19 +86,20 @@ def receive(
         advance_robot(r, t)
         return not r.busy and _taken(r, _load(r, data, first, last, t))
     fault, head = command_fault(address, ten_bit, data, first, last)
-    return obey(r, fault, head, data, last, t)
+    return obey(r, fault, head, data, first + (address == 0 and not ten_bit), last, t)
 
 
 @njit(cache=True)
-def obey(r: Robot, fault: int, head: Whole, data: Bytes, last: int, t: float) -> bool:
+def obey(r: Robot, fault: int, head: Whole, data: Bytes, at: int, last: int, t: float) -> bool:
     """Let a robot receive a frame other than LOAD, as `receive` does, after it was checked.
 
     Args:
         r: the robot.
         fault: Fault of the frame, as command_fault returns it.
         head: opcode byte of the frame.
-        data: bytes of the frame, which ends before data[last].
-        last: its end.
+        data: bytes of the frame.
+        at: place of its opcode byte.
+        last: its end: the frame ends before data[last].
         t: time at which it is complete [s].
     """
     advance_robot(r, t)
@@ -102,7 +108,7 @@ def obey(r: Robot, fault: int, head: Whole, data: Bytes, last: int, t: float) ->
     if fault == _NONE:
         opcode, low = head >> 4, head & 15
         if opcode == _GO:
-            _go(r, low, _number(data, last - GO_BYTES + _COUNTDOWN, 2), t)
+            _go(r, low, number(data, last - GO_BYTES + _COUNTDOWN, 2), t)
         elif opcode == _STOP:
             _stop(r, t)
         elif opcode == _CLEAR:
@@ -118,7 +124,7 @@ def obey(r: Robot, fault: int, head: Whole, data: Bytes, last: int, t: float) ->
         elif opcode == _PLACE:
             fault = _place(r, data, last - PLACE_BYTES)
         elif opcode == _CONFIG:
-            fault = _configure(r, low, data, last - CONFIG_BYTES)
+            fault = _configure(r, low, data, at, last - CRC_BYTES)
     return _taken(r, fault)
 
 
@@ -143,7 +149,7 @@ def reply(r: Robot, t: float, out: Bytes) -> None:
     else:
         position = (encoder(r, 0, t), encoder(r, 1, t))
         write_status(
-            r.address, r.ten_bit, r.state, r.sequence, stored_crc(r),
+            r.address, r.ten_bit, r.state, r.sequence, stored_crc(r) ^ config_crc_of(r),
             r.boot, r.fault, r.alerts, position, data,
         )  # fmt: skip
         if len(out) >= STATUS_BYTES:
@@ -211,26 +217,36 @@ def _clear(r):
 
 
 @njit(cache=True)
-def _configure(r, version, data, at):
+def _configure(r, version, data, at, last):
     if version != VERSION:
         return _BAD_VERSION
     if r.state == _MOVING:
         return _WRONG_STATE
     velocity_bits, duration_bits = np.int64(data[at + 1]), np.int64(data[at + 2])
-    tick_us, quantum = _number(data, at + _TICK, 4), _number(data, at + _QUANTUM, 4)
+    tick_us, quantum = number(data, at + _TICK, 4), number(data, at + _QUANTUM, 4)
     if not (2 <= velocity_bits <= 16 and 1 <= duration_bits <= 16) or tick_us == 0:
         return _BAD_VALUE
+    fault = blocks_fault(data, at + CONFIG_BYTES, last)
+    if fault != _NONE:
+        return fault
+    if last - at > MAX_CONFIG_BYTES:
+        return _BAD_LENGTH
     if quantum != r.quantum_prad:
         return _OTHER_QUANTUM
+    if not _take_gears(r, data, block_at(data, at + CONFIG_BYTES, last, _GEARS)):
+        return _OTHER_GEARS
+    r.config_length = last - at
+    for i in range(last - at):
+        r.config[i] = data[at + i]
     r.tick_us = tick_us
     r.velocity_bits, r.duration_bits = velocity_bits, duration_bits
     for joint in range(2):
         for end in range(2):
-            r.limits[joint, end] = _signed(data, at + _LIMITS + 8 * joint + 4 * end)
-        r.speed[joint] = _number(data, at + _SPEED + 2 * joint, 2)
-    r.watchdog_s = 1e-3 * _number(data, at + _WATCHDOG, 2)
-    r.silence_s = 1e-3 * _number(data, at + _SILENCE, 2)
-    r.slot = _number(data, at + _SLOT, 2)
+            r.limits[joint, end] = signed(data, at + _LIMITS + 8 * joint + 4 * end)
+        r.speed[joint] = number(data, at + _SPEED + 2 * joint, 2)
+    r.watchdog_s = 1e-3 * number(data, at + _WATCHDOG, 2)
+    r.silence_s = 1e-3 * number(data, at + _SILENCE, 2)
+    r.slot = number(data, at + _SLOT, 2)
     r.order_length = 0
     r.fault = _NONE
     r.alerts = 0
@@ -241,12 +257,25 @@ def _configure(r, version, data, at):
 
 
 @njit(cache=True)
+def _take_gears(r, data, at):
+    """Take the limits of the motors from a block, if it tells the gears that the robot has."""
+    coupling = np.zeros((2, 2), dtype=np.int64)
+    limits, speed = np.zeros((2, 2), dtype=np.int64), np.zeros(2, dtype=np.int64)
+    if at >= 0:
+        read_gears(data, at, coupling, limits, speed)
+    if not np.array_equal(coupling, r.coupling):
+        return False
+    r.motor_limits[:], r.motor_speed[:] = limits, speed
+    return True
+
+
+@njit(cache=True)
 def _change_address(r, data, at):
-    if _number(data, at + _SERIAL, 4) != r.serial:
+    if number(data, at + _SERIAL, 4) != r.serial:
         return _NONE  # meant for another robot
     if r.state == _MOVING or r.state == _LOADED:
         return _WRONG_STATE
-    form = _number(data, at + _FORM_ADDRESS, 2)
+    form = number(data, at + _FORM_ADDRESS, 2)
     address, ten_bit = form & 0x7FFF, form >> 15 == 1
     if address > (1022 if ten_bit else 0x77) or (not ten_bit and address < 0x08):
         return _BAD_VALUE
@@ -261,20 +290,6 @@ def _place(r, data, at):
     if r.state not in (_IDLE, _DONE):
         return _WRONG_STATE
     for joint in range(2):
-        r.position[joint] = _signed(data, at + _POSITION + 4 * joint)
+        r.position[joint] = signed(data, at + _POSITION + 4 * joint)
     r.state = _IDLE  # where an order ended is not where the robot is told to be
     return _NONE
-
-
-@njit(cache=True)
-def _signed(data, at):
-    value = _number(data, at, 4)
-    return value - (value >> 31 << 32)
-
-
-@njit(cache=True)
-def _number(data, at, size):
-    value = 0
-    for i in range(size):
-        value = (value << 8) | np.int64(data[at + i])
-    return value

@@ -10,15 +10,16 @@ from fiber_bus_bridge.wire import MAX_SEGMENTS, NO_SLOT, Addresses, Bytes, Robot
 from fiber_bus_bridge.wire.fields import Whole
 from fiber_core.array_types import Floats, Ints
 
-__all__ = ["MEMORY", "NOTHING", "ORDER_BYTES", "Memory", "Robot", "new_memory"]
+__all__ = ["MAX_CONFIG_BYTES", "MEMORY", "NOTHING", "ORDER_BYTES", "Memory", "Robot", "new_memory"]
 
 Memory: TypeAlias = NDArray[np.void]
 
 NOTHING = 255  # stands for no sequence number
 ORDER_BYTES = 4 + 2 * MAX_SEGMENTS * 4  # longest LOAD frame: 32-bit segments
+MAX_CONFIG_BYTES = 250  # of a CONFIG without checksum
 
-# An order is stored as the received bytes, so that the checksum in a status is computed over
-# the stored order; it is decoded when it is started.
+# Orders and configuration are stored as the received bytes, so that the checksum in a status is
+# computed over what is stored; an order is decoded when it is started.
 MEMORY = np.dtype(
     [
         # construction
@@ -26,6 +27,7 @@ MEMORY = np.dtype(
         ("ten_bit", "?"),
         ("serial", "i8"),
         ("quantum_prad", "i8"),
+        ("coupling", "i8", (2, 2)),  # of motors and joints, zeros of independent joints [GEAR_UNIT]
         ("clock_ppm", "f8"),
         ("start_skew_s", "f8"),
         # defects
@@ -64,6 +66,10 @@ MEMORY = np.dtype(
         ("counts", "i8", (2,)),  # segments of the running order
         ("ticks", "i8", (2, MAX_SEGMENTS)),
         ("velocity", "i8", (2, MAX_SEGMENTS)),
+        ("config_length", "i8"),
+        ("config", "u1", (MAX_CONFIG_BYTES,)),
+        ("motor_limits", "i8", (2, 2)),  # of coupled motors [quanta]
+        ("motor_speed", "i8", (2,)),  # [MOTOR_SPEED_UNIT]
     ],
     align=True,
 )
@@ -76,6 +82,7 @@ class Robot(Protocol):
     ten_bit: bool
     serial: int
     quantum_prad: int
+    coupling: Ints
     clock_ppm: float
     start_skew_s: float
     jam_s: Floats
@@ -111,6 +118,10 @@ class Robot(Protocol):
     counts: Ints
     ticks: Ints
     velocity: Ints
+    config_length: Whole
+    config: Bytes
+    motor_limits: Ints
+    motor_speed: Ints
 
 
 def new_memory(
@@ -120,6 +131,7 @@ def new_memory(
     position: ArrayLike,
     clock_ppm: ArrayLike,
     start_skew_s: ArrayLike,
+    coupling: ArrayLike = 0,
 ) -> Memory:
     """Return the memory of robots in their first boot; arguments as in Positioners."""
     memory = np.zeros(len(addresses), dtype=MEMORY)
@@ -127,6 +139,7 @@ def new_memory(
     memory["ten_bit"] = addresses.ten_bit
     memory["serial"] = serial
     memory["quantum_prad"] = quantum_prad
+    memory["coupling"] = coupling
     memory["clock_ppm"] = clock_ppm
     memory["start_skew_s"] = start_skew_s
     memory["position"] = position

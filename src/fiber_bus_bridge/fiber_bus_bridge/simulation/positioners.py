@@ -55,6 +55,8 @@ class Positioners:
         position: encoders at the beginning [quanta], shape (n, 2).
         clock_ppm: rate error of each clock, positive when fast [1e-6], one number or (n,).
         start_skew_s: delay of each robot's start after a GO [s], one number or (n,).
+        coupling: how gears couple motors and joints [GEAR_UNIT], shape (n, 2, 2), zeros of
+            independent joints.
 
     Raises:
         WireError: a serial number or an encoder value does not fit its field.
@@ -68,6 +70,7 @@ class Positioners:
         position: ArrayLike,
         clock_ppm: ArrayLike = 0.0,
         start_skew_s: ArrayLike = 0.0,
+        coupling: ArrayLike = 0,
     ):
         serial, position = np.asarray(serial), np.asarray(position)
         for name, wrong, value in (
@@ -78,7 +81,9 @@ class Positioners:
                 at = int(np.argwhere(wrong)[0][0])
                 raise WireError(f"row {at}: {name} {value[at].tolist()} does not fit 32 bits")
         self.bus = addresses.bus
-        self.memory = new_memory(addresses, serial, quantum_prad, position, clock_ppm, start_skew_s)
+        self.memory = new_memory(
+            addresses, serial, quantum_prad, position, clock_ppm, start_skew_s, coupling
+        )
         self.schedule(())
 
     @property
@@ -192,7 +197,7 @@ def _exchange(
             acknowledged[f] = True
             ok = True
             if last > first and called:
-                ok = obey(r, fault, head, sent, last, end_s[f])
+                ok = obey(r, fault, head, sent, first + 1, last, end_s[f])
             elif last > first:
                 ok = receive(r, address[f], ten_bit[f], sent, first, last, end_s[f])
             if ok and reads[f]:

@@ -21,6 +21,7 @@ from fiber_bus_bridge.wire.commands import (
     PLACE_BYTES,
     PLACE_FIELDS,
     Configuration,
+    config_crcs,
     decode_command,
     decode_config,
     encode_address,
@@ -28,6 +29,7 @@ from fiber_bus_bridge.wire.commands import (
     encode_config,
     encode_place,
 )
+from fiber_bus_bridge.wire.config_blocks import Block, Gears, gear_counts
 from fiber_bus_bridge.wire.fields import Bytes
 from fiber_bus_bridge.wire.frames import Addresses, Frames, general_call
 from fiber_bus_bridge.wire.orders import Orders, decode_load, encode_load
@@ -74,15 +76,18 @@ __all__ = [
     "VERSION",
     "Addresses",
     "Alert",
+    "Block",
     "Bytes",
     "Configuration",
     "Fault",
     "Frames",
+    "Gears",
     "Identities",
     "Opcode",
     "Orders",
     "RobotState",
     "Statuses",
+    "config_crcs",
     "decode_command",
     "decode_config",
     "decode_identity",
@@ -95,6 +100,7 @@ __all__ = [
     "encode_load",
     "encode_place",
     "encode_status",
+    "gear_counts",
     "general_call",
     "roll_call",
     "roll_call_bytes",

@@ -14,7 +14,7 @@ __all__ = [
     "RobotState",
 ]
 
-VERSION = 3  # travels in CONFIG and in the identity; a robot refuses any other
+VERSION = 4  # travels in CONFIG and in the identity; a robot refuses any other
 MAX_SEGMENTS = 15  # segments of one joint that one order can carry: a 4-bit count
 CALL_PREFIX = 0xF1  # first byte of our general calls; odd, as the I2C standard requires
 
@@ -29,7 +29,7 @@ class Opcode(IntEnum):
     STOP = 3  # freeze now
     CLEAR = 4  # forget the stored order and the fault
     RESET = 5  # reboot
-    CONFIG = 6  # units, limits, speeds, watchdog
+    CONFIG = 6  # units, limits, speeds, watchdog, gears
     IDENTIFY = 7  # the read that follows is answered with the identity
     HEARTBEAT = 8  # the controller is present: moving robots may go on
     ADDRESS = 9  # the robot of this serial number takes another address
@@ -70,6 +70,7 @@ class Fault(IntEnum):
     OVER_SPEED = 19
     OUTSIDE_LIMITS = 20
     OTHER_QUANTUM = 21  # the encoder does not count in the configured quanta
+    OTHER_GEARS = 22  # the joints are not coupled as configured
 
     # the robot
     WATCHDOG = 32  # an order waited too long for its GO

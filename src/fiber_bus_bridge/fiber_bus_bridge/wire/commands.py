@@ -1,17 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands and configuration as bytes: every frame to a robot except LOAD."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire.codes import CALL_PREFIX, VERSION, Fault, Opcode
-from fiber_bus_bridge.wire.fields import Bytes, Whole
+from fiber_bus_bridge.wire.config_blocks import (
+    GEARS_FIELDS,
+    Block,
+    Gears,
+    block_at,
+    blocks_fault,
+)
+from fiber_bus_bridge.wire.crc import CRC16_INIT, crc16
+from fiber_bus_bridge.wire.fields import Bytes, Whole, filled
 from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc, frame_pec
 from fiber_bus_bridge.wire.roll_call import NO_SLOT
 from fiber_core.array_types import Ints
@@ -23,12 +29,15 @@ __all__ = [
     "ADDRESS_FIELDS",
     "CONFIG_BYTES",
     "CONFIG_FIELDS",
+    "CRC_BYTES",
     "GO_BYTES",
     "GO_FIELDS",
     "PLACE_BYTES",
     "PLACE_FIELDS",
     "Configuration",
     "command_fault",
+    "config_crc",
+    "config_crcs",
     "decode_command",
     "decode_config",
     "encode_address",
@@ -59,10 +68,10 @@ CONFIG_FIELDS = np.dtype(
         ("watchdog_ms", ">u2"),
         ("silence_ms", ">u2"),
         ("slot", ">u2"),  # of the robot in the roll call of its bus
-        ("crc", ">u2"),
     ]
 )
-CONFIG_BYTES = CONFIG_FIELDS.itemsize
+CONFIG_BYTES = CONFIG_FIELDS.itemsize  # before the blocks
+CRC_BYTES = 2
 GO_FIELDS = np.dtype([("opcode_sequence", "u1"), ("countdown", ">u2"), ("crc", ">u2")])
 GO_BYTES = GO_FIELDS.itemsize
 ADDRESS_FIELDS = np.dtype(
@@ -89,6 +98,7 @@ class Configuration:
         watchdog_ms: longest time that an order may wait for its GO [ms], 0 = no limit.
         silence_ms: longest time that a robot moves without a HEARTBEAT [ms], 0 = no limit.
         slot: slot of each robot in the roll call of its bus, one number or shape (f,).
+        gears: how gears couple motors and joints, f rows; None of robots with independent joints.
     """
 
     units: WireUnits
@@ -97,6 +107,7 @@ class Configuration:
     watchdog_ms: int
     silence_ms: int = 0
     slot: Ints | int = NO_SLOT
+    gears: Gears | None = None
 
 
 def encode_command(
@@ -122,12 +133,11 @@ def encode_command(
     if opcode != Opcode.GO:
         if sequence.any() or countdown.any():
             raise WireError(f"{Opcode(opcode).name} cannot carry sequence or countdown")
-        return _sealed(to, np.full(len(to), int(opcode) << 4, dtype=np.uint8), check=1)
+        return _sealed(to, np.full((len(to), 1), int(opcode) << 4, dtype=np.uint8), check=1)
     if np.any((sequence < 0) | (sequence > 15)):
         raise WireError(f"GO cannot carry sequence {sequence.tolist()}")
-    table = np.zeros(len(to), dtype=GO_FIELDS)
-    _fill(table, {"opcode_sequence": (_GO << 4) | sequence, "countdown": countdown})
-    return _sealed(to, table)
+    values = {"opcode_sequence": (_GO << 4) | sequence, "countdown": countdown}
+    return _sealed(to, filled(len(to), GO_FIELDS, values)[:, :-CRC_BYTES])
 
 
 def encode_address(to: Addresses, serial: ArrayLike, new: Addresses) -> Frames:
@@ -142,10 +152,9 @@ def encode_address(to: Addresses, serial: ArrayLike, new: Addresses) -> Frames:
     Raises:
         WireError: a serial number does not fit its field.
     """
-    table = np.zeros(len(to), dtype=ADDRESS_FIELDS)
     form = new.ten_bit.astype(np.int64) << 15
-    _fill(table, {"opcode": _ADDRESS << 4, "serial": serial, "form_address": form | new.address})
-    return _sealed(to, table)
+    values = {"opcode": _ADDRESS << 4, "serial": serial, "form_address": form | new.address}
+    return _sealed(to, filled(len(to), ADDRESS_FIELDS, values)[:, :-CRC_BYTES])
 
 
 def encode_place(to: Addresses, position: ArrayLike) -> Frames:
@@ -158,9 +167,8 @@ def encode_place(to: Addresses, position: ArrayLike) -> Frames:
     Raises:
         WireError: a position does not fit its field.
     """
-    table = np.zeros(len(to), dtype=PLACE_FIELDS)
-    _fill(table, {"opcode": _PLACE << 4, "position": position})
-    return _sealed(to, table)
+    values = {"opcode": _PLACE << 4, "position": position}
+    return _sealed(to, filled(len(to), PLACE_FIELDS, values)[:, :-CRC_BYTES])
 
 
 def encode_config(config: Configuration, to: Addresses) -> Frames:
@@ -169,7 +177,6 @@ def encode_config(config: Configuration, to: Addresses) -> Frames:
     Raises:
         WireError: a value does not fit its field; names the field and the value.
     """
-    table = np.zeros(len(to), dtype=CONFIG_FIELDS)
     units = config.units
     values = {
         "opcode_version": (_CONFIG << 4) | VERSION,
@@ -183,8 +190,30 @@ def encode_config(config: Configuration, to: Addresses) -> Frames:
         "silence_ms": config.silence_ms,
         "slot": config.slot,
     }
-    _fill(table, values)
-    return _sealed(to, table)
+    body = filled(len(to), CONFIG_FIELDS, values)
+    if config.gears is not None:
+        body = np.concatenate([body, config.gears.block()], axis=1)
+    return _sealed(to, body)
+
+
+def config_crcs(frames: Frames) -> Ints:
+    """Return the checksum over the content of each CONFIG frame to a robot, shape (f,).
+
+    The address is not part of it, as a robot may take another one.
+    """
+    crcs = np.empty(len(frames), dtype=np.int64)
+    for f in range(len(frames)):
+        crcs[f] = config_crc(frames.data, frames.offsets[f], frames.offsets[f + 1] - CRC_BYTES)
+    return crcs
+
+
+@njit(cache=True)
+def config_crc(data: Bytes, first: Whole, last: Whole) -> Whole:
+    """Return the CRC-16 over data[first:last], a CONFIG without checksum."""
+    crc = CRC16_INIT
+    for i in range(first, last):
+        crc = crc16(crc, data[i])
+    return crc
 
 
 def decode_command(payload: bytes, address: int, ten_bit: bool) -> tuple[Opcode, int]:
@@ -211,14 +240,23 @@ def decode_config(payload: bytes, address: int, ten_bit: bool) -> Configuration:
         raise WireError(f"{opcode.name} is not CONFIG", Fault.BAD_OPCODE)
     if version != VERSION:
         raise WireError(f"version {version}, expected {VERSION}", Fault.BAD_VERSION)
-    row = np.frombuffer(payload, dtype=CONFIG_FIELDS)
+    data = np.frombuffer(payload, dtype=np.uint8)
+    end = len(data) - CRC_BYTES
+    fault = blocks_fault(data, CONFIG_BYTES, end)
+    if fault != _NONE:
+        raise WireError(f"blocks of CONFIG: {Fault(fault).name}", Fault(fault))
+    row = np.frombuffer(payload, dtype=CONFIG_FIELDS, count=1)
     units = WireUnits(
         *(int(row[n][0]) for n in ("tick_us", "quantum_prad", "velocity_bits", "duration_bits"))
     )
     limits, speed = row["limits"].astype(np.int64), row["speed"].astype(np.int64)
     watchdog_ms, silence_ms = (int(row[name][0]) for name in ("watchdog_ms", "silence_ms"))
     slot = row["slot"].astype(np.int64)
-    return Configuration(units, limits, speed, watchdog_ms, silence_ms, slot)
+    gears, at = None, block_at(data, CONFIG_BYTES, end, Block.GEARS)
+    if at >= 0:
+        block = np.frombuffer(payload, GEARS_FIELDS, 1, int(at))
+        gears = Gears(*(block[name].astype(np.int64) for name in GEARS_FIELDS.names or ()))
+    return Configuration(units, limits, speed, watchdog_ms, silence_ms, slot, gears)
 
 
 @njit(cache=True)
@@ -244,7 +282,7 @@ def command_fault(
     if head >> 4 == _GO:
         length = GO_BYTES
     elif head >> 4 == _CONFIG:
-        length = CONFIG_BYTES
+        length = max(CONFIG_BYTES + CRC_BYTES, last - at)
     elif head >> 4 == _ADDRESS:
         length = ADDRESS_BYTES
     elif head >> 4 == _PLACE:
@@ -261,26 +299,14 @@ def command_fault(
     return _NONE, head
 
 
-def _fill(table: NDArray[np.void], values: Mapping[str, ArrayLike]) -> None:
-    for name, value in values.items():
-        value = np.asarray(value, dtype=np.int64)
-        field = np.iinfo(table.dtype[name].base)
-        wrong = (value < field.min) | (value > field.max)
-        if wrong.any():
-            raise WireError(f"{name} {value[wrong].flat[0]} is outside {field.min}..{field.max}")
-        table[name] = value
-
-
-def _sealed(to: Addresses, table: NDArray[Any], check: int = 2) -> Frames:
-    """Return the rows of a table as frames, with prefix for a general call and checksum.
+def _sealed(to: Addresses, body: Bytes, check: int = CRC_BYTES) -> Frames:
+    """Return rows of bytes as frames, with prefix for a general call and checksum.
 
     Args:
-        to: the targets.
-        table: one record or byte for each frame; the CRC-16 at its end is overwritten.
-        check: bytes of the checksum, 2 for the CRC-16, 1 for a packet error code, appended.
+        to: the targets, f rows.
+        body: the bytes of each frame without checksum, shape (f, bytes).
+        check: bytes of the checksum, 2 for the CRC-16, 1 for a packet error code.
     """
-    body = table.view(np.uint8).reshape(len(to), table.itemsize)
-    body = body[:, :-2] if check == 2 else body
     called = (to.address == 0) & ~to.ten_bit
     offsets = Parts.from_counts(body.shape[1] + check + called).offsets
     data = np.empty(offsets[-1], dtype=np.uint8)
