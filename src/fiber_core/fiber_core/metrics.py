@@ -135,13 +135,4 @@ def plan_metrics(
 
 def _names(plane: FocalPlane, pair: Iterable[int]) -> list[int | str]:
     # ids of robots; obstacles and walls by number
-    names: list[int | str] = []
-    for row in pair:
-        number = row - plane.n
-        if number < 0:
-            names.append(int(plane.ids[row]))
-        elif number < len(plane.obstacles):
-            names.append(f"obstacle {number}")
-        else:
-            names.append(f"wall {number - len(plane.obstacles)}")
-    return names
+    return [int(plane.ids[row]) if row < plane.n else plane.name_of(row) for row in pair]

@@ -11,11 +11,14 @@ from fiber_core.clearance import neighbour_pairs
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
+from fiber_planner.approach import inside_approaches
 from fiber_planner.direct.reachability import reachable
 from fiber_planner.goal_program import goal_program, least_makespan_s, most_goals, robots_with_goals
 from fiber_planner.goal_selection import choose_goals, lower_bound_s, travel_s
 
 __all__ = ["PairBound", "pair_bound"]
+
+_FINEST_RAD = np.deg2rad(0.5)  # grid in which passages past static bodies are sought
 
 
 class PairBound(NamedTuple):
@@ -43,17 +46,21 @@ def pair_bound(problem: Problem, margin_mm: float = 0.05) -> PairBound:
     all of the way. A robot at an elbow has turned its joints from their start by the difference at
     least, at its highest speed: if the motion lasts T, no elbow is used that needs more than T. The
     least T with which the program still places its largest number of robots is the bound.
-    It is never less than the time of the slowest of those robots alone (`lower_bound_s`).
+    It is never less than the time of the slowest of those robots alone (`lower_bound_s`). Where
+    motors make an approach, ends at which it would leave the range of its joint are none.
 
     Args:
         problem: the plane, the present joint angles and the targets.
         margin_mm: gap between outlines that the certificate requires at every instant [mm].
     """
+    # on its way an arm may go where no approach can end
+    can = reachable(problem, neighbour_pairs(problem.plane), margin_mm, _FINEST_RAD)
+    problem = inside_approaches(problem)
     plane = problem.plane
     _, valid, fibre, _ = kinematics.solutions(plane, problem.targets)
     lowest = np.where(valid, fibre, np.iinfo(fibre.dtype).max).min(axis=1)
     one_fibre = not bool((valid & (fibre != lowest[:, None])).any())
-    can = reachable(problem, neighbour_pairs(plane), margin_mm)
+    can &= valid.any(axis=1)
     if not can.any():
         return PairBound(0, 0.0, True)
     left = replace(problem, targets=np.where(can[:, None], problem.targets, np.nan))

@@ -167,6 +167,20 @@ def test_a_target_behind_a_wall_is_unreachable_though_free_itself():
     assert not reachable(Problem(stiff, start, below), pairs, 0.05)[0]
 
 
+def test_a_finer_grid_shows_that_a_passage_is_too_narrow():
+    radius_mm = float(preset("desi", 1).phi_radius[0])
+    for gap_mm, reached in ((-0.05, False), (0.06, True)):
+        plane, start, pairs = _pair_with_a_disabled(180.0, 12.0 + 2.0 * radius_mm + gap_mm)
+        narrow = np.deg2rad([[-100.0, 100.0], [0.0, 3.0]])
+        stiff = plane_from(
+            PRESETS["desi"], plane.ids, plane.centers, enabled=plane.enabled,
+            limits=np.stack([narrow, plane.limits[1]]),
+        )  # fmt: skip
+        problem = Problem(stiff, start, [[0.0, -5.999], [np.nan, np.nan]])
+        assert reachable(problem, pairs, 0.05)[0]
+        assert reachable(problem, pairs, 0.05, np.deg2rad(0.5))[0] == reached
+
+
 def test_reachable_needs_no_neighbours():
     plane = preset("desi", 40)
     problem = random_problem(plane, np.random.default_rng(2))

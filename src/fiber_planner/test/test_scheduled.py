@@ -13,7 +13,9 @@ from fiber_core.drive.least_time import least_time_s
 from fiber_core.drive.named import with_drive
 from fiber_core.fields import random_field, random_problem
 from fiber_core.kinematics import forward
+from fiber_core.metrics import power_bound_s
 from fiber_core.outcomes import Reason
+from fiber_core.presets import PRESETS, plane_from
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
 from fiber_planner import (
@@ -24,6 +26,7 @@ from fiber_planner import (
     StraightPlanner,
 )
 from fiber_planner.direct.scene import scene_of
+from fiber_planner.pair_bound import pair_bound
 from fiber_planner.scheduled.conflicts import Conflicts
 from fiber_planner.scheduled.moves import jogs, motors_of_plane
 from fiber_planner.scheduled.orders import curves_of, legs_by_way_of, segments_of
@@ -220,3 +223,44 @@ def test_conflicts_of_robots_that_have_nothing_to_turn_end_the_search(seed):
     targets = forward(plane, drawn.start)[1]
     found = ScheduledPlanner().plan(replace(drawn, targets=targets))
     assert len(found.reason) == 40
+
+
+@pytest.mark.parametrize(("before_deg", "reached"), [(3.2, True), (2.8, False)])
+def test_a_goal_before_a_stop_is_reached_if_its_approach_of_3_deg_fits(before_deg, reached):
+    # with one elbow and one turn of the target inside the limits
+    limits = np.deg2rad([[[-50.0, 50.0], [0.0, 180.0]]])
+    plane = with_drive(plane_from(PRESETS["desi"], [0], [[0.0, 0.0]], limits=limits), "desi")
+    goal = np.deg2rad([[50.0 - before_deg, 90.0]])
+    problem = Problem(plane, np.deg2rad([[0.0, 120.0]]), forward(plane, goal)[1])
+    found = ScheduledPlanner().plan(problem)
+    assert (found.reason[0] == Reason.OK) == reached
+    assert pair_bound(problem).robots == int(reached)
+
+
+def test_a_robot_without_a_way_makes_way_for_its_neighbour():
+    # robot 0 lies across the only way of robot 1, which cannot fold, and its own target is one that
+    # its approach would lead beyond the stop of theta
+    limits = np.deg2rad([[[-170.0, 170.0], [0.0, 180.0]], [[85.0, 275.0], [-4.0, 14.0]]])
+    plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [11.0, 0.0]], limits=limits)
+    plane = with_drive(plane, "desi")
+    start = np.deg2rad([[0.0, 0.0], [90.0, 5.0]])
+    goal = np.deg2rad([[169.0, 0.0], [260.0, 5.0]])
+    found = ScheduledPlanner().plan(Problem(plane, start, forward(plane, goal)[1]))
+    assert found.reason.tolist() == [Reason.GOAL_BLOCKED, Reason.OK]
+    assert np.ptp(found.motion.angles[0], axis=1).max() > np.deg2rad(10.0)
+
+
+def test_gaps_are_those_of_a_motion_as_long_as_the_timetable(plane, monkeypatch):
+    lasting_s = []
+    of_plane = Conflicts.of_plane
+
+    def seen(*args):
+        lasting_s.append(args[-1])
+        return of_plane(*args)
+
+    monkeypatch.setattr(Conflicts, "of_plane", seen)
+    parameters = ScheduledParameters(slack=1.0, stretch=1.0)  # it is longer than its longest
+    problem = random_problem(plane, np.random.default_rng(0))
+    makespan_s = ScheduledPlanner(parameters).plan(problem).motion.makespan_s
+    assert makespan_s > 1.1 * power_bound_s(problem)
+    assert lasting_s[0] >= makespan_s

@@ -68,9 +68,8 @@ class SegmentPlan:
         self._safety, self._makespan_s = safety, makespan_s + plane.drive.ramp_s
         self.levers_mm = levers_of(plane)
         speeds = point_speeds(self.levers_mm, plane.speeds * plane.enabled[:, None])
-        two = np.repeat(np.argsort(speeds)[-1:], 2)  # the fastest robot, twice
-        most = safety.anywhere(plane).required_at(speeds, self._makespan_s, two).max(initial=0.0)
-        self.pairs = neighbour_pairs(plane, max(1.0, most))
+        most_mm = safety.at_full_speed_mm(plane, self._makespan_s)
+        self.pairs = neighbour_pairs(plane, max(1.0, most_mm))
         self._at_start_mm = gaps(plane, self.pairs, self.motion.start)
         self.most_required_mm = safety.required_at(
             speeds, self._makespan_s, self.pairs, self._at_start_mm, plane.sector

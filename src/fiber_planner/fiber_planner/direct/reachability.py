@@ -18,7 +18,9 @@ _CELL_RAD = math.radians(4.0)
 _ANY_MM = 1e-9  # the slack that matters if only its sign does
 
 
-def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
+def reachable(
+    problem: Problem, pairs: ArrayLike, margin_mm: float, finest_rad: float = _CELL_RAD
+) -> Mask:
     """Return which robots can reach their targets if only static bodies are around them.
 
     Static bodies are disabled robots and obstacles. A robot is reachable when one of its
@@ -26,12 +28,14 @@ def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
     there alone between them. The second is decided on a grid over the joint ranges: a
     cell is open when some point of it may keep the margin. So a target that is reported as
     unreachable is proven to be; one that is reported as reachable may still be closed off by
-    a passage narrower than the grid (4 degrees).
+    a passage narrower than the grid (4 degrees, or the finest one where a coarse grid cannot tell).
 
     Args:
         problem: the plane, the present joint angles and the targets.
         pairs: rows a < b that can collide, from neighbour_pairs, shape (p, 2).
         margin_mm: gap to keep from static bodies [mm].
+        finest_rad: cells are halved down to this size while no way leads through middles of cells
+            that keep the margin [rad].
 
     Returns:
         Flags, shape (n,); False for a robot that has no target or is disabled.
@@ -48,7 +52,7 @@ def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
     standing = np.concatenate([problem.start, np.zeros((plane.fixtures, 2))])
     result[robots] = _reachable(
         bodies_of(plane), levers_of(plane), robots, near,
-        standing, plane.limits, angles, valid, margin_mm,
+        standing, plane.limits, angles, valid, margin_mm, finest_rad,
     )  # fmt: skip
     return result
 
@@ -96,53 +100,64 @@ def _straight_path_is_open(bodies, i, angles, valid, others, standing, margin, s
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _reachable(bodies, levers, robots, near, standing, limits, angles, valid, margin):
+def _reachable(bodies, levers, robots, near, standing, limits, angles, valid, margin, finest):
     result = np.zeros(len(robots), dtype=np.bool_)
     for r in range(len(robots)):
         i = robots[r]
         others = near.body[near.offsets[i] : near.offsets[i + 1]]
-        low, size, count = _grid(limits[i], standing[i])
-        goals = np.zeros((count[0], count[1]), dtype=np.bool_)  # cells with a configuration
-        found = False
-        for option in range(angles.shape[1]):
-            if valid[i, option]:
-                theta, phi = angles[i, option]
-                if _slack(bodies, i, theta, phi, others, standing, margin, _ANY_MM) >= 0.0:
-                    goals[
-                        _cell(theta, low[0], size[0], count[0]),
-                        _cell(phi, low[1], size[1], count[1]),
-                    ] = True
-                    found = True
-        if found:
+        cell = _CELL_RAD
+        while True:
+            low, size, count = _grid(limits[i], standing[i], cell)
+            goals = np.zeros((count[0], count[1]), dtype=np.bool_)  # cells with a configuration
+            found = False
+            for option in range(angles.shape[1]):
+                if valid[i, option]:
+                    theta, phi = angles[i, option]
+                    if _slack(bodies, i, theta, phi, others, standing, margin, _ANY_MM) >= 0.0:
+                        goals[
+                            _cell(theta, low[0], size[0], count[0]),
+                            _cell(phi, low[1], size[1], count[1]),
+                        ] = True
+                        found = True
+            if not found:
+                break
             result[r] = _straight_path_is_open(
                 bodies, i, angles[i], valid[i], others, standing, margin, size
-            ) or _flood(bodies, i, levers[i], others, standing, low, size, count, goals, margin)
+            )
+            if result[r]:
+                break
+            # from the middle of a cell to its corner no point of the robot moves farther
+            corner = 0.5 * (size[0] * levers[i, 0] + size[1] * levers[i, 1])
+            around = bodies, i, others, standing, low, size, count, goals, margin
+            result[r] = _flood(*around, -corner)
+            cell *= 0.5
+            if not result[r] or cell < finest or _flood(*around, 0.0):
+                break
     return result
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _grid(limits, standing):
+def _grid(limits, standing, cell):
     # lowest angle, cell size [rad] and number of cells of both joints; the start is on the grid
     low, size, count = np.empty(2), np.empty(2), np.empty(2, dtype=np.int64)
     for joint in range(2):
         low[joint] = min(limits[joint, 0], standing[joint])
         span = max(limits[joint, 1], standing[joint]) - low[joint]
-        count[joint] = max(1, int(math.ceil(span / _CELL_RAD)))
+        count[joint] = max(1, int(math.ceil(span / cell)))
         size[joint] = span / count[joint]
     return low, size, count
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _flood(bodies, i, lever, others, standing, low, size, count, goals, margin):
-    # flood the open cells from the start; whether a goal cell is met
-    # from the middle of a cell to its corner no point of the robot moves farther
-    corner = 0.5 * (size[0] * lever[0] + size[1] * lever[1])
+def _flood(bodies, i, others, standing, low, size, count, goals, margin, least):
+    # flood from the start the cells in the middle of which the gap exceeds the margin by `least`;
+    # whether a goal cell is met
     visited = np.zeros((count[0], count[1]), dtype=np.bool_)
     stack = np.empty((count[0] * count[1], 2), dtype=np.int64)
     stack[0, 0] = _cell(standing[i, 0], low[0], size[0], count[0])
     stack[0, 1] = _cell(standing[i, 1], low[1], size[1], count[1])
     visited[stack[0, 0], stack[0, 1]] = True
-    top = 1
+    top, enough = 1, max(least, _ANY_MM)
     while top > 0:
         top -= 1
         u, v = stack[top]
@@ -155,7 +170,7 @@ def _flood(bodies, i, lever, others, standing, low, size, count, goals, margin):
                     visited[x, y] = True
                     theta = low[0] + (x + 0.5) * size[0]
                     phi = low[1] + (y + 0.5) * size[1]
-                    if _slack(bodies, i, theta, phi, others, standing, margin, _ANY_MM) >= -corner:
+                    if _slack(bodies, i, theta, phi, others, standing, margin, enough) >= least:
                         stack[top] = x, y
                         top += 1
     return False

@@ -9,13 +9,15 @@ import numpy as np
 from fiber_core import kinematics
 from fiber_core.array_types import Angles, Codes, Floats, Mask
 from fiber_core.bounds import Range, check_ranges
-from fiber_core.clearance import Safety
+from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.drive import motors_allowed
 from fiber_core.metrics import power_bound_s
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
+from fiber_planner.approach import inside_approaches
+from fiber_planner.direct.reachability import reachable
 from fiber_planner.errors import PlannerError
 from fiber_planner.goal_selection import choose_goals
 from fiber_planner.interface import PlannedMotion, ProgressCallback
@@ -26,7 +28,9 @@ from fiber_planner.scheduled.search import Search
 
 __all__ = ["ScheduledParameters", "ScheduledPlanner", "timed"]
 
+_FINEST_RAD = np.deg2rad(1.0)  # grid in which ways past static bodies are sought
 _LONG_S = 30.0  # a longer motion needs more than this gap, for the errors of clocks
+_SPARE_RAD = np.deg2rad(0.05)  # an approach is a few ticks of creep longer than it must be
 _ALLOWANCE_MM = 0.02  # for the rounding of goals to whole ticks
 
 
@@ -101,8 +105,11 @@ class ScheduledPlanner:
     def plan(self, problem: Problem, progress: ProgressCallback | None = None) -> PlannedMotion:
         """Plan the motion of every robot, see Planner.plan."""
         problem, outside = _from_inside(problem)
-        narrower = _inside_approaches(problem)
+        narrower = inside_approaches(problem, _SPARE_RAD)
+        pairs = neighbour_pairs(problem.plane)
+        can = reachable(problem, pairs, self.parameters.margin_mm, _FINEST_RAD)
         goal, reason = _goals(narrower, self.parameters.safety)
+        reason[problem.asked & problem.plane.enabled & ~can] = Reason.GOAL_BLOCKED
         reason[outside] = Reason.START_OUTSIDE_LIMITS
         angles, valid = kinematics.inverse(narrower.plane, narrower.targets)
         others = np.where(valid[..., None], angles, goal[:, None])
@@ -137,13 +144,13 @@ def timed(
     """
     units, reason = WireUnits.for_plane(problem.plane), reason.copy()
     start = units.encoder_counts(problem.plane, problem.start)
-    moving = reason == Reason.OK
-    plane = problem.plane.with_enabled(moving)
+    moving, lost = reason == Reason.OK, far & (reason == Reason.GOAL_BLOCKED)
+    plane = problem.plane.with_enabled(moving | lost)
     turn = np.where(moving[:, None], units.to_counts(goal) - start, 0)
     turns = np.where(moving[:, None, None], units.to_counts(others) - start[:, None], 0)
-    bound_s = power_bound_s(replace(problem, plane=plane))
+    bound_s = power_bound_s(replace(problem, plane=problem.plane.with_enabled(moving)))
     ticks = int(np.ceil((1.0 + parameters.slack) * bound_s / units.tick_s))
-    lasts_s = bound_s * parameters.stretch
+    lasts_s = max(bound_s * parameters.stretch, ticks * units.tick_s)
     search = Search(
         Conflicts.of_plane(plane, units, start, parameters.safety, lasts_s),
         motors_of_plane(plane, units),
@@ -154,13 +161,14 @@ def timed(
         max(ticks, 1),
         np.random.default_rng(parameters.seed),
         far,
+        lost,
     )
     search.run(parameters, int(lasts_s / units.tick_s), progress)
     time_s, angles = sampled(units, start, search.legs, search.starts)
     reason[search.given_up & moving] = Reason.NOT_CONVERGED
     reason[search.blocked & moving] = Reason.GOAL_BLOCKED
     reason[~search.legs.possible & moving] = Reason.OUTSIDE_JOINT_RANGE
-    goal = np.where(moving[:, None], units.to_angles(start + search.legs.turn), goal)
+    goal = np.where((moving | lost)[:, None], units.to_angles(start + search.legs.turn), goal)
     return PlannedMotion(SampledMotion(time_s, angles), goal, reason)
 
 
@@ -170,20 +178,6 @@ def _from_inside(problem: Problem) -> tuple[Problem, Mask]:
     inside = ((problem.start >= low) & (problem.start <= high)).all(axis=1)
     plane = problem.plane.with_enabled(problem.plane.enabled & inside)
     return replace(problem, plane=plane), problem.asked & ~inside
-
-
-def _inside_approaches(problem: Problem) -> Problem:
-    # the same problem with limits inside which the approach leads to no stop
-    plane, listed = problem.plane, problem.plane.drive.listed
-    if listed is None or not listed.returns:
-        return problem
-    limits = plane.limits.copy()
-    least = listed.approach_rad + np.deg2rad(1.0)
-    low = np.where(listed.approach_sign > 0.0, least, 0.0)
-    high = np.where(listed.approach_sign > 0.0, 0.0, least)
-    limits[:, :, 0] = np.minimum(limits[:, :, 0] + low, limits.mean(axis=2))
-    limits[:, :, 1] = np.maximum(limits[:, :, 1] - high, limits[:, :, 0])
-    return replace(problem, plane=replace(plane, limits=limits))
 
 
 def _goals(problem: Problem, safety: Safety) -> tuple[Angles, Codes]:

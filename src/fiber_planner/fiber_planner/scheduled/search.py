@@ -28,7 +28,7 @@ __all__ = ["Effort", "Search"]
 
 _FOLDED_RAD = np.deg2rad(115.0)  # with phi this far in, an arm reaches few neighbours
 _PHASES = (1.0, 0.5, 0.25, 0.0)  # how much of the longest leg all robots wait for
-_FEW = 0.02  # share of robots for which no longer timetable is tried
+_FEW = 0.005  # share of robots for which no longer timetable is tried
 _MANY, _MOST_TIMES = 200, 8  # robots in a round; below that many, each tries more motions
 _NO_PLACE = 10.0  # cost of a robot that rests at first, in pairs that are too close
 _TRIES = 30  # times as many motions show that no way is free, as a robot in conflict tries
@@ -75,6 +75,7 @@ class Search:
         ticks: length of the timetable at first.
         rng: random numbers.
         far: whether arms fold on the way, and robots that are given up may go anywhere.
+        blocked: robots with a target to which they have no way, shape (n,).
 
     Attributes:
         legs: the moves of all robots.
@@ -94,6 +95,7 @@ class Search:
         ticks: int,
         rng: np.random.Generator,
         far: bool,
+        blocked: Mask,
     ):
         self._far = far
         self._conflicts, self._motors, self._rng = conflicts, motors, rng
@@ -103,8 +105,8 @@ class Search:
         self._every = np.arange(n)
         self.legs = legs_by_way_of(motors, self._every, conflicts.start, turn, self._via_folded())
         self.starts = np.zeros((n, LEGS), dtype=np.int64)
-        self.given_up: Mask = np.zeros(n, dtype=np.bool_)
-        self.blocked: Mask = np.zeros(n, dtype=np.bool_)
+        self.given_up, self.blocked = blocked.copy(), blocked.copy()
+        self._can_move = turn.any(axis=1) | blocked
         self._weights = np.ones(len(conflicts.pairs))
         self._rest_costs = np.full(n, _NO_PLACE)
 
@@ -128,7 +130,7 @@ class Search:
         while True:
             self._rounds(effort.rounds, effort.candidates, 0.5, False, progress)
             self._free_blocked(effort)
-            few = self._left <= _FEW * np.count_nonzero(self._turn.any(axis=1))
+            few = self._left <= _FEW * np.count_nonzero(self._can_move)
             if few or self._left > _HELPS * before or self._table.ticks >= longest:
                 break
             before = self._left
@@ -300,7 +302,7 @@ class Search:
         # robots in conflict are given up if none of many motions is clear of all bodies that rest
         n, pairs = self._conflicts.plane.n, self._conflicts.pairs
         rests = np.ones(len(self._conflicts.bodies.center), dtype=np.bool_)
-        rests[:n] = ~self._turn.any(axis=1)
+        rests[:n] = ~self._can_move
         doubtful = np.zeros_like(rests)
         doubtful[pairs[self._unsafe & rests[pairs].any(axis=1)]] = True
         rows = np.flatnonzero(doubtful[:n] & ~rests[:n] & ~self.blocked)
@@ -345,7 +347,7 @@ class Search:
     def _chosen(self, of: Mask) -> Rows:
         # of these robots those that can move, in random order, no two of them neighbours
         near, n = self._conflicts.neighbours, self._conflicts.plane.n
-        rows = np.flatnonzero(of & self._turn.any(axis=1))
+        rows = np.flatnonzero(of & self._can_move)
         return _apart(self._rng.permutation(rows), near.offsets, near.body, n)
 
 
