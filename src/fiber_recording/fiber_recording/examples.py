@@ -24,7 +24,7 @@ from fiber_core.drive import Drive
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.metrics import plan_metrics
 from fiber_core.motion import SampledMotion, SegmentMotion
-from fiber_core.outcomes import Outcome, Reason
+from fiber_core.outcomes import Outcome, Reason, Verdict
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
 from fiber_core.ragged import Parts
@@ -49,7 +49,8 @@ _MOST_SEGMENTS, _MOST_TICKS, _MOST_SPEED = 4, 200, 500  # of a motor; [ticks]; [
 _STOP_US, _RESUME_US = 300_300, 455_001  # of an interrupted motion [us]
 _FAILED_STOP_US = 211_000  # the failed robot has stopped by itself [us]
 _BLIND_MM, _CORRECTED_MM, _CAMERA_MM = 0.05, 0.006, 0.003  # errors of images
-_STILL, _DARK = 4, 7  # rows of robots with a remark in the last image
+_STILL, _DARK = 4, 7  # rows of robots with a remark
+_FAR_MM = 1.5  # from its target, of a robot that was not moved there
 _PLAN_NS = 1_790_000_000_000_000_000
 
 
@@ -210,7 +211,8 @@ def _report_and_certificate(
 def seen_by_a_camera(recording: Recording, seed: int) -> Recording:
     """Return a recording with two images, of a plane of three sectors and four power supplies.
 
-    One robot did not move in the last image, one is dark.
+    One robot had not moved in the first image, and takes no part in the correction; one is dark.
+    Robots that the plan held are far from their targets.
 
     Args:
         recording: the recording; it must have at least 8 robots.
@@ -220,10 +222,12 @@ def seen_by_a_camera(recording: Recording, seed: int) -> Recording:
     rng, n = np.random.default_rng(seed), plane.n
     true = targets + rng.normal(size=(2, n, 2)) * np.reshape([_BLIND_MM, _CORRECTED_MM], (2, 1, 1))
     place = true + _CAMERA_MM * rng.normal(size=true.shape)
-    verdict = np.zeros((2, n), dtype=np.int64)
-    verdict[1, _STILL], verdict[:, _DARK] = 2, 1
+    verdict = np.full((2, n), int(Verdict.MEASURED))
+    verdict[0, _STILL], verdict[:, _DARK] = Verdict.NOT_MOVED, Verdict.DARK
+    place[:, _STILL] += _FAR_MM
+    place[:, recording.outcome != Outcome.REACHED] += _FAR_MM
     place[:, _DARK] = np.nan
-    images = Images(place, verdict, true, {0: "ok", 1: "dark", 2: "did_not_move"})
+    images = Images(place, verdict, true, {int(code): code.name.lower() for code in Verdict})
     drive = Drive(n, supply=4 * np.arange(n) // n, motors_on=0.55)
     plane = replace(plane, sector=3 * np.arange(n) // n, drive=drive)
     problem = replace(recording.problem, plane=plane)

@@ -6,6 +6,7 @@ import pytest
 from chromium import By, color, drawn, needs_browser, open_at, picture, size, until
 
 from fiber_core.drive import most_motors_on
+from fiber_core.outcomes import Outcome, Verdict
 from fiber_recording import save_recording
 from fiber_recording.examples import seen_by_a_camera
 from fiber_viewer import write_player
@@ -16,7 +17,7 @@ except ImportError:
     Axe = None
 
 pytestmark = needs_browser("images and motors in player.html")
-STILL, DARK = 4, 7  # robots with a remark in the last image
+STILL, DARK = 4, 7  # one was told not to have moved before the correction, one is dark
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,8 @@ def text(browser, name):
 
 def lengths_um(recording, image):
     off = recording.images.place_mm[image] - recording.problem.targets
-    counted = np.isfinite(off).all(axis=1) & (recording.images.verdict[image] == 0)
+    counted = np.isfinite(off).all(axis=1) & (recording.outcome == Outcome.REACHED)
+    counted &= (recording.images.verdict[: image + 1] == Verdict.MEASURED).all(axis=0)
     return 1e3 * np.hypot(*off[counted].T)
 
 
@@ -66,6 +68,16 @@ def test_each_image_has_its_fibres_and_their_rms(opened_images, seen):
             assert (np.abs(part - color(opened_images, "card")).max(axis=2) > 0.2).sum() > 200
 
 
+def test_the_head_of_the_page_tells_of_the_last_image(opened_images, seen):
+    um = lengths_um(seen, 1)
+    assert len(um) < (seen.outcome == Outcome.REACHED).sum() < seen.problem.plane.n
+    told = opened_images.find_elements(By.CSS_SELECTOR, "#notes li")[-1].text
+    assert told.startswith(
+        f"seen by a camera after correction 1: {len(um)} fibres {np.sqrt(np.mean(um**2)):.1f} um rms"
+    )
+    assert told.endswith("2 robots flagged")
+
+
 def test_vectors_go_from_the_target_to_the_measured_place(opened_images, seen):
     opened_images.execute_script("document.getElementById('images').scrollIntoView()")
     drawn(opened_images)
@@ -82,7 +94,7 @@ def test_robots_with_a_remark_are_listed_with_it(opened_images, seen):
     items = [each.text for each in opened_images.find_elements(By.CSS_SELECTOR, "#list li")]
     ids = seen.problem.plane.ids
     assert [" ".join(item.split()) for item in items] == [
-        f"{ids[STILL]} did not move",
+        f"{ids[STILL]} not moved",
         f"{ids[DARK]} dark",
     ]
     opened_images.find_element(By.CSS_SELECTOR, "#list li button").click()
@@ -105,7 +117,7 @@ def test_the_measured_place_of_the_watched_robot_is_ringed(opened_images, seen):
 def test_robots_are_coloured_by_sector_and_by_what_the_camera_tells(opened_images, seen):
     for mode, expected in (
         ("sector", {f"{count} sector {k}" for k, count in enumerate([13, 12, 12])}),
-        ("verdict", {"35 ok", "1 dark", "1 did not move"}),
+        ("verdict", {"35 measured", "1 dark", "1 not moved"}),
     ):
         opened_images.find_element(By.CSS_SELECTOR, f"#coloring option[value={mode}]").click()
         drawn(opened_images)

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The head of the page: outcomes, makespan and clearance of the plan.
+import { flaggedOf, imageName, quantile, residualsOf, rms } from "./images.js";
 import { FAILED, HELD, REACHED, bodyName, isAsked, stateAt } from "./recording.js";
 
 /**
@@ -32,6 +33,13 @@ export function verdict({ asked, reached, held, failed, disabled }) {
   return `${reached} of ${asked} robots reached their targets; ${rest}.`;
 }
 
+/** Returns in one sentence what the last image of a camera tells. */
+export function imagesNote(recording) {
+  const last = recording.images.count - 1, { um } = residualsOf(recording, last), flagged = flaggedOf(recording).length;
+  return `seen by a camera ${imageName(last)}: ${um.length} fibres ${rms(um).toFixed(1)} um rms from their targets, ` +
+    `99 % within ${quantile(um, 0.99).toFixed(1)} um; ${flagged} robots flagged`;
+}
+
 /** Fills title, subtitle and figures of the page. */
 export function showHeadline(app, { title, subtitle, figures, notes }) {
   const { recording } = app, { about, plane } = recording, numbers = figuresOf(recording);
@@ -41,12 +49,13 @@ export function showHeadline(app, { title, subtitle, figures, notes }) {
     `${plane.n} robots`, about.plan_ns > 0 && `${when} UTC`, about.planner && `planner ${about.planner}`,
     about.seed >= 0 && `seed ${about.seed}`, about.software,
   ].filter(Boolean).join("  ·  ");
-  notes.replaceChildren(...(about.notes ?? []).map((note) => {
+  const remarks = [...(about.notes ?? []), ...(recording.images ? [imagesNote(recording)] : [])];
+  notes.replaceChildren(...remarks.map((note) => {
     const item = document.createElement("li");
     item.textContent = note;
     return item;
   }));
-  notes.hidden = !about.notes?.length;
+  notes.hidden = !remarks.length;
   const closest = recording.pairs[0];
   const rows = [
     ["reached", `${numbers.reached}`, ` of ${numbers.asked}`],

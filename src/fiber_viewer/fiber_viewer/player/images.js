@@ -9,18 +9,22 @@ const LENGTHS = 40; // bins of the histogram
 const SHOWN = 0.99; // of the distances of all images are inside the histogram
 const USUAL = 0.95; // of the vectors are at most as long as LONGEST patrol radii
 const LONGEST = 1;
+const REACHED_CODE = 0; // of an outcome
 
 /** Returns the name of an image. */
 export function imageName(k) {
   return k ? `after correction ${k}` : "after the move";
 }
 
-/** Returns the rows of fibres with a target that an image tells of, and how far each is from it [mm]: {rows, dx, dy, um}. */
-export function residualsOf({ plane, images }, k) {
+/**
+ * Returns the rows of fibres that the plan brought to their targets and an image tells of, and how
+ * far each is from there [mm]: {rows, dx, dy, um}. Robots that were held or are flagged are listed.
+ */
+export function residualsOf({ plane, images, outcome }, k) {
   const rows = [], dx = [], dy = [], um = [], places = images.places[k], { target } = plane;
   for (let row = 0; row < plane.n; row++) {
     const [x, y] = [places[2 * row] - target[2 * row], places[2 * row + 1] - target[2 * row + 1]];
-    if (!Number.isFinite(x + y) || images.verdicts[k][row]) continue; // flagged robots are named, not counted
+    if (!Number.isFinite(x + y) || images.verdicts[k][row] || outcome[row] !== REACHED_CODE) continue;
     rows.push(row);
     dx.push(x);
     dy.push(y);
@@ -102,6 +106,10 @@ export class ImagesPanel {
       const [x, y] = camera.toPixel(xs[row], ys[row]);
       ctx.fillRect(x - 0.75, y - 0.75, 1.5, 1.5);
     }
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(0, 0, width, height);
+    ctx.clip(); // a vector that is longer than the plane does not cross the histogram
     ctx.beginPath();
     rows.forEach((row, at) => {
       const [x, y] = [plane.target[2 * row], plane.target[2 * row + 1]];
@@ -111,6 +119,7 @@ export class ImagesPanel {
     ctx.strokeStyle = colors.accent;
     ctx.lineWidth = 1;
     ctx.stroke();
+    ctx.restore();
     images.verdicts[this.shown].forEach((code, row) => {
       if (code) this.cross(ctx, row, colors.failed);
     });
