@@ -132,9 +132,9 @@ bag: build ## write a RECORDING= as a rosbag2 into out/bag, or OUT=
 	@$(call command,fiber_recording,bag) $(RECORDING) $(if $(filter file,$(origin OUT)),out/bag,$(OUT)) $(ARGS)
 
 .PHONY: screenshots
-screenshots: build ## take the pictures of docs/images from the last demo, and out/faults (needs chromium)
+screenshots: build ## take the pictures of docs/images from the last demo, and out/faults, out/camera, out/motors (needs chromium)
 	@$(INSTALLED) && $(PYTHON) tools/screenshots.py $(OUT)/recording.npz \
-		$(addprefix --faults ,$(wildcard out/faults/recording.npz))
+		$(foreach kind,faults camera motors,$(addprefix --$(kind) ,$(wildcard out/$(kind)/recording.npz)))
 	@$(INSTALLED) && $(PYTHON) tools/console_picture.py
 
 .PHONY: without-faults

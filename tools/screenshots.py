@@ -2,9 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Take the pictures of docs/images from the recording of `make demo`, with headless Chromium.
 
-The figures are drawn from the same recording. Another recording, of a plan with faults, gives one
-more picture: `make demo FAULTS=scl_stuck,stall:2 SEED=4 OUT=out/faults`. `make screenshots` runs
-this script with both.
+The figures are drawn from the same recording. Other recordings give one more picture each:
+
+- of a plan with faults: `make demo FAULTS=scl_stuck,stall:2 SEED=4 OUT=out/faults`;
+- of one that a camera saw: `make demo TOLERANCE_UM=15 PRESET=desi_petals SEED=3 OUT=out/camera`;
+- of one with a cap on the motors: `fiber-positioners plan --preset desi_petals --drive desi
+  --motors-on 0.55 --seed 1 --out out/motors`.
+
+`make screenshots` runs this script with all that it finds.
 """
 
 import argparse
@@ -29,6 +34,9 @@ _SHOTS = {
     "player-phone.png": ((500, 980), 0.40, "theme=light"),
 }
 _FAULTS_SHOT = ("player-faults.png", (1440, 1010), "theme=light")
+# one panel alone: name of the picture, size of the window, rest of the address
+_IMAGES_SHOT = ("player-images.png", (1440, 900), "panel=8&theme=light")
+_MOTORS_SHOT = ("player-motors.png", (1440, 620), "panel=7&theme=light")
 _TIME = "--virtual-time-budget=4000"  # of the page [ms]
 
 
@@ -47,6 +55,8 @@ def main(argv: list[str] | None = None) -> int:
         help="recording of a plan without faults",
     )
     parser.add_argument("--faults", type=Path, help="recording of a plan with faults")
+    parser.add_argument("--camera", type=Path, help="recording of a plan that a camera saw")
+    parser.add_argument("--motors", type=Path, help="recording of a plan with a cap on the motors")
     parser.add_argument("-o", "--out", type=Path, default=Path("docs/images"), help="folder")
     args = parser.parse_args(argv)
     browser = shutil.which("chromium")
@@ -76,6 +86,12 @@ def main(argv: list[str] | None = None) -> int:
             robot = faults.problem.plane.ids[(faults.outcome == Outcome.FAILED).argmax()]
             view = f"#t={t:.3f}&robots={robot}&{more}"
             _take_picture(browser, page, view, args.out / name, size, Path(folder))
+        for given, (name, size, more) in ((args.camera, _IMAGES_SHOT), (args.motors, _MOTORS_SHOT)):
+            if given:
+                write_player(page, given)
+                t = 0.3 * load_recording(given).executed.makespan_s
+                view = f"#t={t:.3f}&{more}"
+                _take_picture(browser, page, view, args.out / name, size, Path(folder))
     return 0
 
 

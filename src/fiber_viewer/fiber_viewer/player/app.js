@@ -251,7 +251,9 @@ function listen() {
   };
   byId("theme").addEventListener("click", otherTheme);
   listenToKeys(() => globalThis.player, { search: byId("search"), keys: byId("keys"), otherTheme });
-  new ResizeObserver(() => globalThis.player?.redraw()).observe(document.body);
+  const resized = new ResizeObserver(() => globalThis.player?.redraw());
+  // a canvas can change its size beside others, or under a head that has got another line
+  for (const place of [document.body, ...document.querySelectorAll("canvas")]) resized.observe(place);
   addEventListener("hashchange", () => globalThis.player?.open());
   document.addEventListener("dragover", (event) => {
     event.preventDefault();
