@@ -72,8 +72,9 @@ def test_the_head_of_the_page_tells_of_the_last_image(opened_images, seen):
     um = lengths_um(seen, 1)
     assert len(um) < (seen.outcome == Outcome.REACHED).sum() < seen.problem.plane.n
     told = opened_images.find_elements(By.CSS_SELECTOR, "#notes li")[-1].text
+    rms_um = np.sqrt(np.mean(um**2))
     assert told.startswith(
-        f"seen by a camera after correction 1: {len(um)} fibres {np.sqrt(np.mean(um**2)):.1f} um rms"
+        f"seen by a camera after correction 1: {len(um)} fibres {rms_um:.1f} um rms"
     )
     assert told.endswith("2 robots flagged")
 
