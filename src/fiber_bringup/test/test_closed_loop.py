@@ -125,6 +125,9 @@ def test_the_recording_of_the_blind_move_has_the_images_after_it_and_its_correct
     night.client.wait_for(lambda: images() >= len(end.places), WAIT_S)
     found = load_recording(path).images
     np.testing.assert_allclose(found.place_mm, end.places, atol=1e-4)
+    told = np.isfinite(found.place_mm).all(axis=2)
+    off_um = 1e3 * np.hypot(*np.moveaxis(found.place_mm - found.true_mm, 2, 0))
+    assert np.isfinite(found.true_mm).all() and 0.0 < np.median(off_um[told]) < 20.0
     names = np.vectorize(found.names.get)(found.verdict)
     flagged = np.isin(night.client.plane.ids, list(end.flagged))
     assert all("not_moved" in name for name in names[0, flagged])

@@ -23,6 +23,7 @@ from fiber_msgs_py import (
     targets,
     topics,
     trajectory,
+    true_places,
 )
 from fiber_msgs_py.attempts import Attempt, AttemptTable
 from fiber_msgs_py.callback_guard import guarded, report_failures_to
@@ -68,4 +69,5 @@ __all__ = [
     "targets",
     "topics",
     "trajectory",
+    "true_places",
 ]

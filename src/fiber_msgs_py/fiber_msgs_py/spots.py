@@ -19,6 +19,7 @@ _COLUMNS: dict[str, str] = {"u": "<f8", "v": "<f8", "flux": "<f8", "width": "<f8
 _CALIBRATION: dict[str, str] = {
     "x": "<f8", "y": "<f8", "u": "<f8", "v": "<f8", "fiducial": "<u1"
 }  # fmt: skip
+_FAR_M = 100.0
 
 
 def encode(
@@ -71,7 +72,7 @@ def encode_calibration(
         stamp: time of the calibration.
 
     Raises:
-        MessageError: the shapes differ, or a place in the plane is not finite.
+        MessageError: the shapes differ, or a place in the plane is not finite or far off.
     """
     rows = np.zeros(len(np.asarray(plane_mm)), dtype=list(_CALIBRATION.items()))
     try:
@@ -88,7 +89,7 @@ def decode_calibration(message: PointCloud2) -> tuple[Points, Floats, Mask]:
     """Return the lights as for encode_calibration: places [mm] and [px], and which are fiducials.
 
     Raises:
-        MessageError: malformed table, or a place in the plane is not finite.
+        MessageError: malformed table, or a place in the plane is not finite or far off.
     """
     rows = decode_table(message, "calibration", _CALIBRATION)
     _check(rows)
@@ -97,10 +98,10 @@ def decode_calibration(message: PointCloud2) -> tuple[Points, Floats, Mask]:
 
 
 def _check(rows: np.ndarray) -> None:
-    bad = ~(np.isfinite(rows["x"]) & np.isfinite(rows["y"]))
+    bad = ~((np.abs(rows["x"]) < _FAR_M) & (np.abs(rows["y"]) < _FAR_M))
     if bad.any():
         at = int(np.argmax(bad))
         raise MessageError(
-            "calibration", f"of row {at} is not finite", field="x, y",
+            "calibration", f"of row {at} is no place in a plane", field="x, y",
             value=[float(rows["x"][at]), float(rows["y"][at])],
         )  # fmt: skip

@@ -45,6 +45,7 @@ __all__ = [
     "TARGETS",
     "TO_SECTOR",
     "TRAJECTORY",
+    "TRUE_PLACES",
     "VIEW_ARMS",
     "VIEW_PLANE",
     "VIEW_TARGETS",
@@ -257,6 +258,10 @@ IMAGE = _topic(
     "camera/image", Image, qos.EVENTS,
     "The pixels of one exposure, mono8 or mono16, stamped with its time; made for subscribers "
     "alone. The metrology finds the spots in them if it is told to.",
+)  # fmt: skip
+TRUE_PLACES = _topic(
+    "camera/true_places", PointCloud2, qos.EVENTS,
+    "Id, x, y [m] of the fibres as the simulated camera exposes them, for recordings.",
 )  # fmt: skip
 CALIBRATION = _topic(
     "camera/calibration", PointCloud2, qos.LATEST,

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import Image
 
-from fiber_msgs_py import MessageError, PlanStamp, images, measured, spots, targets
+from fiber_msgs_py import MessageError, PlanStamp, images, measured, spots, targets, true_places
+from fiber_msgs_py.true_places import TruePlaces
 
 
 def table(n=3):
@@ -53,8 +54,20 @@ def test_spots_and_calibration_come_back():
     assert fiducial.tolist() == [False, True]
     with pytest.raises(MessageError, match="flux"):
         spots.encode(px, [1.0], [0.5, 0.6], PlanStamp(5))
-    with pytest.raises(MessageError, match="row 1 is not finite"):
+    with pytest.raises(MessageError, match="row 1 is no place"):
         spots.encode_calibration(seen, px, [0, 0], PlanStamp(5))
+
+
+def test_true_places_come_back_or_are_refused_by_robot():
+    sent = TruePlaces(np.array([7, 9]), np.array([[1.5, -2.5], [300.0, 4.0]]))
+    got = true_places.decode(true_places.encode(sent, PlanStamp(5)))
+    assert got.ids.tolist() == [7, 9]
+    np.testing.assert_allclose(got.places, sent.places, rtol=1e-14)
+    with pytest.raises(MessageError, match="shape of places"):
+        true_places.encode(sent._replace(places=np.zeros((3, 2))), PlanStamp(5))
+    nowhere = sent._replace(places=np.array([[1.5, -2.5], [np.nan, 4.0]]))
+    with pytest.raises(MessageError, match="robot 9.*no place"):
+        true_places.decode(true_places.encode(nowhere, PlanStamp(5)))
 
 
 @pytest.mark.parametrize("big", [False, True])

@@ -30,14 +30,20 @@ from fiber_msgs_py import (
     diagnostics,
     frames,
     held,
+    images,
     joint_states,
     layout,
+    measured,
     outcome,
     progress,
     segments,
+    spots,
     targets,
     trajectory,
+    true_places,
 )
+from fiber_msgs_py.measured import Measured
+from fiber_msgs_py.true_places import TruePlaces
 
 CASES = 700  # for each decoder
 SIZES = (0, 1, 2, 3, 7, 255, 2**16, 2**31 - 1, 2**31, 2**32 - 1)
@@ -110,12 +116,28 @@ def cases(plane, stamp):
             progress.decode,
         ),
         "diagnostics": (diagnostics.encode(statuses, 5), both(diagnostics.decode)),
+        "measured": (
+            measured.encode(
+                Measured(
+                    ids, np.zeros(n, int), xy, xy, still + 0.1, still[:, 0], still[:, 0], still
+                ),
+                stamp,
+            ),
+            both(measured.decode),
+        ),
+        "spots": (spots.encode(xy, xy[:, 0], xy[:, 1], stamp), both(spots.decode)),
+        "calibration": (
+            spots.encode_calibration(xy, xy, np.zeros(n), stamp),
+            both(spots.decode_calibration),
+        ),
+        "true_places": (true_places.encode(TruePlaces(ids, xy), stamp), both(true_places.decode)),
+        "images": (images.encode(np.ones((3, 4), np.uint16), stamp), both(images.decode)),
     }
 
 
 NAMES = (
     "layout targets attempt segments corridors frames held outcome joint_states trajectory "
-    "progress diagnostics"
+    "progress diagnostics measured spots calibration true_places images"
 ).split()
 
 
@@ -135,6 +157,7 @@ def damage(message, rng):
     kinds = [damage_header] if hasattr(message, "header") else []
     kinds += {
         "PointCloud2": [damage_sizes, damage_field, damage_field, damage_data, damage_data],
+        "Image": [damage_image],
         "JointState": [damage_joints],
         "JointTrajectory": [damage_joints, damage_points],
         "DiagnosticStatus": [damage_status],
@@ -189,6 +212,18 @@ def damage_field(message, rng):
         message.data = array.array("B")
         field.count, field.offset = rng.choice(SIZES), rng.choice(SIZES)
         message.point_step = rng.choice(SIZES)
+
+
+def damage_image(message, rng):
+    name = rng.choice(["height", "width", "step", "encoding", "is_bigendian", "data"])
+    if name == "encoding":
+        message.encoding = rng.choice([*TEXTS, "mono8", "mono16", "rgb8"])
+    elif name == "is_bigendian":
+        message.is_bigendian = rng.randrange(256)
+    elif name == "data":
+        message.data = message.data[: rng.randrange(len(message.data) + 1)]
+    else:
+        setattr(message, name, rng.choice(SIZES))
 
 
 def damage_data(message, rng):

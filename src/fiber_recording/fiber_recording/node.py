@@ -39,6 +39,7 @@ from fiber_msgs_py import (
     targets,
     topics,
     trajectory,
+    true_places,
 )
 from fiber_node import PlaneNode, Reporter, SessionGate, run
 from fiber_recording.build_recording import build_recording
@@ -127,6 +128,7 @@ class RecorderNode(PlaneNode):
         for topic, observe in (
             (topics.TARGETS, self._on_targets),
             (topics.MEASURED, self._on_measured),
+            (topics.TRUE_PLACES, self._on_true_places),
             (topics.PROGRESS, self._on_progress),
             (topics.TRAJECTORY, self._on_trajectory),
             (topics.CORRIDORS, self._on_corridors),
@@ -201,6 +203,9 @@ class RecorderNode(PlaneNode):
 
     def _on_measured(self, message: PointCloud2) -> None:
         self._images.add(PlanStamp.of(message), measured.decode(message))
+
+    def _on_true_places(self, message: PointCloud2) -> None:
+        self._images.expose(true_places.decode(message))
 
     def _plane_with(self, states: JointState | None) -> _PlaneWithStates | None:
         if self._plane is None or self._units is None or states is None:

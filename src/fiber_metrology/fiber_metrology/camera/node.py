@@ -32,7 +32,8 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_metrology.camera.fiducial_places import fiducial_places
 from fiber_metrology.camera.simulated_camera import CameraConfig, SimulatedCamera
 from fiber_metrology.errors import MetrologyError
-from fiber_msgs_py import PlanStamp, images, layout, spots, topics
+from fiber_msgs_py import PlanStamp, images, layout, spots, topics, true_places
+from fiber_msgs_py.true_places import TruePlaces
 from fiber_node import ManagedNode, SessionGate, run
 
 __all__ = ["CameraNode", "main"]
@@ -103,6 +104,7 @@ class CameraNode(ManagedNode):
         self._spots = topics.SPOTS.publisher(self)
         self._images = topics.IMAGE.publisher(self)
         self._calibration = topics.CALIBRATION.publisher(self)
+        self._true = topics.TRUE_PLACES.publisher(self)
         topics.EXPOSE.server(self, self._on_expose)
 
     def activate(self) -> None:
@@ -163,6 +165,7 @@ class CameraNode(ManagedNode):
             raise MetrologyError("no plane is known yet: there is no bridge in the graph")
         tips = self._true_fibres(plane)
         self._camera.config = self._optics.value
+        self._true.publish(true_places.encode(TruePlaces(plane.ids, tips), self._now()))
         for _ in range(self._scene.exposures):
             if self._images.get_subscription_count():
                 shot = self._camera.photograph(tips, self._fiducials, self._lit, self._rng)
