@@ -69,7 +69,7 @@ class ScheduledParameters:
     stop_skew_s: float = Safety.stop_skew_s
     border_start_skew_s: float = Safety.border_start_skew_s
     border_stop_skew_s: float = Safety.border_stop_skew_s
-    slack: float = 0.09
+    slack: float = 0.08
     stretch: float = 2.0
     rounds: int = 16
     candidates: int = 8

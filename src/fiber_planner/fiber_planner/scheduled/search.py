@@ -28,7 +28,7 @@ __all__ = ["Effort", "Search"]
 
 _FOLDED_RAD = np.deg2rad(115.0)  # with phi this far in, an arm reaches few neighbours
 _PHASES = (1.0, 0.5, 0.25, 0.0)  # how much of the longest leg all robots wait for
-_FEW = 0.005  # share of robots for which no longer timetable is tried
+_FEW = 0.01  # share of robots for which no longer timetable is tried
 _MANY, _MOST_TIMES = 200, 8  # robots in a round; below that many, each tries more motions
 _NO_PLACE = 10.0  # cost of a robot that rests at first, in pairs that are too close
 _TRIES = 30  # times as many motions show that no way is free, as a robot in conflict tries
