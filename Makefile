@@ -159,6 +159,11 @@ KAIJU ?= $(PYTHON)
 rivals: build ## the planner of SDSS-V on the same problems as ours (KAIJU=python that has sdss-kaiju)
 	@$(INSTALLED) && $(PYTHON) bench/rivals.py --kaiju-python $(KAIJU) --out bench/results/rivals.md
 
+.PHONY: motors
+motors: build ## plan fields for real motors and have them judged (FIELDS=20 LAYOUT=file; goes on after a cut), into bench/results/motors.md
+	@$(INSTALLED) && $(PYTHON) bench/motors.py $(if $(LAYOUT),--layout $(LAYOUT)) --fields $(or $(FIELDS),20) \
+		--out bench/results/motors.md
+
 .PHONY: bench-bus
 bench-bus: build ## load, verify and start 5000 robots, on bad buses too, and print a table
 	@$(INSTALLED) && $(PYTHON) bench/bus.py --out bench/results/bus.md

@@ -114,10 +114,17 @@ ARROWS = {
     "bench.forked_processes": {"fiber_bringup"},
     "bench.paper": {"bench", "paper_runs"},
     "bench.paper_runs": {"bench", "bus", "discretizers", "dnf_family"},
-    "bench.drive": {"bench", "drive_checker"},
     "bench.drive_checker": {"gap_judge", "numpy", "scipy"},  # shares no code with what it judges
     "bench.gap_judge": {"numba", "numpy", "scipy"},  # neither
-    "bench.listed": {"bench", "listed_checker"},
+    "bench.motors": {
+        "bench",
+        "closed_loop",
+        "correction_field",
+        "drive_checker",
+        "listed_checker",
+        "motors_table",
+    },
+    "bench.motors_table": {"numpy"},
     "bench.listed_checker": {"gap_judge", "numpy"},  # neither
     "bench.kaiju_adapter": {"kaiju", "numpy"},  # runs in the Python of the rival
     "bench.kill_others": {"fiber_client"},

@@ -208,6 +208,13 @@ def test_a_drive_of_another_number_of_robots_is_refused():
         with_drive(preset("desi", 3), "fast")
 
 
+def test_a_cap_of_less_than_one_motor_is_refused():
+    plane = preset("desi_petals", 30)
+    assert with_drive(plane, "desi", 0.017).drive.motors_on == 0.017
+    with pytest.raises(LayoutError, match=r"supply 0: 0.016 of its 60 motors is 0.96"):
+        with_drive(plane, "desi", 0.016)
+
+
 def test_the_most_motors_on_at_once_is_that_of_dense_sampling(moving, rng):
     motion, curve, _ = moving
     groups = rng.integers(3, 6, _N)

@@ -10,6 +10,7 @@ import numpy as np
 from fiber_core.array_types import Angles, Ints
 from fiber_core.drive.drive import Drive
 from fiber_core.drive.listed import ListedSpeeds
+from fiber_core.drive.power import motors_allowed
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
@@ -91,7 +92,8 @@ def with_drive(plane: FocalPlane, name: str, motors_on: float | None = None) -> 
             of the plane.
 
     Raises:
-        LayoutError: no drive has this name, or the share is out of range.
+        LayoutError: no drive has this name, the share is out of range, or it is less than one motor of a
+            supply.
     """
     if name not in DRIVES:
         raise LayoutError(f"no drive is named {name!r}; there are {', '.join(DRIVES)}")
@@ -113,7 +115,22 @@ def with_drive(plane: FocalPlane, name: str, motors_on: float | None = None) -> 
         supply=supply,
         motors_on=before.motors_on if motors_on is None else motors_on,
     )
-    return replace(plane, drive=drive)
+    equipped = replace(plane, drive=drive)
+    _check_share(equipped)
+    return equipped
+
+
+def _check_share(plane: FocalPlane) -> None:
+    # every supply must feed a motor
+    share, supply = plane.drive.motors_on, plane.supply
+    none = motors_allowed(supply, share) < 1
+    if none.any():
+        number = int(supply[np.argmax(none)])
+        motors = 2 * int((supply == number).sum())
+        raise LayoutError(
+            f"supply {number}: {share:.3g} of its {motors} motors is {share * motors:.3g}, and "
+            f"less than one motor moves no robot"
+        )
 
 
 def _own(drive: Drive) -> tuple[Angles, Ints | None]:
