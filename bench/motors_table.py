@@ -13,7 +13,7 @@ WORK = {
     "corrections": ("corrections of 50-500 um, 55 %", 99.5, None, "power", 5.0, None, 10.0),
     "accelerated": ("DESI-like 5000, 2000 deg/s2", 100.0, 1.03, "lower", None, 1.15, None),
     "uncertain": (
-        "SDSS-V 547, half width 1.5 mm, joints off by 1.5 deg", 99.0, None, "lower", None, None,
+        "SDSS-V 547, half width 1.5 mm, ends off by 1.05 mm", 99.0, None, "lower", None, None,
         None,
     ),
 }  # fmt: skip

@@ -92,8 +92,8 @@ def with_drive(plane: FocalPlane, name: str, motors_on: float | None = None) -> 
             of the plane.
 
     Raises:
-        LayoutError: no drive has this name, the share is out of range, or it is less than one motor of a
-            supply.
+        LayoutError: no drive has this name, the share is out of range, or it is less than one
+            motor of a supply.
     """
     if name not in DRIVES:
         raise LayoutError(f"no drive is named {name!r}; there are {', '.join(DRIVES)}")
