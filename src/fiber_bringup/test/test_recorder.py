@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder in a running graph: its recordings agree with the graph and the frames."""
 
+import os
+
 import numpy as np
 import pytest
+from rcl_interfaces.srv import GetParameters
 
+from fiber_bringup.processes import Processes
 from fiber_core.clearance import Safety, certify
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
@@ -118,23 +122,66 @@ def test_a_plan_that_was_replaced_is_recorded_as_one_that_did_not_run(run):
     assert replaced.load.frames.sum() == 0 and len(replaced.events.kind) == 0
 
 
-def test_a_plan_that_the_recorder_missed_is_named_and_keeps_the_recording_it_may_have(tmp_path):
-    plane = preset("desi", 7)
-    still, held = np.zeros((7, 2)), np.full(7, Outcome.HELD)
-    columns = held, np.full(7, Reason.NO_TARGET), np.full(7, np.nan)
+class Bridge:
+    """What a recorder hears of a bridge: a plane at rest, and plans that end."""
+
+    def __init__(self, peer):
+        self.plane, node = preset("desi", 7), peer.node
+        self.now_ns, self.session = node.get_clock().now().nanoseconds, Claim(node, BRIDGE).id
+        self._ended = topics.OUTCOME.publisher(node)
+        layouts, states = topics.LAYOUT.publisher(node), topics.JOINT_STATES.publisher(node)
+        ids, still, units = self.plane.ids, np.zeros((7, 2)), WireUnits.for_plane(self.plane)
+        layouts.publish(layout.encode(self.plane, units, PlanStamp(self.now_ns), self.session))
+        states.publish(joint_states.encode(ids, still + 3.0, still, self.now_ns, self.session))
+        self.kept = layouts, states
+
+    def end(self, stamp):
+        held = np.full(7, Outcome.HELD), np.full(7, Reason.NO_TARGET), np.full(7, np.nan)
+        self._ended.publish(outcome.encode(self.plane.ids, *held, stamp, self.session))
+
+
+def test_a_recorder_that_writes_answers_at_once(tmp_path):
+    with RosClient("bridge") as peer, Processes(tmp_path) as nodes:
+        bridge, reports = Bridge(peer), peer.collect(topics.PROGRESS)
+        stamp = PlanStamp(bridge.now_ns + 3600 * 10**9)
+        slow = tmp_path / (recording_name(stamp) + ".part")
+        os.mkfifo(slow)  # that opens when somebody reads
+        nodes.start("fiber_recording", "recorder", {"folder": str(tmp_path)})
+        asked = peer.node.create_client(GetParameters, "recorder/get_parameters")
+        peer.wait_for(asked.service_is_ready, 60.0, "the recorder")
+        bridge.end(stamp)
+        peer.wait_for(
+            lambda: any("writing" in each.text for each in map(progress.decode, reports)),
+            60.0,
+            "a recording that is being written",
+        )
+        answer = asked.call_async(GetParameters.Request(names=["folder"]))
+        peer.wait_for(answer.done, 20.0, "an answer of the recorder")
+        with open(slow, "rb") as file:
+            file.read()
+
+
+def test_an_outcome_that_is_told_again_leaves_the_recording_as_it_is(tmp_path):
     with RosClient("bridge") as peer:
-        now_ns = peer.node.get_clock().now().nanoseconds
-        session = Claim(peer.node, BRIDGE).id
-        ended = topics.OUTCOME.publisher(peer.node)
-        layouts = topics.LAYOUT.publisher(peer.node)
-        states = topics.JOINT_STATES.publisher(peer.node)
-        reports = peer.collect(topics.PROGRESS)
-        units = WireUnits.for_plane(plane)
-        layouts.publish(layout.encode(plane, units, PlanStamp(now_ns), session))
-        states.publish(joint_states.encode(plane.ids, still + 3.0, still, now_ns, session))
-        before, after = PlanStamp(now_ns), PlanStamp(now_ns + 3600 * 10**9)
+        bridge = Bridge(peer)
+        peer.add_node(RecorderNode, folder=str(tmp_path))
+        stamps = [PlanStamp(bridge.now_ns + k * 10**9) for k in (3600, 3700)]
+        paths = [tmp_path / recording_name(stamp) for stamp in stamps]
+        bridge.end(stamps[0])
+        peer.wait_for(paths[0].exists, 60.0, "a recording")
+        paths[0].unlink()
+        for stamp in stamps:  # a bridge tells of the plan of the bridge before
+            bridge.end(stamp)
+        peer.wait_for(paths[1].exists, 60.0, "a recording of the next plan")
+        assert not paths[0].exists()
+
+
+def test_a_plan_that_the_recorder_missed_is_named_and_keeps_the_recording_it_may_have(tmp_path):
+    with RosClient("bridge") as peer:
+        bridge, reports = Bridge(peer), peer.collect(topics.PROGRESS)
+        before, after = PlanStamp(bridge.now_ns), PlanStamp(bridge.now_ns + 3600 * 10**9)
         for stamp in (before, after):
-            ended.publish(outcome.encode(plane.ids, *columns, stamp, session))
+            bridge.end(stamp)
         peer.add_node(RecorderNode, folder=str(tmp_path))
         later = tmp_path / recording_name(after)
         peer.wait_for(later.exists, 60.0, "the recording of a plan that ended later")

@@ -155,7 +155,7 @@ def keep_inside(task: Task, corridors: Corridors, places: Rows, paths: Floats, p
     return inside
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def free_intervals(task: Task) -> tuple[Floats, Floats]:
     """Return how far one joint of every robot can turn at each sample, all others as they are.
 

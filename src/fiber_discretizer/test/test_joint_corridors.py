@@ -2,13 +2,15 @@
 """Corridors of sent orders: no robots meet inside, and neighbours are at their bounds."""
 
 import itertools
+import threading
+import time
 
 import numpy as np
 import pytest
 
 from fiber_core.clearance import Safety, certified_pairs, gaps, levers_of
 from fiber_core.fields import random_field
-from fiber_core.motion import SampledMotion
+from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import discretize, joint_corridors
@@ -77,3 +79,25 @@ def test_every_bound_is_at_a_neighbour_at_a_limit_or_far_away(case):
             assert spare.min() < FINEST_RAD * levers[row, joint] + 1e-5, (row, joint, k)
             bounds_met += 1
     assert bounds_met > 20
+
+
+def all_turn(robots):
+    """A plane, and a motion that turns all joints to other places, safe or not."""
+    plane = preset("desi", robots)
+    start, end = (random_field(plane, np.random.default_rng(k)).problem.start for k in (6, 7))
+    offsets, seconds = np.arange(2 * robots + 1), np.full(2 * robots, 2.0)
+    return plane, SegmentMotion(start, offsets, seconds, (end - start).ravel() / 2.0)
+
+
+def test_other_threads_run_while_corridors_are_traced():
+    # the discretizer computes them when the orders are out, and answers meanwhile
+    joint_corridors(*all_turn(7), SAFETY)  # compiles
+    work = threading.Thread(target=joint_corridors, args=(*all_turn(2000), SAFETY))
+    work.start()
+    begin_s = last_s = time.monotonic()
+    longest_s = 0.0
+    while work.is_alive():
+        time.sleep(0.001)
+        before_s, last_s = last_s, time.monotonic()
+        longest_s = max(longest_s, last_s - before_s)
+    assert longest_s < 0.25 * (last_s - begin_s)

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
@@ -29,16 +30,23 @@ class SessionGate:
     Args:
         node: the node that receives.
         refuse: called with the name of the topic and the reason.
+        group: callback group of the subscriptions; the default one of the node without one.
     """
 
-    def __init__(self, node: Node, refuse: Callable[[str, str], None]):
-        self._node, self._refuse = node, refuse
+    def __init__(
+        self,
+        node: Node,
+        refuse: Callable[[str, str], None],
+        group: CallbackGroup | None = None,
+    ):
+        self._node, self._refuse, self._group = node, refuse, group
         self._open: set[str] = set()  # sessions seen in the graph; closed ones are found by is_open
         self._layout: Any = None  # the last one that passed
         self._kept: dict[str, tuple[float, str, Any, Callable[[Any], None]]] = {}
         self._timer = node.create_timer(
             _CHECK_PERIOD_S,
             guarded(node, "sessions", self._check_kept),
+            callback_group=group,
             clock=Clock(clock_type=ClockType.STEADY_TIME),
             autostart=False,
         )
@@ -46,7 +54,9 @@ class SessionGate:
     def subscription(self, topic: Topic, callback: Callable[[Any], None]) -> Subscription:
         """Return a subscription that calls with the messages of open sessions."""
         return topic.subscription(
-            self._node, lambda message: self._on_message(topic.name, message, callback)
+            self._node,
+            lambda message: self._on_message(topic.name, message, callback),
+            callback_group=self._group,
         )
 
     def is_open(self, session: str) -> bool:

@@ -6,6 +6,7 @@ robots move it only keeps messages; it builds the recording after the plan has e
 """
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState, PointCloud2
@@ -52,6 +54,7 @@ __all__ = ["RecorderNode", "main", "recording_name"]
 
 _CHECK_PERIOD_S = 0.2  # time between two checks of the plans that have ended
 _COMPLETION_S = 10.0  # longest wait for the last frames and encoder readings of an ended plan
+_HEARD = 64
 _NO_FRAMES_S = 1.0  # an ended plan without frames for this long had none
 
 
@@ -116,9 +119,12 @@ class RecorderNode(PlaneNode):
         self._states: JointState | None = None
         self._states_at_rest: JointState | None = None
         self._received, self._images = ReceivedPlans(), ImagesOfPlans()
+        self._heard: deque[PlanStamp] = deque(maxlen=_HEARD)  # plans whose outcome has come
         self._began_ns = self.get_clock().now().nanoseconds
         self._report = Reporter(self, "recorder")
-        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
+        # a recording takes a second to write, in which the default group serves parameters
+        work = MutuallyExclusiveCallbackGroup()
+        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic), work)
         for topic, observe in (
             (topics.LAYOUT, self._on_layout),
             (topics.JOINT_STATES, self._on_joint_states),
@@ -134,10 +140,11 @@ class RecorderNode(PlaneNode):
             (topics.CORRIDORS, self._on_corridors),
             (topics.FRAMES, self._on_frames),
         ):
-            topic.subscription(self, self._refusing(topic.name, observe))
+            topic.subscription(self, self._refusing(topic.name, observe), callback_group=work)
         self.create_timer(
             _CHECK_PERIOD_S,
             guarded(self, "recordings", self._write_ended_plans),
+            callback_group=work,
             clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
         folder = self._config.value.folder
@@ -197,6 +204,9 @@ class RecorderNode(PlaneNode):
     def _on_outcome(self, message: PointCloud2) -> None:
         stamp = PlanStamp.of(message)
         ended = PlanOutcome(stamp.ns, *outcome.decode(message))
+        if stamp in self._heard:
+            return  # a bridge tells again how the last plan of the bridge before has ended
+        self._heard.append(stamp)
         plan = self._received.plan(stamp)
         plan.outcome, plan.outcome_s = ended, time.monotonic()
         self._report.debug(f"plan {stamp} has ended: waits for the last frames")

@@ -229,7 +229,7 @@ class _Stops:
         first_stop_s = orders.stop_s.min(initial=np.inf)
         stop_all_s = first_stop_s - begin_s
         lost = []  # row, last reported encoders
-        reports = self._reports
+        reports, ends = self._reports, motion.end
         for row, stop_s, until_s in zip(
             orders.row.tolist(), orders.stop_s.tolist(), next_s.tolist()
         ):
@@ -239,7 +239,7 @@ class _Stops:
             moving = at is not None and reports.state[at] == RobotState.MOVING
             if at is None or (moving and reports.time_s[at] < begin_s + ends_s[row]):
                 lost.append((row, motion.start[row] if at is None else reports.position[at]))
-            elif (reports.position[at] != motion.end[row]).any():
+            elif (reports.position[at] != ends[row]).any():
                 set_stop(row, stop_s, reports.position[at])
         answering = self._bus[reports.rows_since(first_stop_s)]  # buses with a later report
         whole = Phase.whole(motion)
