@@ -2,6 +2,8 @@
 """The bridge remembers its robots over a restart, and believes no place that is not vouched for."""
 
 import json
+import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -143,6 +145,41 @@ def test_a_stop_that_the_bridge_does_not_survive_still_waits_for_an_operator(nig
     assert [each.name for each in night.path.parent.glob("robots*")] == ["robots.json"]
     night.restart()
     assert night.bridge._session.state is SessionState.IDLE
+
+
+def test_stop_does_not_wait_for_a_slow_disk(night, monkeypatch):
+    night.ready(9, turning(ticks=1000))
+    assert night.call(topics.START).success
+    disk_s, written = 20.0, threading.Event()
+    touch, go_on = Path.touch, threading.Event()
+
+    def slow(path, *given):
+        go_on.wait(disk_s)
+        touch(path, *given)
+        written.set()
+
+    monkeypatch.setattr(Path, "touch", slow)
+    try:
+        assert night.call(topics.STOP).success
+        assert night.bridge._session.state is SessionState.STOPPED and not written.is_set()
+        night.until(lambda: "the stop is not noted" in night.status().text)
+        assert "the next bridge takes the stop for its own" in night.status().text
+    finally:
+        go_on.set()
+    assert written.wait(disk_s)
+
+
+def test_a_stop_that_cannot_be_noted_is_sent_and_says_what_is_left(night, monkeypatch):
+    night.ready(9, turning(ticks=1000))
+    assert night.call(topics.START).success
+
+    def full(*_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(Path, "touch", full)
+    assert night.call(topics.STOP).success
+    assert night.bridge._session.state is SessionState.STOPPED
+    night.until(lambda: "no space left on device: if the bridge dies" in night.status().text)
 
 
 def test_vouching_at_the_start_has_no_effect_and_is_named(peer_log, night):

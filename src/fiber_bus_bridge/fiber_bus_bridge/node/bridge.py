@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
-import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -20,9 +19,10 @@ from fiber_bus_bridge.node.accepted_plans import AcceptedPlans
 from fiber_bus_bridge.node.attempts import Attempts
 from fiber_bus_bridge.node.declared_parameters import declare_bridge
 from fiber_bus_bridge.node.disabled_parameter import follow_disabled_parameter
-from fiber_bus_bridge.node.hardware import SLICE_S, Hardware, open_hardware
+from fiber_bus_bridge.node.hardware import Hardware, open_hardware
 from fiber_bus_bridge.node.locked_calls import LockedCalls
 from fiber_bus_bridge.node.measured_robots import MeasuredRobots
+from fiber_bus_bridge.node.motion import BusTime, Motion
 from fiber_bus_bridge.node.operator_changes import OperatorChanges
 from fiber_bus_bridge.node.outlines import Outlines
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
@@ -40,8 +40,6 @@ from fiber_node import BRIDGE, ManagedNode, run
 
 __all__ = ["BridgeNode", "main"]
 
-_TICK_S = 0.05  # time of the buses between two publications while robots move
-_SOON_S = 1e-3
 _CHECK_PERIOD_S = 0.25
 _REPEAT_PERIOD_S = 1.0  # of layout and joint states at rest
 _Response: TypeAlias = Trigger.Response
@@ -104,7 +102,7 @@ class BridgeNode(ManagedNode):
         self._hardware = hardware
         self._tap = Tap(hardware.buses, hardware.timing) if self._capture else None
         self._session = hardware.session(given.safety, given.session, self._tap)
-        self._time_s = self._due_s = 0.0
+        self._time = BusTime(self._session, hardware)
         memory = memory_path(given.memory, hardware)
         self._availability = given.disabled.availability(plane, memory)
         self._session.enable(self._availability.enabled)
@@ -123,29 +121,24 @@ class BridgeNode(ManagedNode):
         )  # fmt: skip
         self._measured = MeasuredRobots(
             self._session, plane, self._availability, self._attempts, self._outlines,
-            self._outgoing, self.reporter, self._now_s, self._remembered.save_or_warn,
+            self._outgoing, self.reporter, self._time.now_s, self._remembered.save_or_warn,
+        )  # fmt: skip
+        self._motion = Motion(
+            self, self._calls, self._session, hardware, self._time, self._attempts,
+            self._outgoing, self._remembered, self._stop_requested, given.execution.time_scale,
+            self._work_group,
         )  # fmt: skip
         self._subscribe()
-        self._make_timers(given.execution.time_scale)
+        self._make_timers()
 
-    def _make_timers(self, scale: float) -> None:
-        in_real_time, work = self._hardware.in_real_time, self._work_group
-        pause_s = _SOON_S if in_real_time or not scale else _TICK_S / scale
-        # simulated buses follow the clock of the node, as one of use_sim_time; real ones cannot
+    def _make_timers(self) -> None:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(
-            pause_s,
-            guarded(self, "tick", self._calls.locked(self._on_tick)),
-            callback_group=work,
-            clock=steady if in_real_time else self.get_clock(),
-            autostart=False,
-        )
         for period_s, name, call, clock in (
             (_CHECK_PERIOD_S, "plans", self._check_plans, steady),
             (_REPEAT_PERIOD_S, "repeat", self._repeat, self.get_clock()),
         ):
             check = guarded(self, name, self._calls.locked(call))
-            self.create_timer(period_s, check, callback_group=work, clock=clock)
+            self.create_timer(period_s, check, callback_group=self._work_group, clock=clock)
 
     def deactivate(self) -> None:
         """Stop robots that move, and end all plans; orders that wait are forgotten.
@@ -154,10 +147,10 @@ class BridgeNode(ManagedNode):
         """
         with self._stopping(), self._lock:
             if self._session.state is SessionState.MOVING:
-                self._session.stop(self._now_s())
+                self._session.stop(self._time.now_s())
             elif self._session.state is SessionState.READY:
-                self._session.clear(self._now_s())
-            self._publish_changes(last=True)
+                self._session.clear(self._time.now_s())
+            self._motion.publish_changes(last=True)
             self._attempts.end_all(Reason.STOPPED, "the bridge is deactivated")
         self.get_logger().info(f"deactivated: {self._session.state.value}")
 
@@ -182,7 +175,7 @@ class BridgeNode(ManagedNode):
         return Attempts(
             self, watch, self._session, self._claim.id, accepted, inputs, self._availability,
             self._outlines, self._outgoing, self.reporter, self._parameters_given.attempts,
-            self._stop_requested, self._now_s, self._start_orders, self._save_traffic,
+            self._stop_requested, self._time.now_s, self._start_orders, self._save_traffic,
         )  # fmt: skip
 
     def _subscribe(self) -> None:
@@ -220,8 +213,8 @@ class BridgeNode(ManagedNode):
         at_rest = self._session.state in (SessionState.IDLE, SessionState.READY)
         if self._others.stay() and at_rest:
             self._attempts.end_all(Reason.STOPPED, "another bridge is in the graph")
-            self._session.clear(self._now_s())
-            self._publish_changes(last=True)
+            self._session.clear(self._time.now_s())
+            self._motion.publish_changes(last=True)
             self._session.protocol.state = State.UNCONFIGURED
             self.reporter.refuse("another bridge is in the graph: end one, then configure")
 
@@ -261,14 +254,14 @@ class BridgeNode(ManagedNode):
             raise SessionError("another bridge of this plane is in the graph")
 
     def _start_orders(self) -> str:
-        self._session.start(self._now_s(), self._may_go)
+        self._session.start(self._time.now_s(), self._may_go)
         self._attempts.forget_replaced()
         return self._report_started()
 
     def _home(self) -> str:
         self._check_role()
         self._attempts.end_all(Reason.NOT_PLANNED, "the robots go home")
-        self._session.home(self._now_s(), self._may_go)
+        self._session.home(self._time.now_s(), self._may_go)
         self._attempts.begin_home()
         return self._report_started()
 
@@ -286,52 +279,52 @@ class BridgeNode(ManagedNode):
     def _report_started(self) -> str:
         loaded_plan, current = self._session.loaded_plan, self._attempts.current
         started = 0 if loaded_plan is None else int(loaded_plan.started.sum())
-        self._publish_changes()
+        self._motion.publish_changes()
         if self._session.state is SessionState.MOVING:
-            self._due_s = self._time_s
-            self._timer.reset()
+            self._motion.begin()
         return f"plan {current}: {started} robots started"
 
     @contextmanager
     def _stopping(self) -> Iterator[None]:
         """Let no start send its GO, and end planning and discretizing."""
         self._stop_requested.set()  # a start that is still checking will not send GO
-        self._remembered.note_stop()
+        self._remembered.stop_note.begin()
         now, newest = PlanStamp(self._outgoing.now_ns()), self._attempts.newest
         self._stopped.publish((now if newest is None else max(now, newest)).to_time())
         try:
             yield
         finally:
             self._stop_requested.clear()
+            self._remembered.stop_note.finish()
 
     def _on_stop(self, request: Any, response: _Response) -> _Response:
         with self._stopping():
             return self._calls.serving(topics.STOP.name, self._stop)(request, response)
 
     def _stop(self) -> str:
-        self._session.stop(self._now_s())
-        self._publish_changes(last=True)
+        self._session.stop(self._time.now_s())
+        self._motion.publish_changes(last=True)
         self._attempts.end_all(Reason.STOPPED, "stopped")
         return f"stopped: {SessionState.STOPPED.value}"
 
     def _clear(self) -> str:
-        self._session.clear(self._now_s())
+        self._session.clear(self._time.now_s())
         self._availability.restore()
-        self._publish_changes(last=True)
+        self._motion.publish_changes(last=True)
         self._attempts.end_all(Reason.NOT_PLANNED, "cleared")
         self._attempts.forget_stamps()
         self._outgoing.publish_layout()
         return self._session.state.value
 
     def _find_robots(self, restore: bool = False) -> str:
-        self._session.configure(self._now_s())
+        self._session.configure(self._time.now_s())
         if Event.FOUND_ALONE in [step.event for step in self._session.take_transitions()]:
             self.get_logger().warning("robots that had stopped by themselves are cleared")
         if restore:  # not at the start: robots that failed before a restart have failed
             self._availability.restore()
         self._attempts.end_all(Reason.NOT_PLANNED, "configured")
         self._outgoing.publish_layout(always=True)
-        self._publish_changes()
+        self._motion.publish_changes()
         return f"{self._session.known.sum()} of {self._session.plane.n} robots configured"
 
     def _disable(self, ids: Sequence[int], reason: str) -> None:
@@ -346,54 +339,6 @@ class BridgeNode(ManagedNode):
                 self._operators.vouch(ids)
             elif ids:
                 raise SessionError("robots cannot be vouched for before the bridge is configured")
-
-    # --- motion --------------------------------------------------------------
-
-    def _now_s(self) -> float:
-        """The time of the buses [s]."""
-        free_s = self._session.transactions.now_s
-        self._time_s = max(self._time_s, free_s, self._hardware.clock())
-        return self._time_s
-
-    def _on_tick(self) -> None:
-        if self._session.state is SessionState.MOVING:
-            self._advance()
-            self._publish_changes()
-        else:
-            # in this thread and never in the one that serves stop: a timer that is cancelled
-            # when it is due fails in rclpy as it is taken, with its whole callback group
-            self._timer.cancel()
-
-    def _advance(self) -> None:
-        # from tick to tick, independent of the time that the polls take on the buses
-        clock, slice_s = self._hardware.clock, min(self._hardware.slice_s, SLICE_S)
-        until_s = max(self._due_s, clock()) + _TICK_S
-        while self._due_s < until_s and self._session.state is SessionState.MOVING:
-            self._due_s = min(max(self._due_s, clock()) + slice_s, until_s)
-            self._session.advance(self._due_s)
-            if self._stop_requested.is_set():
-                return
-
-    def _publish_changes(self, last: bool = False) -> None:
-        """Publish the changes of a call; after a last call a plan gets no further attempt."""
-        self._publish_state(last)
-        if self._session.state is not SessionState.MOVING:
-            self._remembered.save_or_warn()
-
-    def _publish_state(self, last: bool) -> None:
-        self._now_s()
-        current = self._attempts.current
-        self._outgoing.publish_frames(None if current is None else current.stamp)
-        self._outgoing.publish_encoders()
-        if current is None:
-            return
-        loaded_plan = self._session.loaded_plan
-        if self._session.state is SessionState.MOVING and loaded_plan is not None:
-            makespan_s = max(loaded_plan.motion.decoded().makespan_s, _TICK_S)
-            fraction = np.clip((self._time_s - loaded_plan.start_s) / makespan_s, 0.0, 1.0)
-            self.reporter.progress(current, float(fraction), "robots are moving")
-        elif (result := self._session.take_result()) is not None:
-            self._attempts.finish(current, result, last)
 
 
 def main(args: list[str] | None = None) -> int:

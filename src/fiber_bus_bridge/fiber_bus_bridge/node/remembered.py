@@ -9,6 +9,7 @@ from pathlib import Path
 from fiber_bus_bridge.availability import Availability
 from fiber_bus_bridge.errors import BridgeError
 from fiber_bus_bridge.node.hardware import Hardware
+from fiber_bus_bridge.node.stop_note import StopNote
 from fiber_bus_bridge.robot_memory import RobotMemory, fingerprint, load_memory, save_memory
 from fiber_bus_bridge.session import Session
 
@@ -47,7 +48,7 @@ def memory_path(config: MemoryConfig, hardware: Hardware) -> Path | None:
 
 
 class Remembered:
-    """Keeps the memory of the robots of a session in a file.
+    """Keeps the memory of the robots of a session in a file, and notes stops beside it.
 
     Args:
         session: the session, not configured yet.
@@ -68,12 +69,12 @@ class Remembered:
         self._session, self._availability, self._path = session, availability, path
         self._saved: RobotMemory | None = None
         self._warn = warn
+        self.stop_note = StopNote(path, warn)
         if path is None:
             return
-        self._stop_note = path.with_name(path.name + ".stop")
         memory = self._load(path, hardware, warn)
         if memory is not None:
-            if self._stop_note.exists():
+            if self.stop_note.found:
                 memory = replace(memory, stopped=True, moving=False)
             session.recall(memory)
             availability.failed = memory.failed.copy()
@@ -94,19 +95,6 @@ class Remembered:
                 "neighbours rest until it is read or vouched for"
             )
             return None
-
-    def note_stop(self) -> None:
-        """Note that a stop was asked for, before it is sent; the next save at rest takes it over.
-
-        The note is an empty file beside the memory, which takes some 0.05 ms to make. It outlives
-        this process, and not a loss of power of the computer.
-        """
-        if self._path is None:
-            return
-        try:
-            self._stop_note.touch(0o600)
-        except OSError as error:
-            self._warn(f"a stop is not noted beside the memory of the robots: {error}")
 
     def save_or_warn(self) -> None:
         """Save what has changed; tell when the file cannot be written."""
@@ -131,7 +119,4 @@ class Remembered:
             save_memory(self._path, memory, self._session.plane, self._session.units.quantum_prad)
             self._saved = memory
         if not memory.moving:
-            try:
-                self._stop_note.unlink(missing_ok=True)
-            except OSError as error:
-                self._warn(f"the note of a stop beside the memory of the robots stays: {error}")
+            self.stop_note.remove()
