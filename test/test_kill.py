@@ -2,11 +2,15 @@
 """A short kill campaign: processes are killed and paused in motion, and the truth is the judge."""
 
 import importlib
+import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from fiber_client import PlaneClient
 from fiber_core.outcomes import Outcome
+from fiber_msgs_py import PlanStamp, session_of, topics
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -43,15 +47,51 @@ def judge_motion(line):
         (3, ALL_AT_ONCE, "kill", "loading"),
         (4, [], "strangers", "moving"),
         (5, [], "services", "moving"),
+        (8, ["client", "bridge"], "kill", "moving"),
     ],
 )
 def test_robots_never_touch_nor_move_unverified(campaign, number, names, how, stage):
     line = campaign.run(number, names=names, how=how, stage=stage, pause_s=0.8)
     judge_motion(line)
     assert line["next_s"] < MOST_S, f"the graph does not come back: {line}"
+    assert line["ended"] != "nothing", f"the plan has no end: {line}"
     if how == "kill" and names[0] == "bridge":
         refused = [why for why in line["why"] if "clear first" in why]
         assert not refused, f"an operator had to clear first: {line}"
+
+
+def test_a_plan_whose_bridge_and_client_are_killed_ends_once_and_for_late_listeners(campaign):
+    client, processes = campaign._client, campaign._processes
+    told, before = client.collect(topics.OUTCOME), campaign._newest
+    campaign._operate()
+    arguments = ["--timeout", "60", "random:77"]
+    processes.start_command("fiber_client", "reconfigure", arguments)
+    client.wait_for(lambda: campaign._newest != before, 60.0, "a plan")
+    stamp = campaign._newest
+    client.wait_for(lambda: client.moving, 60.0, "motion")
+    for name in ("reconfigure", "bridge"):
+        processes.send(name, signal.SIGKILL)
+    processes.restart("bridge")
+    client.wait_for(lambda: stamp in client.outcomes, 60.0, "the outcome of the plan")
+    outcome = client.outcomes[stamp]
+    assert load("kill_judge").count_false(
+        client.plane, outcome, campaign._sent, campaign._truth.since(0)
+    ) == 0  # fmt: skip
+    assert np.array_equal(outcome.ids, client.plane.ids)
+    processes.send("bridge", signal.SIGKILL)
+    processes.restart("bridge")
+
+    def sessions():
+        return [session_of(message) for message in told if PlanStamp.of(message) == stamp]
+
+    client.wait_for(lambda: len(set(sessions())) == 2, 60.0, "the same of the next bridge")
+    with PlaneClient() as late:
+        late.wait_for(lambda: stamp in late.outcomes, 60.0, "what the bridge before has told")
+        for column in ("outcome", "reason", "error_mm"):
+            first, again = getattr(outcome, column), getattr(late.outcomes[stamp], column)
+            np.testing.assert_array_equal(first, again)
+    client.wait_for_graph(60.0)
+    assert len(sessions()) == 2, "each bridge tells it once"
 
 
 def test_the_judge_counts_robots_that_stand_elsewhere_than_reported(campaign):

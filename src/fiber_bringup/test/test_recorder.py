@@ -145,7 +145,7 @@ def test_a_recorder_that_writes_answers_at_once(tmp_path):
         bridge, reports = Bridge(peer), peer.collect(topics.PROGRESS)
         stamp = PlanStamp(bridge.now_ns + 3600 * 10**9)
         slow = tmp_path / (recording_name(stamp) + ".part")
-        os.mkfifo(slow)  # that opens when somebody reads
+        os.mkfifo(slow)  # it opens when it is read
         nodes.start("fiber_recording", "recorder", {"folder": str(tmp_path)})
         asked = peer.node.create_client(GetParameters, "recorder/get_parameters")
         peer.wait_for(asked.service_is_ready, 60.0, "the recorder")

@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome, Reason, first_reason
 from fiber_core.wire_units import WireMotion
 
-__all__ = ["LoadedPlan", "Plan", "PlanResult", "evaluate"]
+__all__ = ["LoadedPlan", "Plan", "PlanResult", "Started", "Starting", "evaluate"]
 
 # reasons of the bus for which an earlier stage may know the cause
 _VAGUE = (Reason.NOT_PLANNED, Reason.OFF_TARGET)
@@ -117,6 +118,33 @@ class LoadedPlan:
         return self.motion.decoded().makespan_s
 
 
+class Started(Protocol):
+    """What the result of a plan needs of a phase that was, or is about to be, started."""
+
+    @property
+    def started(self) -> Mask:
+        """Robots that were started, shape (n,)."""
+        ...
+
+    @property
+    def reason(self) -> Codes:
+        """Reason of robots with orders that were not started, else OK, shape (n,)."""
+        ...
+
+    @property
+    def motion(self) -> WireMotion:
+        """The orders."""
+        ...
+
+
+class Starting(NamedTuple):
+    """A phase that is about to be started, as in Started."""
+
+    started: Mask
+    reason: Codes
+    motion: WireMotion
+
+
 @dataclass(frozen=True, eq=False)
 class PlanResult:
     """Result of each robot at the end of a plan.
@@ -148,7 +176,7 @@ class PlanResult:
 def evaluate(
     plane: FocalPlane,
     plan: Plan,
-    loaded_plan: LoadedPlan | None,
+    loaded_plan: Started | None,
     counts: Counts,
     known: Mask,
     arrived: Mask,

@@ -11,14 +11,12 @@ of ids, buses and addresses), the size of a quantum, and a checksum of all of it
 """
 
 import hashlib
-import json
-import os
-import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
+from fiber_bus_bridge.checked_file import int_column, read_checked, write_checked
 from fiber_bus_bridge.errors import BridgeError
 from fiber_core.array_types import Codes, Counts, Ints, Mask
 from fiber_core.focal_plane import FocalPlane
@@ -26,8 +24,8 @@ from fiber_core.outcomes import Reason
 
 __all__ = ["RobotMemory", "fingerprint", "load_memory", "save_memory"]
 
+_NAME = "memory of the robots"
 _FORMAT = "robot memory of fiber_bus_bridge, 1"
-_LARGEST = 2**31 - 1  # quanta that a joint can be away from zero
 _COLUMNS = ("theta", "phi", "placed", "lost", "boot", "failed")
 
 
@@ -99,22 +97,7 @@ def save_memory(path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad
         "stopped": int(memory.stopped),
         "moving": int(memory.moving),
     }
-    content["checksum"] = _checksum(content)
-    fresh = path.with_name(path.name + ".new")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(fresh, "w", encoding="utf-8") as file:
-            json.dump(content, file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(fresh, path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)  # the new name is on disk, too
-        finally:
-            os.close(folder)
-    except OSError as error:
-        raise BridgeError(f"memory of the robots {path}: {error}") from error
+    write_checked(path, content, _NAME)
 
 
 def load_memory(path: Path, plane: FocalPlane, quantum_prad: int, buses: int) -> RobotMemory | None:
@@ -130,22 +113,15 @@ def load_memory(path: Path, plane: FocalPlane, quantum_prad: int, buses: int) ->
         BridgeError: the file is damaged, or of another plane; names what is wrong.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, RecursionError) as error:
-        raise BridgeError(f"memory of the robots {path}: {error}") from error
-    try:
-        return _memory(content, plane, quantum_prad, buses)
+        content = read_checked(path, _FORMAT)
+        return None if content is None else _memory(content, plane, quantum_prad, buses)
     except BridgeError as error:
-        raise BridgeError(f"memory of the robots {path}: {error}") from error
+        raise BridgeError(f"{_NAME} {path}: {error}") from error
 
 
-def _memory(content: object, plane: FocalPlane, quantum_prad: int, buses: int) -> RobotMemory:
-    if not isinstance(content, dict) or content.get("format") != _FORMAT:
-        raise BridgeError(f"is not a {_FORMAT!r}")
-    if content.get("checksum") != _checksum(content):
-        raise BridgeError("its checksum is wrong")
+def _memory(
+    content: dict[str, object], plane: FocalPlane, quantum_prad: int, buses: int
+) -> RobotMemory:
     for name, expected in (
         ("plane", fingerprint(plane)),
         ("quantum_prad", quantum_prad),
@@ -153,7 +129,9 @@ def _memory(content: object, plane: FocalPlane, quantum_prad: int, buses: int) -
     ):
         if content.get(name) != expected:
             raise BridgeError(f"{name} differs: it is of another plane")
-    theta, phi, placed, lost, boot, failed = (_column(content, name, plane.n) for name in _COLUMNS)
+    theta, phi, placed, lost, boot, failed = (
+        int_column(content, name, plane.n) for name in _COLUMNS
+    )
     if not np.isin(failed, [int(reason) for reason in Reason]).all():
         raise BridgeError("failed holds a number that is no reason")
     return RobotMemory(
@@ -162,7 +140,7 @@ def _memory(content: object, plane: FocalPlane, quantum_prad: int, buses: int) -
         lost.astype(bool),
         boot,
         failed,
-        _column(content, "sequence", buses),
+        int_column(content, "sequence", buses),
         _flag(content, "stopped"),
         _flag(content, "moving"),
     )
@@ -173,18 +151,3 @@ def _flag(content: dict[str, object], name: str) -> bool:
     if type(value) is not int or value not in (0, 1):
         raise BridgeError(f"{name} is {value!r}, expected 0 or 1")
     return bool(value)
-
-
-def _column(content: dict[str, object], name: str, length: int) -> Ints:
-    values = content.get(name)
-    if not isinstance(values, list) or len(values) != length:
-        raise BridgeError(f"{name} is not a list of {length} numbers")
-    for value in values:
-        if type(value) is not int or abs(value) > _LARGEST:
-            raise BridgeError(f"{name} holds {value!r}")
-    return np.array(values, dtype=np.int64)
-
-
-def _checksum(content: dict[str, object]) -> int:
-    rest = {name: value for name, value in content.items() if name != "checksum"}
-    return zlib.crc32(json.dumps(rest, sort_keys=True).encode())

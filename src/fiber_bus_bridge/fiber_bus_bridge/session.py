@@ -23,7 +23,7 @@ from fiber_bus_bridge.protocol import (
     handle,
     run,
 )
-from fiber_bus_bridge.protocol.ending import end_plan
+from fiber_bus_bridge.protocol.ending import end_plan, look, so_far
 from fiber_bus_bridge.protocol.loading import begin_plan
 from fiber_bus_bridge.robot_memory import RobotMemory
 from fiber_bus_bridge.session_config import SessionConfig
@@ -185,6 +185,30 @@ class Session:
             self.state is SessionState.STOPPED,
             starting or self.state is SessionState.MOVING,
         )  # fmt: skip
+
+    def so_far(self) -> PlanResult:
+        """Return the result of the plan if its controller dies after the GO that is about to go.
+
+        Of the robots that are verified, and so are started, it tells nothing.
+        """
+        return so_far(self.protocol)
+
+    def look_back(self, wanted: bool) -> None:
+        """Let `configure` find out why each robot rests, for a plan that an earlier session left.
+
+        The Reasons are in the column `cause`, OK for a robot that carried out its orders.
+        """
+        self.protocol.left_plan = wanted
+
+    def look(self, t: float) -> Mask:
+        """Read the robots that moved when they were read last; return those that move still, (n,).
+
+        Raises:
+            SessionError: a plan is under way.
+        """
+        self._require(Event.ENABLE, "look for moving robots")
+        self.protocol.t = t
+        return look(self.protocol)
 
     def recall(self, memory: RobotMemory) -> None:
         """Take over what was remembered before a restart, before the robots are configured.

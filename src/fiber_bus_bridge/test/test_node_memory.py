@@ -12,9 +12,12 @@ from rest_of_graph import COUNTS, PLANE, UNITS, Rest, problem_file, turning
 
 import fiber_bus_bridge.node.hardware
 from fiber_bus_bridge import BridgeError, SessionState
+from fiber_bus_bridge.left_plan import LeftPlan, load_left_plan, save_left_plan
+from fiber_bus_bridge.plan_result import PlanResult
 from fiber_bus_bridge.robot_memory import RobotMemory, load_memory, save_memory
-from fiber_core.outcomes import Reason
-from fiber_msgs_py import diagnostics, topics
+from fiber_core.outcomes import Outcome, Reason
+from fiber_core.wire_units import WireMotion
+from fiber_msgs_py import PlanStamp, diagnostics, session_of, topics
 from fiber_node import RosClient
 
 pytestmark = pytest.mark.timeout(600)
@@ -180,6 +183,84 @@ def test_a_stop_that_cannot_be_noted_is_sent_and_says_what_is_left(night, monkey
     assert night.call(topics.STOP).success
     assert night.bridge._session.state is SessionState.STOPPED
     night.until(lambda: "no space left on device: if the bridge dies" in night.status().text)
+
+
+def unfolding(ticks, counts=COUNTS):
+    """Orders that turn every phi, which moves fibres off their places at once."""
+    offsets = np.repeat(np.arange(8), 2)[:-1]
+    return WireMotion(UNITS, counts, offsets, np.full(7, ticks), np.full(7, -700))
+
+
+def outcomes_of(night, ns):
+    return [m for m in night.received[topics.OUTCOME.name] if PlanStamp.of(m).ns == ns]
+
+
+@pytest.mark.parametrize("dies_again", [False, True])
+def test_the_next_bridge_tells_how_a_plan_ended_whose_bridge_died(night, monkeypatch, dies_again):
+    night.ready(9, unfolding(ticks=300))
+    assert night.call(topics.START).success
+    night.restart()
+    result, reason, _ = night.end(9)
+    assert night.session == session_of(outcomes_of(night, 9)[0]), "it is of the new bridge"
+    assert set(result.tolist()) == {Outcome.HELD} and set(reason.tolist()) == {Reason.NO_HEARTBEAT}
+    before = outcomes_of(night, 9)[0].data
+    if dies_again:
+        night.restart()
+        night.end(9)
+    assert [message.data for message in outcomes_of(night, 9)] == [before]
+    night.ask(20, PLANE.ids, PLANE.centers + 3.0)  # and the plane is used as ever
+    night.ready(20, unfolding(10, night.counts()))
+    assert night.call(topics.START).success
+    night.end(20)
+    night.restart()
+    night.ask(30, PLANE.ids, PLANE.centers + 3.0)
+    assert not outcomes_of(night, 9) and not outcomes_of(night, 20), "each was told in its time"
+
+
+def test_what_was_known_before_the_go_and_what_the_robots_say_are_told(night):
+    night.robots.power([3], False, 0.0)
+    night.ready(9, unfolding(300))
+    assert night.call(topics.START).success
+    night.robots.power([5], False, night.bridge._session.transactions.now_s)
+    night.restart()
+    result, reason, _ = night.end(9)
+    assert result[3] == Outcome.HELD and reason[3] == Reason.NO_REPLY
+    assert result[5] == Outcome.FAILED and reason[5] == Reason.NO_REPLY
+    others = ~np.isin(PLANE.ids, (3, 5))
+    assert set(reason[others].tolist()) == {Reason.NO_HEARTBEAT}
+
+
+def test_robots_that_arrived_while_no_bridge_was_there_have_reached_their_targets(night):
+    night.ready(9, unfolding(50))
+    assert night.call(topics.START).success
+    with pytest.MonkeyPatch.context() as patch:  # the bridge dies as it would say so
+        patch.setattr("fiber_bus_bridge.node.publishers.Publishers.publish_outcome", lambda *_: 0)
+        patch.setattr("pathlib.Path.unlink", lambda *_, **__: None)
+        night.until(lambda: night.bridge._session.state is SessionState.IDLE)
+    night.restart()
+    assert set(night.end(9)[0].tolist()) == {Outcome.REACHED}
+
+
+def test_a_damaged_file_of_a_plan_is_refused_by_name(night):
+    path = night.path.with_name("robots.json.plan")
+    plan = LeftPlan(
+        9, np.full((7, 2), np.nan), np.full(7, -1), np.ones(7, dtype=bool),
+        PlanResult(np.ones(7, dtype=int), np.ones(7, dtype=int), np.full(7, np.nan)),
+    )  # fmt: skip
+    save_left_plan(path, plan, PLANE)
+    assert load_left_plan(path, PLANE).result.reason.tolist() == [1] * 7
+    with pytest.raises(BridgeError, match=r"robots\.json\.plan: it is of another plane"):
+        load_left_plan(path, PLANE.permuted(np.arange(6)))
+    text, rng = path.read_text(), np.random.default_rng(2)
+    for _ in range(200):
+        at = int(rng.integers(len(text)))
+        path.write_text(text[:at] + str(rng.integers(10)) + text[at + 1 :])
+        if path.read_text() != text and _parsed(path.read_text()) != _parsed(text):
+            with pytest.raises(BridgeError, match=r"robots\.json\.plan"):
+                load_left_plan(path, PLANE)
+    path.write_text(text[:-9])
+    night.restart()
+    night.until(lambda: "how that plan ended is not told" in night.status().text)
 
 
 def test_vouching_at_the_start_has_no_effect_and_is_named(peer_log, night):

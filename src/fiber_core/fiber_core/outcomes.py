@@ -63,7 +63,9 @@ class Reason(IntEnum):
     BUS_FAILED = 69  # the lines of the bus are stuck: the robot cannot be reached
     REBOOTED = 70  # the robot booted, and lost its configuration and its order
     STALLED = 71  # a joint did not follow
-    NO_HEARTBEAT = 72  # received no heartbeat, unlike others on the bus, and stopped itself
+    NO_HEARTBEAT = (
+        72  # received none, unlike others on the bus or as the bridge died: stopped itself
+    )
     OVERDUE = 73  # still on the way when the time for its order was over
     # of a robot that is well
     OTHER_FAILED = 74  # another robot failed: all were stopped and did not resume

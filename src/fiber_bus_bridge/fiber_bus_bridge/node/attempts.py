@@ -4,6 +4,7 @@
 import threading
 import time
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ from rclpy.node import Node
 
 from fiber_bus_bridge.availability import Availability
 from fiber_bus_bridge.errors import BridgeError, SessionError
+from fiber_bus_bridge.left_plan import LeftPlan
 from fiber_bus_bridge.node.accepted_plans import AcceptedPlans
+from fiber_bus_bridge.node.kept_plan import KeptPlan
 from fiber_bus_bridge.node.outlines import Outlines
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
 from fiber_bus_bridge.node.publishers import Publishers
@@ -42,7 +45,8 @@ class Attempts:
         inputs: the targets of the plans, and the robots that the stages hold.
         availability: the robots that can be commanded.
         outlines: the outlines of the session.
-        outgoing: publishes layout, encoders and outcomes.
+        outgoing: publishes layout and encoders.
+        kept: publishes outcomes, and keeps the plan under way in a file.
         reporter: publishes progress and refusals.
         config: largest number of attempts of a plan, longest wait for the orders of a later one.
         stopping: set while a stop is requested.
@@ -62,6 +66,7 @@ class Attempts:
         availability: Availability,
         outlines: Outlines,
         outgoing: Publishers,
+        kept: KeptPlan,
         reporter: Reporter,
         config: Declared[AttemptConfig],
         stopping: threading.Event,
@@ -73,10 +78,11 @@ class Attempts:
         self._session, self._session_id = session, session_id
         self._accepted, self.inputs, self._availability = accepted, inputs, availability
         self._outlines, self._outgoing, self._reporter = outlines, outgoing, reporter
-        self._config = config
+        self._kept, self._config = kept, config
         self._stopping, self._now_s, self._start = stopping, now_s, start
         self._save_traffic = save_traffic
         self.current: Attempt | None = None  # the attempt with the orders of the session
+        self._ended = True  # the plan of `current` has its outcome
         self.awaited: Attempt | None = None  # next attempt, whose orders have not come yet
         self._awaited_until_s = 0.0
         self._made: set[PlanStamp] = set()  # later attempts that this node has made
@@ -167,7 +173,7 @@ class Attempts:
         if not is_awaited:
             self._replanning = Replanning(asked, self._config.value.attempts)
         self._watch.end(attempt.stamp)
-        self.current, self.awaited = attempt, None
+        self.current, self.awaited, self._ended = attempt, None, False
         self._ordered = motion.moves
         self._reporter.done(attempt, f"ready: orders for {self._ordered.sum()} robots")
         if is_awaited:  # start was requested for this plan
@@ -193,11 +199,28 @@ class Attempts:
                 "name the plan to start in the parameter start_plan, or clear"
             )
 
+    @property
+    def ended(self) -> bool:
+        """Whether no plan has orders: the last one has its outcome."""
+        return self._ended
+
+    def so_far(self) -> LeftPlan | None:
+        """Return the plan whose robots are about to be sent a GO, as it is known by then."""
+        attempt = self.current
+        if attempt is None or self._ended:
+            return None
+        result = self._session.so_far().explained_by(self.inputs.reasons(attempt.stamp))
+        plan, before = attempt.plan, copy(self._replanning)
+        return LeftPlan(
+            plan.ns, before.goals, self.inputs.fibre(plan),
+            self._session.robots["verified"].copy(), self._combined(before, attempt, result),
+        )  # fmt: skip
+
     def begin_home(self) -> None:
         """Make the motion that folds the robots the current plan."""
         self._outlines.move_blind()
         self.current = Attempt.first(PlanStamp(self._outgoing.now_ns()))
-        self._replanning = Replanning(self._no_targets(), 1)
+        self._replanning, self._ended = Replanning(self._no_targets(), 1), False
 
     def forget_stamps(self) -> None:
         """Let the next plan have any stamp: the clock was changed, or a plan had a wrong one."""
@@ -220,9 +243,7 @@ class Attempts:
         result = result.explained_by(self.inputs.reasons(attempt.stamp))
         known = self._session.known
         self._availability.exclude_failed(result, known)
-        xy_mm = self.inputs.targets(attempt.stamp)
-        asked = False if xy_mm is None else np.all(np.isfinite(xy_mm), axis=1)
-        combined = self._replanning.add_attempt(self._availability.explain(result), asked)
+        combined = self._combined(self._replanning, attempt, result)
         robots = self._replanning.next_robots(self._ordered, self._availability.commandable(known))
         stamp = self.inputs.free_stamp_after(attempt.stamp)
         self._reporter.debug(
@@ -233,6 +254,11 @@ class Attempts:
             self._publish_outcome(attempt.plan, combined)
         else:
             self._replan(attempt, stamp, robots, combined)
+
+    def _combined(self, before: Replanning, attempt: Attempt, result: PlanResult) -> PlanResult:
+        xy_mm = self.inputs.targets(attempt.stamp)
+        asked = False if xy_mm is None else np.all(np.isfinite(xy_mm), axis=1)
+        return before.add_attempt(self._availability.explain(result), asked)
 
     def _replan(
         self, last_attempt: Attempt, stamp: PlanStamp, robots: Mask, result: PlanResult
@@ -302,7 +328,8 @@ class Attempts:
     def _publish_outcome(self, plan: PlanStamp, result: PlanResult) -> None:
         attempts = self._replanning.attempts
         self._widen_at_rest()
-        self._outgoing.publish_outcome(result, plan)
+        self._kept.publish_outcome(result, plan)
+        self._ended = True
         # robots without a target are no part of the plan, unless they failed
         concerned = (result.reason != Reason.NO_TARGET) | (result.outcome != Outcome.HELD)
         counts = np.bincount(result.outcome[concerned], minlength=len(Outcome))

@@ -20,6 +20,7 @@ from fiber_bus_bridge.node.attempts import Attempts
 from fiber_bus_bridge.node.declared_parameters import declare_bridge
 from fiber_bus_bridge.node.disabled_parameter import follow_disabled_parameter
 from fiber_bus_bridge.node.hardware import Hardware, open_hardware
+from fiber_bus_bridge.node.kept_plan import KeptPlan
 from fiber_bus_bridge.node.locked_calls import LockedCalls
 from fiber_bus_bridge.node.measured_robots import MeasuredRobots
 from fiber_bus_bridge.node.motion import BusTime, Motion
@@ -110,6 +111,9 @@ class BridgeNode(ManagedNode):
         self._others = OtherBridges(claim)
         self._outgoing = Publishers(self, self._session, self._availability, claim.id)
         self._outlines = Outlines(self._session, plane, given.errors, self._outgoing)
+        self._kept = KeptPlan(
+            self._session, plane, memory, self._outgoing, self.reporter, self._time.now_s
+        )
         self.reporter.session, self._work_group = claim.id, MutuallyExclusiveCallbackGroup()
         self._attempts, self._stopped = self._make_attempts(), topics.STOPPED.publisher(self)
         self._remembered = Remembered(
@@ -174,7 +178,8 @@ class BridgeNode(ManagedNode):
         )  # fmt: skip
         return Attempts(
             self, watch, self._session, self._claim.id, accepted, inputs, self._availability,
-            self._outlines, self._outgoing, self.reporter, self._parameters_given.attempts,
+            self._outlines, self._outgoing, self._kept, self.reporter,
+            self._parameters_given.attempts,
             self._stop_requested, self._time.now_s, self._start_orders, self._save_traffic,
         )  # fmt: skip
 
@@ -206,6 +211,7 @@ class BridgeNode(ManagedNode):
             self._outgoing.repeat()
 
     def _check_plans(self) -> None:
+        self._kept.tell()
         self._attempts.check()
         self._check_other_bridges()
 
@@ -261,15 +267,22 @@ class BridgeNode(ManagedNode):
     def _home(self) -> str:
         self._check_role()
         self._attempts.end_all(Reason.NOT_PLANNED, "the robots go home")
-        self._session.home(self._time.now_s(), self._may_go)
-        self._attempts.begin_home()
+        self._session.home(self._time.now_s(), self._may_go_home)
+        if self._attempts.ended:
+            self._attempts.begin_home()
         return self._report_started()
+
+    def _may_go_home(self) -> bool:
+        if self._attempts.ended:
+            self._attempts.begin_home()
+        return self._may_go()
 
     def _may_go(self) -> bool:
         if self._stop_requested.is_set():  # the file must not say that robots move
             return False
         try:
             self._check_role()  # it may have changed since the first attempt, or in motion
+            self._kept.begin(self._attempts.so_far())
             self._remembered.save(starting=True)
         except FiberError as error:
             self.reporter.refuse(f"no robot is started: {error}")
@@ -325,6 +338,7 @@ class BridgeNode(ManagedNode):
         self._attempts.end_all(Reason.NOT_PLANNED, "configured")
         self._outgoing.publish_layout(always=True)
         self._motion.publish_changes()
+        self._kept.tell()
         return f"{self._session.known.sum()} of {self._session.plane.n} robots configured"
 
     def _disable(self, ids: Sequence[int], reason: str) -> None:

@@ -18,6 +18,7 @@ __all__ = [
     "not_loaded",
     "own_fault",
     "record_heartbeats",
+    "resting_cause",
     "silent_stop_s",
     "unresponsive",
 ]
@@ -72,6 +73,24 @@ def own_fault(robots: Robots, cut_off: Mask) -> Codes:
         Reason.STALLED: alerts & Alert.STALLED != 0,
     }
     return np.select(list(faults.values()), [int(reason) for reason in faults], int(Reason.OK))
+
+
+def resting_cause(robots: Robots, booted: Mask, cut_off: Mask) -> Codes:
+    """Return the Reason for which robots rest that no controller watched, OK at their end, (n,).
+
+    Args:
+        robots: the robots, as read just now.
+        booted: robots that have booted since they were started, shape (n,).
+        cut_off: robots on buses that were given up, shape (n,).
+    """
+    state, cause = robots["state"], own_fault(robots, cut_off)
+    causes = {
+        Reason.REBOOTED: (cause == Reason.OK) & booted,
+        Reason.NO_HEARTBEAT: np.isin(state, (RobotState.FAULT, RobotState.MOVING)),
+        Reason.STOPPED: state != RobotState.DONE,
+    }
+    why = np.select(list(causes.values()), [int(each) for each in causes], int(Reason.OK))
+    return np.where(cause == Reason.OK, why, cause)
 
 
 def countdown_s(verify_s: float, silence_s: float, period_s: float) -> float:

@@ -3,9 +3,10 @@
 
 import numpy as np
 
-from fiber_bus_bridge.plan_result import PlanResult, evaluate
+from fiber_bus_bridge.plan_result import PlanResult, Starting, evaluate
 from fiber_bus_bridge.protocol.context import Context
-from fiber_bus_bridge.protocol.decisions import own_fault
+from fiber_bus_bridge.protocol.decisions import own_fault, resting_cause
+from fiber_bus_bridge.protocol.loading import not_started
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import begin_sequences
 from fiber_bus_bridge.wire import (
@@ -15,10 +16,10 @@ from fiber_bus_bridge.wire import (
     config_crcs,
     encode_config,
 )
-from fiber_core.array_types import Ints, Rows
+from fiber_core.array_types import Ints, Mask, Rows
 from fiber_core.outcomes import Reason
 
-__all__ = ["clear", "configure", "end", "end_plan"]
+__all__ = ["clear", "configure", "end", "end_plan", "look", "so_far"]
 
 _CONFIGS = 2  # attempts to configure a robot that reports a fault afterwards
 
@@ -30,6 +31,8 @@ def configure(c: Context) -> Event:
     identity = transactions.identities(np.arange(c.plane.n), t)
     rows = np.flatnonzero(identity.ok & (identity.serial == c.plane.ids))
     robots["known"] = False
+    if c.left_plan:
+        _find_causes(c, rows)
     read_rows: list[Rows] = []
     sequences: list[Ints] = []
     for _ in range(_CONFIGS):
@@ -52,6 +55,27 @@ def configure(c: Context) -> Event:
     robots["lost"] |= ~robots["placed"]
     begin_sequences(c.buses, c.bus[np.concatenate(read_rows)], np.concatenate(sequences))
     return _found(c)
+
+
+def _find_causes(c: Context, rows: Rows) -> None:
+    """Read why robots rest, before their configuration deletes it."""
+    robots = c.robots
+    robots["state"] = 0
+    status = c.read(rows, c.t)
+    booted, before = np.zeros(len(robots), dtype=bool), robots["boot"][rows]
+    booted[rows] = status.ok & (before >= 0) & (status.boot != before)
+    robots["cause"] = resting_cause(robots, booted, c.cut_off)
+
+
+def look(c: Context) -> Mask:
+    """Read robots that moved when they were read last; return those that move still, (n,)."""
+    robots = c.robots
+    rows = np.flatnonzero(robots["state"] == RobotState.MOVING)
+    if len(rows):
+        c.read(rows, c.t)
+        nothing = np.zeros(len(robots), dtype=bool)
+        robots["cause"][rows] = resting_cause(robots, nothing, c.cut_off)[rows]
+    return robots["state"] == RobotState.MOVING
 
 
 def _found(c: Context) -> Event:
@@ -108,3 +132,15 @@ def end_plan(c: Context) -> PlanResult | None:
         robots["arrived"], robots["cause"], c.stop_reason, c.config.tolerance_mm,
     )  # fmt: skip
     return c.result
+
+
+def so_far(c: Context) -> PlanResult:
+    """Return the result of a plan as far as it is known when its verified robots get their GO."""
+    plan, robots = c.plan, c.robots
+    assert plan is not None and c.phase is not None  # orders are loaded
+    starting = Starting(robots["verified"], not_started(robots, c.phase), plan.motion)
+    return evaluate(
+        c.plane, plan, starting, robots["counts"], robots["known"],
+        robots["arrived"] & ~starting.started, robots["cause"], Reason.NO_HEARTBEAT,
+        c.config.tolerance_mm,
+    )  # fmt: skip

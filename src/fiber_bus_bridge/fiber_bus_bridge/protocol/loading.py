@@ -8,7 +8,6 @@ are loaded again, and the GO has no effect on that robot.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from fiber_bus_bridge.plan_result import LoadedPlan
 from fiber_bus_bridge.protocol.context import Context, Phase
 from fiber_bus_bridge.protocol.decisions import neighbours_of, not_loaded
 from fiber_bus_bridge.protocol.states import Event
-from fiber_bus_bridge.protocol.tables import SEQUENCES, begin_phase
+from fiber_bus_bridge.protocol.tables import SEQUENCES, Robots, begin_phase
 from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_load, encode_load
 from fiber_core.array_types import Bools, Codes, Mask, Rows
 from fiber_core.outcomes import Reason
@@ -33,6 +32,7 @@ __all__ = [
     "disarm",
     "drop",
     "load",
+    "not_started",
     "prepare",
 ]
 
@@ -152,25 +152,30 @@ def drop(c: Context, phase: Phase) -> Event:
 def commit(c: Context, phase: Phase) -> LoadedPlan:
     """Record and return the loaded plan of a phase: its verified robots were started."""
     robots = c.robots
-    started, reason = robots["verified"].copy(), robots["reason"].copy()
+    started = robots["verified"].copy()
     rows = np.flatnonzero(started)
     frames, loaded, certificate = phase.frames, phase.loaded, phase.certificate
     assert frames is not None and loaded is not None and certificate is not None
     loaded_plan = LoadedPlan(
-        started, reason, c.buses["sequence"][c.bus], frames[rows], loaded, certificate,
-        phase.go_s, phase.start_s,
+        started, not_started(robots, phase), c.buses["sequence"][c.bus], frames[rows], loaded,
+        certificate, phase.go_s, phase.start_s,
     )  # fmt: skip
+    c.loaded_plan = loaded_plan
+    c.loaded_plans.append(loaded_plan)
+    robots["lost"] |= started
+    return loaded_plan
+
+
+def not_started(robots: Robots, phase: Phase) -> Codes:
+    """Return the Reason of robots with orders that a phase does not start, else OK, shape (n,)."""
+    started, reason = robots["verified"], robots["reason"].copy()
     if phase.before is not None and phase.resumed is not None:
         # a robot that was not started in an earlier phase keeps its reason
         stays = phase.resumed & ~started & (reason == Reason.OK)
         reason = np.where(reason == Reason.OK, phase.before.reason, reason)
         reason[phase.oversized] = Reason.TOO_MANY_SEGMENTS
         reason[stays] = Reason.STOPPED
-        loaded_plan = replace(loaded_plan, reason=reason)
-    c.loaded_plan = loaded_plan
-    c.loaded_plans.append(loaded_plan)
-    robots["lost"] |= started
-    return loaded_plan
+    return reason
 
 
 def _encode(c: Context, motion: WireMotion) -> Frames:

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan under way on disk: a bridge tells how the plan of the bridge before it has ended."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fiber_bus_bridge.errors import BridgeError
+from fiber_bus_bridge.left_plan import LeftPlan, load_left_plan, save_left_plan
+from fiber_bus_bridge.node.publishers import Publishers
+from fiber_bus_bridge.plan_result import PlanResult
+from fiber_bus_bridge.session import Session
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.outcomes import Outcome
+from fiber_msgs_py import PlanStamp
+from fiber_node import Reporter
+
+__all__ = ["KeptPlan"]
+
+
+class KeptPlan:
+    """Keeps the plan under way in a file from its first GO until its outcome is published.
+
+    A bridge that finds a plan there is one whose bridge died: it reads the robots, publishes the
+    outcome once, and keeps the plan until the next one begins, so that a bridge that dies in
+    between says the same.
+
+    Args:
+        session: the session with the robots, not configured yet.
+        plane: the focal plane.
+        memory: file of the memory of the robots; None for no memory.
+        outgoing: publishes outcomes.
+        reporter: reports what is found, and what is wrong with the file.
+        now_s: returns the time of the buses [s].
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        plane: FocalPlane,
+        memory: Path | None,
+        outgoing: Publishers,
+        reporter: Reporter,
+        now_s: Callable[[], float],
+    ):
+        self._session, self._plane, self._outgoing = session, plane, outgoing
+        self._reporter, self._now_s = reporter, now_s
+        self._path = None if memory is None else memory.with_name(memory.name + ".plan")
+        self._own: LeftPlan | None = None
+        self._left = self._load()  # of an earlier bridge, until it is told
+        session.look_back(self._left is not None and not self._left.ended)
+
+    def _load(self) -> LeftPlan | None:
+        if self._path is None:
+            return None
+        try:
+            return load_left_plan(self._path, self._plane)
+        except BridgeError as error:
+            self._reporter.refuse(f"{error}; how that plan ended is not told")
+            return None
+
+    def begin(self, plan: LeftPlan | None) -> None:
+        """Keep the plan whose robots are about to be sent a GO.
+
+        Raises:
+            BridgeError: the file cannot be written.
+        """
+        if self._path is None or plan is None:
+            return
+        self._tell()  # the file has place for one plan
+        save_left_plan(self._path, plan, self._plane)
+        self._own = plan
+
+    def publish_outcome(self, result: PlanResult, stamp: PlanStamp) -> None:
+        """Publish the outcome of a plan; the file then has nothing to tell of it."""
+        own = self._own
+        if self._path is None or own is None or own.stamp_ns != stamp.ns:
+            self._outgoing.publish_outcome(result, stamp)
+            return
+        self._save(replace(own, result=result, ended=True))
+        self._outgoing.publish_outcome(result, stamp)
+        self._own = None
+        try:
+            self._path.unlink(missing_ok=True)
+        except OSError as error:
+            self._reporter.refuse(f"plan under way {self._path} stays: {error}")
+
+    def tell(self) -> None:
+        """Publish the outcome of the plan of an earlier bridge, once its robots rest."""
+        left = self._left
+        if left is None:
+            return
+        if not left.ended:
+            if not self._session.known.any():
+                return  # no robot was read yet
+            if self._session.has_buses and self._session.look(self._now_s()).any():
+                return  # some move: they stop by themselves
+        self._tell()
+
+    def _tell(self) -> None:
+        left, self._left = self._left, None
+        if left is None:
+            return
+        self._session.look_back(False)
+        session = self._session
+        if not left.ended:
+            robots = session.robots
+            left = left.found(
+                session.plane, session.angles, robots["known"] & ~robots["lost"],
+                robots["cause"], session.config.tolerance_mm,
+            )  # fmt: skip
+            self._save(left)
+        stamp, result = PlanStamp(left.stamp_ns), left.result
+        self._outgoing.publish_outcome(result, stamp)
+        counts = np.bincount(result.outcome[left.started], minlength=len(Outcome))
+        summary = ", ".join(f"{counts[each]} {each.name.lower()}" for each in Outcome)
+        self._reporter.info(f"plan {stamp}, whose bridge died, has ended: {summary} of those sent")
+
+    def _save(self, plan: LeftPlan) -> None:
+        assert self._path is not None  # a plan was kept
+        try:
+            save_left_plan(self._path, plan, self._plane)
+        except BridgeError as error:
+            self._reporter.refuse(str(error))
