@@ -12,7 +12,6 @@ not alter much.
 
 import argparse
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
+from processor_time import of_children_s, processor_s
 from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -51,7 +51,7 @@ _CASES = (
     ("idle", "planner"), ("idle", "discretizer"), ("idle", "bridge"), ("idle", "recorder"),
     ("idle", "viewer"), ("planning", "planner"), ("planning", "viewer"),
     ("discretizing", "discretizer"), ("loading", "bridge"), ("motion", "bridge"),
-    ("motion", "recorder"),
+    ("motion", "discretizer"), ("motion", "recorder"), ("recording", "recorder"),
 )  # fmt: skip
 
 
@@ -73,7 +73,7 @@ class Nodes:
     def end(self, name: str, how: signal.Signals) -> tuple[float, float, int]:
         """Tell a node to end; return wall time and time of the processors [s], and its code."""
         process = self._running.pop(name)
-        before, earlier, begin = _processor_s(process.pid), _of_children_s(), time.monotonic()
+        before, earlier, begin = processor_s(process.pid), of_children_s(), time.monotonic()
         process.send_signal(how)
         try:
             code = process.wait(_END_S)
@@ -81,7 +81,7 @@ class Nodes:
             process.kill()
             code = process.wait()
         wall = time.monotonic() - begin
-        return wall, _of_children_s() - earlier - before, code
+        return wall, of_children_s() - earlier - before, code
 
     def end_all(self) -> None:
         for name in list(self._running):
@@ -129,16 +129,6 @@ class Questions:
             self._executor.spin_once(timeout_sec=_ASK_S)
 
 
-def _processor_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _of_children_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
 def _go_on(client: PlaneClient, seconds: float) -> None:
     with suppress(WaitError):
         client.wait_for(lambda: False, seconds)
@@ -149,7 +139,7 @@ def reach(client: PlaneClient, stage: str, seed: int) -> None:
 
     Args:
         client: the client of the plane.
-        stage: planning, discretizing, loading or motion; idle for no plan.
+        stage: planning, discretizing, loading, motion or recording; idle for no plan.
         seed: seed of the targets.
     """
     if stage == "idle":
@@ -169,13 +159,13 @@ def reach(client: PlaneClient, stage: str, seed: int) -> None:
     client.node.create_client(Trigger, topics.START.name).call_async(Trigger.Request())
     if stage == "motion":
         client.wait_for(lambda: client.moving, _WAIT_S, "motion")
+    elif stage == "recording":
+        client.wait_for_outcome(stamp, _WAIT_S)
     _go_on(client, 0.1)
 
 
 def answers(client: PlaneClient, asked: Questions, seed: int) -> None:
-    """Carry out a plan while the nodes are asked."""
-    client.wait_for(asked.ready, _WAIT_S, "the parameters of all nodes")
-    _go_on(client, 1.0)
+    """Carry out a plan, and let it be recorded, while the nodes are asked."""
     rng = np.random.default_rng(seed)
     drawn = random_field(client.plane, rng, start=client.angles).problem
     asked.stage = "planning"
@@ -186,10 +176,12 @@ def answers(client: PlaneClient, asked: Questions, seed: int) -> None:
     asked.stage = "motion"
     client.start(_WAIT_S)
     client.wait_for_outcome(stamp, _WAIT_S)
+    asked.stage = "recording"
+    client.wait_for(lambda: "recorder" in client.times[stamp], _WAIT_S, "a recording")
     asked.stage = "idle"
 
 
-def measure(preset: str, robots: int, folder: Path) -> tuple[list[str], list[str]]:
+def measure(preset: str, robots: int, plans: int, folder: Path) -> tuple[list[str], list[str]]:
     """Return the rows of both tables."""
     nodes = Nodes(preset, robots, folder)
     for name in _PACKAGES:
@@ -199,7 +191,10 @@ def measure(preset: str, robots: int, folder: Path) -> tuple[list[str], list[str
         with PlaneClient(args=[]) as client:
             client.wait_for_graph(_WAIT_S, also=("recorder", "viewer"))
             asked = Questions(list(_PACKAGES))
-            answers(client, asked, 0)
+            client.wait_for(asked.ready, _WAIT_S, "the parameters of all nodes")
+            _go_on(client, 1.0)
+            for seed in range(plans):
+                answers(client, asked, seed)
             asked.close()
         for k, (stage, name) in enumerate(_CASES):
             with PlaneClient(args=[]) as client:
@@ -234,13 +229,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--preset", default="moons", help="instrument")
     parser.add_argument("--robots", type=int, default=0, help="number of robots; 0: all")
+    parser.add_argument("--plans", type=int, default=1, help="plans in which nodes are asked")
     parser.add_argument("--out", type=Path, help="file that the tables are appended to")
     options = parser.parse_args(argv)
     use_loopback()
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     with tempfile.TemporaryDirectory() as folder:
         load = os.getloadavg()[0]
-        took, ends = measure(options.preset, options.robots, Path(folder))
+        took, ends = measure(options.preset, options.robots, options.plans, Path(folder))
     lines = [
         f"## {options.preset}, {options.robots or 'all'} robots, load {load:.1f} before and "
         f"{os.getloadavg()[0]:.1f} after", "",

@@ -3,7 +3,6 @@
 
 import importlib.util
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -24,6 +23,9 @@ pytestmark = pytest.mark.timeout(120)
 
 ENDS_S = 45.0  # less than the wait takes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+with pytest.MonkeyPatch.context() as patch:
+    patch.syspath_prepend(Path(__file__).parents[1] / "bench")
+    PROCESSORS = importlib.import_module("processor_time")
 
 
 def started(module, domain, *arguments, said="settings: "):
@@ -41,26 +43,16 @@ def started(module, domain, *arguments, said="settings: "):
     raise AssertionError(f"{module} has ended with code {process.wait()}")
 
 
-def processor_s(pid):
-    """The time that a process has had of the processors."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def of_children_s():
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
 def ends_with_code_0(process, how):
     """Tell a process to end; return the time of the processors that this takes."""
-    begin, before, earlier = time.monotonic(), processor_s(process.pid), of_children_s()
+    begin, before = time.monotonic(), PROCESSORS.processor_s(process.pid)
+    earlier = PROCESSORS.of_children_s()
     process.send_signal(how)
     try:
         _, text = process.communicate(timeout=ENDS_S)
     finally:
         process.kill()
-    took = of_children_s() - earlier - before
+    took = PROCESSORS.of_children_s() - earlier - before
     print(f"{how.name}: ended after {time.monotonic() - begin:.2f} s, processors {took:.2f} s")
     assert process.returncode == 0 and "Traceback" not in text, text
     return took

@@ -96,7 +96,13 @@ def float_column(content: dict[str, object], name: str, length: int) -> Floats:
     """
     values = _list(content, name, length)
     for value in values:
-        if value is not None and not (type(value) in (int, float) and abs(value) <= _LARGEST):
+        if value is None:
+            continue
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not (abs(value) <= _LARGEST)
+        ):
             raise BridgeError(f"{name} holds {value!r}")
     return np.array(values, dtype=float)
 

@@ -111,7 +111,7 @@ class BridgeNode(ManagedNode):
         self._others = OtherBridges(claim)
         self._outgoing = Publishers(self, self._session, self._availability, claim.id)
         self._outlines = Outlines(self._session, plane, given.errors, self._outgoing)
-        self._kept = KeptPlan(
+        self._kept_plan = KeptPlan(
             self._session, plane, memory, self._outgoing, self.reporter, self._time.now_s
         )
         self.reporter.session, self._work_group = claim.id, MutuallyExclusiveCallbackGroup()
@@ -178,7 +178,7 @@ class BridgeNode(ManagedNode):
         )  # fmt: skip
         return Attempts(
             self, watch, self._session, self._claim.id, accepted, inputs, self._availability,
-            self._outlines, self._outgoing, self._kept, self.reporter,
+            self._outlines, self._outgoing, self._kept_plan, self.reporter,
             self._parameters_given.attempts,
             self._stop_requested, self._time.now_s, self._start_orders, self._save_traffic,
         )  # fmt: skip
@@ -211,7 +211,7 @@ class BridgeNode(ManagedNode):
             self._outgoing.repeat()
 
     def _check_plans(self) -> None:
-        self._kept.tell()
+        self._kept_plan.tell()
         self._attempts.check()
         self._check_other_bridges()
 
@@ -282,7 +282,7 @@ class BridgeNode(ManagedNode):
             return False
         try:
             self._check_role()  # it may have changed since the first attempt, or in motion
-            self._kept.begin(self._attempts.so_far())
+            self._kept_plan.begin(self._attempts.so_far())
             self._remembered.save(starting=True)
         except FiberError as error:
             self.reporter.refuse(f"no robot is started: {error}")
@@ -338,7 +338,7 @@ class BridgeNode(ManagedNode):
         self._attempts.end_all(Reason.NOT_PLANNED, "configured")
         self._outgoing.publish_layout(always=True)
         self._motion.publish_changes()
-        self._kept.tell()
+        self._kept_plan.tell()
         return f"{self._session.known.sum()} of {self._session.plane.n} robots configured"
 
     def _disable(self, ids: Sequence[int], reason: str) -> None:
