@@ -109,7 +109,7 @@ ARROWS = {
     "bench.kill_jobs": {"fiber_node"},
     "bench.kill_judge": {"fiber_bus_bridge.plant", "fiber_msgs_py"},
     "bench.memory": {"fiber_bringup", "forked_processes"},
-    "bench.manners": {"fiber_bringup"},
+    "bench.manners": {"fiber_bringup", "processor_time"},
     "bench.forked_preload": {"bench", "forked_processes"},
     "bench.forked_processes": {"fiber_bringup"},
     "bench.paper": {"bench", "paper_runs"},
