@@ -16,6 +16,7 @@ from fiber_core.drive import (
     motors_turning,
     overloading,
     rules_broken,
+    rules_told,
 )
 from fiber_core.drive.least_time import least_time_s
 from fiber_core.drive.named import with_drive
@@ -76,6 +77,40 @@ def test_a_cruise_move_at_the_end_lasts_a_ramp_longer():
 )
 def test_an_order_that_motors_cannot_carry_out_is_found(theta):
     assert rules_broken(_DRIVE, motion_of(theta)).tolist() == [True]
+
+
+@pytest.mark.parametrize(
+    ("theta", "told"),
+    [
+        ([(0.4, 2.5)], "is to turn its motor at 143.2 deg/s, listed are 171.9, 2.865 deg/s"),
+        (
+            [(0.01, 3.0), _REST, (1.0, -0.05)],
+            "is to turn its motor by 1.719 deg, at this speed at least 5.73 deg",
+        ),
+        (
+            [(0.4, 3.0), (0.02, 0.0), (1.0, 0.05), (1.0, -0.05)],
+            "rests for 0.02 s after a ramp of 0.03 s began",
+        ),
+        (
+            [(0.4, 3.0), _REST, (1.0, 0.05), (0.9, -0.05)],
+            "ends with a move of -2.578 deg, its approach is 2.865 deg in creep",
+        ),
+        (
+            [(0.4, 3.0), _REST, (0.9, 0.05), (1.0, -0.05)],
+            "ends with a move of 2.578 deg, its approach is 2.865 deg in creep",
+        ),
+    ],
+    ids=["speed", "least", "ramp", "short end", "short back"],
+)
+def test_the_rule_and_the_value_are_told(theta, told):
+    drive = Drive(2, listed=replace(_LISTED, approach_sign=np.full(2, -1.0)))
+    good = [(0.4, 3.0), _REST, (1.0, 0.05), (1.0, -0.05)]
+    joints = [good, good, [], theta]
+    duration, velocity = np.array([each for joint in joints for each in joint]).T
+    offsets = np.cumsum([0, *map(len, joints)])
+    both = SegmentMotion(np.zeros((2, 2)), offsets, duration, velocity)
+    assert rules_told(drive, both, np.array([7, 9])) == [f"robot 9: phi {told}"]
+    assert rules_told(Drive(2), both, np.array([7, 9])) == []
 
 
 @pytest.mark.parametrize(

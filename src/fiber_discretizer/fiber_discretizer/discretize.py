@@ -43,12 +43,14 @@ class Discretization:
         certificate: certificate of wire.decoded() over the whole plane. It is not ok
             only where robots at rest are too close already, one of which could move.
         rounds: how often robots without a safe motion were tried again.
+        rules_told: rules of motors with listed speeds that a profile breaks, with the values.
     """
 
     wire: WireMotion
     reason: Codes
     certificate: Certificate
     rounds: int
+    rules_told: tuple[str, ...] = ()
 
 
 def discretize(
@@ -94,9 +96,10 @@ def discretize(
     trajectory = _with_robots_at_rest(trajectory, reason != Reason.OK)
     trajectory = until_rest(trajectory, units, options)
     if plane.drive.listed is not None:
-        wire, reason = discretize_listed(plane, trajectory, counts, units, options, reason)
+        wire, reason, told = discretize_listed(plane, trajectory, counts, units, options, reason)
         rounds = 0
     else:
+        told = ()
         wire, reason, rounds = _BY_SHARING[options.sharing](
             plane, trajectory, counts, units, safety, options, reason, report
         )
@@ -111,7 +114,7 @@ def discretize(
         )
     report(1.0, "certified" if certificate.ok else "robots at rest are too close")
     reason.setflags(write=False)
-    return Discretization(wire.without(held), reason, certificate, rounds)
+    return Discretization(wire.without(held), reason, certificate, rounds, told)
 
 
 def _no_report(fraction: float, text: str) -> None:

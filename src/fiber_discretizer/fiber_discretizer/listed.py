@@ -5,7 +5,7 @@ import numba as nb
 import numpy as np
 
 from fiber_core.array_types import Codes, Counts, Floats, Ints
-from fiber_core.drive import rules_broken
+from fiber_core.drive import rules_broken, rules_told
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
@@ -24,7 +24,7 @@ def discretize_listed(
     units: WireUnits,
     options: DiscretizeOptions,
     reason: Codes,
-) -> tuple[WireMotion, Codes]:
+) -> tuple[WireMotion, Codes, tuple[str, ...]]:
     """Return a trajectory as segments without changing it.
 
     Motors with listed speeds cannot follow a fitted line, so a robot whose profile is not made of
@@ -39,8 +39,9 @@ def discretize_listed(
         reason: Reason of each robot, shape (n,); those with another one than OK rest.
 
     Returns:
-        The orders, and the Reason of each robot: BAD_TRAJECTORY where the motors cannot carry out
-        the profile, TOO_MANY_SEGMENTS where an order cannot.
+        The orders; the Reason of each robot: BAD_TRAJECTORY where the motors cannot carry out
+        the profile, TOO_MANY_SEGMENTS where an order cannot; and the rules that are broken, with
+        the values.
     """
     reason = reason.copy()
     ticks = trajectory.time_s / units.tick_s
@@ -61,7 +62,21 @@ def discretize_listed(
     wire = WireMotion(units, start, offsets, lasts[used], velocity[used])
     broken = rules_broken(plane.drive, wire.decoded())
     reason[broken] = Reason.BAD_TRAJECTORY
-    return wire.without(broken), reason
+    told = (
+        *_units_told(plane, trajectory, counts),
+        *rules_told(plane.drive, wire.decoded(), plane.ids),
+    )
+    return wire.without(broken), reason, told
+
+
+def _units_told(plane: FocalPlane, trajectory: SampledMotion, counts: Ints) -> list[str]:
+    # for each joint whose profile is not made of whole units: how fast it is to turn
+    way = np.abs(np.diff(trajectory.angles, axis=2)) / np.diff(trajectory.time_s)
+    return [
+        f"robot {plane.ids[i]}: {('theta', 'phi')[joint]} is to turn at up to "
+        f"{np.rad2deg(way[i, joint].max()):.4g} deg/s, and not for whole ticks at a listed speed"
+        for i, joint in np.argwhere(counts < 0)
+    ]
 
 
 @nb.njit(cache=True)

@@ -160,6 +160,11 @@ class DiscretizerNode(ManagedNode):
         reason, is_held, stamp = result.reason, result.held, attempt.stamp
         self._held.publish(held.encode(ids[is_held], reason[is_held], Stage.DISCRETIZER, stamp))
         self._segments.publish(segments.encode(ids, wire, stamp, session))
+        if told := result.discretization.rules_told:
+            first = "; ".join(told[:3])
+            self.get_logger().warning(
+                f"plan {attempt}: motors cannot carry out {len(told)} joints: {first}"
+            )
         if not certificate.ok:
             robots = ids[certificate.unsafe_robots].tolist()
             self.get_logger().warning(

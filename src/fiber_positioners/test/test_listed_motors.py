@@ -77,6 +77,11 @@ def test_profiles_that_listed_speeds_cannot_follow_are_held(problem, result):
     moves = np.ptp(ends, axis=2).any(axis=1)
     assert moves.any() and (done.reason[moves] == Reason.BAD_TRAJECTORY).all()
     assert not done.wire.moves.any()
+    # each joint that would move, with its speed
+    robot, joint = np.argwhere(np.ptp(ends, axis=2) > 0.0)[0]
+    speed = np.rad2deg(np.ptp(ends, axis=2)[robot, joint]) / straight.time_s[-1]
+    name = f"robot {plane.ids[robot]}: {('theta', 'phi')[joint]} is to turn"
+    assert any(t.startswith(name) and f"{speed:.4g} deg/s" in t for t in done.rules_told)
 
 
 def test_the_command_takes_drive_and_share(capsys):

@@ -5,7 +5,7 @@ from fiber_core.drive.curves import CurveMotion, carried_out
 from fiber_core.drive.drive import Drive
 from fiber_core.drive.listed import ListedSpeeds
 from fiber_core.drive.power import most_motors_on, motors_allowed, motors_turning, overloading
-from fiber_core.drive.rules import rules_broken
+from fiber_core.drive.rules import rules_broken, rules_told
 
 __all__ = [
     "CurveMotion",
@@ -17,4 +17,5 @@ __all__ = [
     "motors_turning",
     "overloading",
     "rules_broken",
+    "rules_told",
 ]

@@ -4,12 +4,13 @@
 import numba as nb
 import numpy as np
 
-from fiber_core.array_types import Floats, Mask, Offsets
+from fiber_core.array_types import Floats, Ids, Ints, Mask, Offsets
 from fiber_core.drive.drive import Drive
 from fiber_core.motion import SegmentMotion
 
-__all__ = ["ramps_of", "rules_broken"]
+__all__ = ["ramps_of", "rules_broken", "rules_told"]
 
+_SPEED, _LEAST, _RAMP, _APPROACH = 1, 2, 3, 4  # rules, in the order of the docs
 _REST_RAD_S = 1e-12
 _ROUNDING = 1e-9
 
@@ -36,8 +37,34 @@ def rules_broken(drive: Drive, motion: SegmentMotion) -> Mask:
     """
     if drive.listed is None:
         return np.zeros(motion.n, dtype=np.bool_)
-    broken: Mask = np.any(_broken(drive, motion).reshape(-1, 2), axis=1)
+    rule, _, _ = _broken(drive, motion)
+    broken: Mask = np.any(rule.reshape(-1, 2) > 0, axis=1)
     return broken
+
+
+def rules_told(drive: Drive, motion: SegmentMotion, ids: Ids) -> list[str]:
+    """Return for each joint whose motor cannot carry out its order the rule and the value.
+
+    Args:
+        drive: how the motors carry out orders.
+        motion: the ordered segments, decoded from the bytes.
+        ids: ids of the robots, shape (n,).
+    """
+    if drive.listed is None:
+        return []
+    rule, value, allowed = _broken(drive, motion)
+    speeds = ", ".join(f"{x:.4g}" for x in np.rad2deg(drive.listed.speeds_rad_s))
+    told = []
+    for joint in np.flatnonzero(rule):
+        x, y = float(np.rad2deg(value[joint])), float(np.rad2deg(allowed[joint]))
+        text = {
+            _SPEED: f"is to turn its motor at {x:.4g} deg/s, listed are {speeds} deg/s",
+            _LEAST: f"is to turn its motor by {x:.4g} deg, at this speed at least {y:.4g} deg",
+            _RAMP: f"rests for {value[joint]:.4g} s after a ramp of {allowed[joint]:.4g} s began",
+            _APPROACH: f"ends with a move of {x:.4g} deg, its approach is {y:.4g} deg in creep",
+        }[int(rule[joint])]
+        told.append(f"robot {ids[joint // 2]}: {('theta', 'phi')[joint % 2]} {text}")
+    return told
 
 
 def _of_motors(drive: Drive, motion: SegmentMotion) -> Floats:
@@ -47,7 +74,7 @@ def _of_motors(drive: Drive, motion: SegmentMotion) -> Floats:
     return motion.velocity_rad_s / drive.scale.reshape(-1, 2)[joint, rising]
 
 
-def _broken(drive: Drive, motion: SegmentMotion) -> Mask:
+def _broken(drive: Drive, motion: SegmentMotion) -> tuple[Ints, Floats, Floats]:
     listed = drive.listed
     assert listed is not None
     return _joints_broken(
@@ -73,16 +100,17 @@ def _joints_broken(
     sign: Floats,
     approach_speed: int,
     returns: bool,
-) -> Mask:
-    # which joints break a rule
+) -> tuple[Ints, Floats, Floats]:
+    # the first rule that each joint breaks, 0 for none; the value, and the one that is allowed
     profiles = len(offsets) - 1
-    broken = np.zeros(profiles, dtype=np.bool_)
+    broken = np.zeros(profiles, dtype=np.int64)
+    value, allowed = np.zeros(profiles), np.zeros(profiles)
     for profile in range(profiles):
         joint = profile % 2
         last_turn, last_speed = 0.0, -1
         turn_before, speed_before, rested = 0.0, -1, np.inf
         k, end = offsets[profile], offsets[profile + 1]
-        while k < end and not broken[profile]:
+        while k < end and broken[profile] == 0:
             if abs(velocity[k]) < _REST_RAD_S:
                 rested += duration_s[k]
                 k += 1
@@ -97,20 +125,25 @@ def _joints_broken(
             for s in range(len(speeds)):
                 if abs(abs(motor) - speeds[s]) * gear <= tolerance * (1.0 + _ROUNDING):
                     which = s
-            if (
-                which < 0
-                or abs(turn) < least[which] * gear * (1.0 - _ROUNDING)
-                or (last_speed >= 0 and rested < ramp_s[last_speed] * (1.0 - _ROUNDING))
-            ):
-                broken[profile] = True
+            if which < 0:
+                broken[profile], value[profile] = _SPEED, abs(motor)
+            elif abs(turn) < least[which] * gear * (1.0 - _ROUNDING):
+                broken[profile], value[profile] = _LEAST, abs(turn) / gear
+                allowed[profile] = least[which]
+            elif last_speed >= 0 and rested < ramp_s[last_speed] * (1.0 - _ROUNDING):
+                broken[profile], value[profile] = _RAMP, rested
+                allowed[profile] = ramp_s[last_speed]
             rested = 0.0
             turn_before, speed_before = last_turn, last_speed
             last_turn, last_speed = turn, which
-        if broken[profile] or last_speed < 0 or approach[joint] == 0.0:
+        if broken[profile] > 0 or last_speed < 0 or approach[joint] == 0.0:
             continue
         enough = approach[joint] * (1.0 - _ROUNDING)
-        if last_speed != approach_speed or last_turn * sign[joint] < enough:
-            broken[profile] = True
-        elif returns and (speed_before != approach_speed or -turn_before * sign[joint] < enough):
-            broken[profile] = True
-    return broken
+        wrong = last_speed != approach_speed or last_turn * sign[joint] < enough
+        if returns and not wrong:
+            wrong = speed_before != approach_speed or -turn_before * sign[joint] < enough
+            last_turn = turn_before
+        if wrong:
+            broken[profile], value[profile] = _APPROACH, last_turn
+            allowed[profile] = approach[joint]
+    return broken, value, allowed
