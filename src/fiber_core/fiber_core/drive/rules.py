@@ -54,7 +54,7 @@ def rules_told(drive: Drive, motion: SegmentMotion, ids: Ids) -> list[str]:
         return []
     rule, value, allowed = _broken(drive, motion)
     speeds = ", ".join(f"{x:.4g}" for x in np.rad2deg(drive.listed.speeds_rad_s))
-    told = []
+    told: list[str] = []
     for joint in np.flatnonzero(rule):
         x, y = float(np.rad2deg(value[joint])), float(np.rad2deg(allowed[joint]))
         text = {
