@@ -164,6 +164,10 @@ motors: build ## plan fields for real motors and have them judged (FIELDS=20 LAY
 	@$(INSTALLED) && $(PYTHON) bench/motors.py $(if $(LAYOUT),--layout $(LAYOUT)) --fields $(or $(FIELDS),20) \
 		--out bench/results/motors.md
 
+.PHONY: geometry
+geometry: build ## planes with walls, fibres and gears from real files, judged from the files (FIELDS= of each, PLANES=), into bench/results/geometry.md
+	@$(INSTALLED) && $(PYTHON) bench/geometry.py --fields $(or $(FIELDS),2) $(if $(PLANES),--planes $(PLANES))
+
 .PHONY: bench-bus
 bench-bus: build ## load, verify and start 5000 robots, on bad buses too, and print a table
 	@$(INSTALLED) && $(PYTHON) bench/bus.py --out bench/results/bus.md

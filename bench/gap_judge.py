@@ -26,12 +26,20 @@ class Gaps(NamedTuple):
         near: pairs that come nearer than the margin at some instant.
         least_mm: smallest gap found [mm]; exact where it is less than the margin.
         pair: rows of the bodies with the smallest gap; discs and walls follow the robots.
+        resting: pairs nearer than the margin of which neither robot moves; they are also in `near`.
+        wall_contacts: pairs of a robot and a wall that touch while the robot moves.
+        wall_mm: smallest gap between a wall and a robot that moves [mm].
+        arm_mm: smallest gap of two robots of which one moves [mm].
     """
 
     contacts: int
     near: int
     least_mm: float
     pair: tuple[int, int]
+    resting: int = 0
+    wall_contacts: int = 0
+    wall_mm: float = np.inf
+    arm_mm: float = np.inf
 
 
 class _Bodies(NamedTuple):
@@ -76,7 +84,21 @@ def judge_gaps(problem, plan, margin_mm: float = 0.05) -> Gaps:
     first = int(np.argmin(least))
     contacts, near = int((least <= 0.0).sum()), int((least < margin_mm - _FINE_MM).sum())
     a, b = pairs[first].tolist()
-    return Gaps(contacts, near, float(least[first]), (a, b))
+    turns = np.diff(curves.offsets[::2]) > 0
+    fixed = np.zeros(len(bodies.arm) - len(turns), dtype=bool)
+    moving = np.append(turns, fixed)[pairs].any(axis=1)
+    walls = pairs[:, 1] >= len(bodies.arm) - len(problem.get("wall_mm", ()))
+    arms = pairs[:, 1] < len(turns)
+    return Gaps(
+        contacts,
+        near,
+        float(least[first]),
+        (a, b),
+        int((~moving & (least < margin_mm - _FINE_MM)).sum()),
+        int((moving & walls & (least <= 0.0)).sum()),
+        float(least[moving & walls].min(initial=np.inf)),
+        float(least[moving & arms].min(initial=np.inf)),
+    )
 
 
 def ramps_of_segments(problem, plan) -> np.ndarray:

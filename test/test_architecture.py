@@ -125,7 +125,9 @@ ARROWS = {
         "motors_table",
     },
     "bench.motors_table": {"numpy"},
+    "bench.geometry": {"bench", "gap_judge", "motor_judge"},
     "bench.listed_checker": {"gap_judge", "numpy"},  # neither
+    "bench.motor_judge": {"numpy"},  # neither
     "bench.kaiju_adapter": {"kaiju", "numpy"},  # runs in the Python of the rival
     "bench.kill_others": {"fiber_client"},
 }
