@@ -7,7 +7,7 @@ several texts a row. Format: SDSS, https://www.sdss.org/dr17/software/par/.
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -20,6 +20,7 @@ __all__ = ["is_yanny", "yanny_tables"]
 _STRUCT = re.compile(r"typedef\s+struct\s*\{(.*?)\}\s*(\w+)\s*;", re.DOTALL)
 _ENUM = re.compile(r"typedef\s+enum\s*\{.*?\}\s*\w+\s*;", re.DOTALL)
 _MEMBER = re.compile(r"(\w+)\s+(\w+)((?:\s*\[\s*\d*\s*\])*)\s*;")
+_ROW = 3  # values from which a keyword counts as a row of a structure with as many
 _NEAR = 0.75  # ratio of equal letters from which a keyword counts as a misspelt structure
 _WORD = re.compile(r'"((?:[^"\\]|\\.)*)"|\{\s*\{\s*\}\s*\}|\{([^{}]*)\}|([^\s"{}]+)')
 
@@ -57,7 +58,8 @@ def yanny_tables(name: str, text: str) -> tuple[Table, ...]:
             rows[key].append(words)
             lines[key].append(number)
         else:
-            _check_keyword(name, number, line, structures)
+            after = any(rows.values())
+            _check_keyword(name, number, line, structures, after)
     return tuple(
         _table(f"{name} {key}", structures[key], rows[key], lines[key]) for key in structures
     )
@@ -104,13 +106,29 @@ def _words(name: str, number: int, line: str) -> list[str | list[str]]:
     return words
 
 
-def _check_keyword(name: str, number: int, line: str, structures: Iterable[str]) -> None:
+def _check_keyword(
+    name: str,
+    number: int,
+    line: str,
+    structures: Mapping[str, Sequence[tuple[str, bool]]],
+    after: bool,
+) -> None:
     # A line that is no row of a structure gives the value of a keyword; it is refused where it may
-    # be a row under a misspelt name.
+    # be a row under another name: nearly that of a structure, with the values of one, or with
+    # several values behind the first row.
     key = line.split(None, 1)[0]
-    if (meant := difflib.get_close_matches(key.upper(), structures, 1, _NEAR)) or "{" in line:
-        hint = f"; is {meant[0]} meant?" if meant else ""
-        raise FormatError(f"{name}: line {number} is of no structure: {key[:40]}{hint}")
+    hint = ""
+    meant = difflib.get_close_matches(key.upper(), structures, 1, _NEAR)
+    if not meant and "{" not in line:
+        values = len(_words(name, number, line)) - 1
+        sizes = {len(members): structure for structure, members in structures.items()}
+        if values in sizes and values >= _ROW:
+            hint = f"; it has the {values} values of a row of {sizes[values]}"
+        elif not (after and values > 1):
+            return
+    elif meant:
+        hint = f"; is {meant[0]} meant?"
+    raise FormatError(f"{name}: line {number} is of no structure: {key[:40]}{hint}")
 
 
 def _check_row(

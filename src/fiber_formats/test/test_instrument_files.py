@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from fiber_core.presets import preset
 from fiber_formats import FormatError, read_layout, read_starts, read_targets
+from fiber_formats.yanny import yanny_tables
 
 FOLDER = Path(__file__).parent / "data"
 CONFIGURATION = (FOLDER / "sdss_confSummary.par").read_text()
@@ -85,6 +86,23 @@ def test_a_misspelt_row_without_a_list_is_refused():
             path = Path(folder) / "robots.par"
             path.write_text(text)
             read_targets(path)
+
+
+@pytest.mark.parametrize("row", ["XQ 2 3", "XQ 2", "XQ 2 3 4 5"])
+def test_a_row_under_a_quite_different_name_is_no_keyword(row):
+    head = "raCen 12.5\nnote an old plate today\n"
+    head += "typedef struct {\n int positionerId;\n double xFocal;\n double yFocal;\n} ROBOTS;\n"
+    head += "ROBOTS 1 2 3\n"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robots.par"
+        path.write_text(head + "cadence dark\n")
+        assert list(yanny_tables(str(path), path.read_text())[0].lines) == [8]
+        path.write_text(head + f"{row} 4\n")
+        with pytest.raises(FormatError, match="line 9 is of no structure: XQ"):
+            yanny_tables(str(path), path.read_text())
+        path.write_text(head.replace("an old plate today", "2 3 4"))  # before the rows, too
+        with pytest.raises(FormatError, match="note; it has the 3 values of a row of ROBOTS"):
+            yanny_tables(str(path), path.read_text())
 
 
 @given(size=st.integers(0, len(CONFIGURATION)))

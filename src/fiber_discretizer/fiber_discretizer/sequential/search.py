@@ -231,10 +231,13 @@ class _Search:
                 if len(which := selection.longer_than(one_more)):
                     bent = candidates.bent(rows[which], plan.motion, required_mm, joint, side)
                     selection.evaluate(which, *bent)
+        # the other order of the joints has fewer segments in one of a hundred robots
+        which = selection.longer_than(one_more)
         for joint in (options.first_joint, 1 - options.first_joint):
-            if len(which := selection.longer_than(one_more)):
+            if len(which):
                 along = candidates.along_trajectory(rows[which], plan.motion, required_mm, joint)
                 selection.evaluate(which, *along)
+            which = selection.unsolved()
         if len(selection.longer_than(self.enough[rows])):
             self._evaluate_timings(selection)
         for width in _TRACES_MM:
@@ -256,6 +259,8 @@ class _Search:
             if len(which := selection.longer_than(enough)):
                 windows = spans[which][:, [0, 1], [theta, phi]]
                 selection.evaluate(which, candidates.straight(rows[which], windows))
+        if plan.plane.coupling.shape[1]:
+            return  # a joint that turns at another time than planned is too fast for the motors
         for joint, side in _DETOURS:
             for timing in (_FAST, _LATE):
                 if len(which := selection.longer_than(enough)):

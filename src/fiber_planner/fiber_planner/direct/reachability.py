@@ -75,28 +75,46 @@ def _cell(value, low, size, count):
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _straight_path_is_open(bodies, i, angles, valid, others, standing, margin, size):
-    # Whether the straight line to one of the configurations keeps the margin at points less
-    # than a cell apart: every cell on it is open then, and the flood would pass too.
+def _simple_path_is_open(bodies, i, angles, valid, others, standing, limits, margin, size):
+    # Whether a way to one of the configurations keeps the margin at points less than a cell apart:
+    # the straight one, or that of an arm which folds, turns, and unfolds. Every cell on it is
+    # open then, and the flood would pass too.
+    begin = standing[i]
+    for option in range(len(angles)):
+        if valid[option]:
+            end = angles[option]
+            if _leg_is_open(bodies, i, begin, end, others, standing, margin, size):
+                return True
+    first, last = np.empty(2), np.empty(2)
     for option in range(len(angles)):
         if not valid[option]:
             continue
-        theta, phi = standing[i]
-        turn, bend = angles[option, 0] - theta, angles[option, 1] - phi
-        steps = 1 + int(max(abs(turn) / max(size[0], 1e-9), abs(bend) / max(size[1], 1e-9)))
-        free = True
-        for k in range(steps + 1):
-            share = k / steps
-            slack = _slack(
-                bodies, i, theta + share * turn, phi + share * bend,
-                others, standing, margin, _ANY_MM,
-            )  # fmt: skip
-            if slack < 0.0:
-                free = False
-                break
-        if free:
-            return True
+        first[0], last[0] = begin[0], angles[option, 0]
+        for side in (math.pi, -math.pi):
+            first[1] = last[1] = min(max(side, limits[1, 0]), limits[1, 1])
+            if (
+                _leg_is_open(bodies, i, begin, first, others, standing, margin, size)
+                and _leg_is_open(bodies, i, first, last, others, standing, margin, size)
+                and _leg_is_open(bodies, i, last, angles[option], others, standing, margin, size)
+            ):
+                return True
     return False
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _leg_is_open(bodies, i, begin, end, others, standing, margin, size):
+    # whether the straight line between two configurations keeps the margin, as above
+    turn, bend = end[0] - begin[0], end[1] - begin[1]
+    steps = 1 + int(max(abs(turn) / max(size[0], 1e-9), abs(bend) / max(size[1], 1e-9)))
+    for k in range(steps + 1):
+        share = k / steps
+        slack = _slack(
+            bodies, i, begin[0] + share * turn, begin[1] + share * bend,
+            others, standing, margin, _ANY_MM,
+        )  # fmt: skip
+        if slack < 0.0:
+            return False
+    return True
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -121,8 +139,8 @@ def _reachable(bodies, levers, robots, near, standing, limits, angles, valid, ma
                         found = True
             if not found:
                 break
-            result[r] = _straight_path_is_open(
-                bodies, i, angles[i], valid[i], others, standing, margin, size
+            result[r] = _simple_path_is_open(
+                bodies, i, angles[i], valid[i], others, standing, limits[i], margin, size
             )
             if result[r]:
                 break

@@ -43,6 +43,10 @@ _FOLDING = 0.7  # share of moves that fold the arm, once arms are folded
 _DRAWS = (30, 100)  # moves of a robot in a sweep: not folding, folding
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
 _IN_VAIN = 8  # sweeps; what is in the way of robots beside static bodies will not move
+# So few pairs in conflict beside static bodies are searched with more moves in a sweep before the
+# makespan of all grows: 5 us a move, and a tenth of a second where none helps.
+_FEW = 5
+_DRAWS_OF_FEW = 6000
 _VISITS = 100  # robots between two reports of progress, at least
 _PARTS = 50  # reports of progress in a sweep, at most
 _AT_ONE_MAKESPAN = 200  # moves per robot after which no more robots are folded anew
@@ -269,10 +273,11 @@ class Search:
 
     def _sweep_repeatedly(self, sweeps: int) -> int:
         # whole sweeps, made in parts so that a budget is kept, and the search can be ended by its
-        # progress callback, on planes of any size
+        # progress callback, on planes of any size; the last few stuck robots are searched deeper
         n, folding = self._problem.plane.n, self._folding
         draws = _DRAWS[int(folding > 0.0)]
         patience = _IN_VAIN if self._may_be_blocked and folding == 0.0 else sweeps
+        deeper = patience < sweeps and not self._without_target.any()
         visits = max(_VISITS, n // _PARTS)
         least, in_vain = n * n, 0
         for _ in range(sweeps):
@@ -281,6 +286,8 @@ class Search:
             least = min(least, conflicts)
             if conflicts == 0 or self._exhausted or in_vain == patience:
                 break
+            if deeper and in_vain >= patience // 2 and conflicts <= _FEW:
+                draws = _DRAWS_OF_FEW // conflicts
             for first in range(0, n, visits):
                 self._report_progress(conflicts)
                 self._spent += sweep(
