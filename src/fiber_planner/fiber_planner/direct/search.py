@@ -43,10 +43,8 @@ _FOLDING = 0.7  # share of moves that fold the arm, once arms are folded
 _DRAWS = (30, 100)  # moves of a robot in a sweep: not folding, folding
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
 _IN_VAIN = 8  # sweeps; what is in the way of robots beside static bodies will not move
-# So few pairs in conflict beside static bodies are searched with more moves in a sweep before the
-# makespan of all grows: 5 us a move, and a tenth of a second where none helps.
-_FEW = 5
-_DRAWS_OF_FEW = 6000
+_FEW = 5  # pairs in conflict beside static bodies that are searched deeper before all get more time
+_DRAWS_OF_FEW = 15000  # in a sweep; 5 us each
 _VISITS = 100  # robots between two reports of progress, at least
 _PARTS = 50  # reports of progress in a sweep, at most
 _AT_ONE_MAKESPAN = 200  # moves per robot after which no more robots are folded anew
