@@ -91,8 +91,8 @@ def run(name: str, seed: int, bare: bool) -> dict[str, object]:
     orders, report, plane = result.orders, result.report, result.plane
     with tempfile.TemporaryDirectory() as folder:
         result.save(folder, recording=False)
-        files = [dict(np.load(Path(folder) / f"{kind}.npz")) for kind in ("problem", "plan")]
-    gaps, ends = judge_gaps(*files, orders.safety.margin_mm), judge_ends(*files)
+        saved, plan = (dict(np.load(Path(folder) / f"{of}.npz")) for of in ("problem", "plan"))
+    gaps, ends = judge_gaps(saved, plan, orders.safety.margin_mm), judge_ends(saved, plan)
     bound = pair_bound(orders.start_problem, orders.safety.margin_mm)
     can = reachable(orders.start_problem, neighbour_pairs(plane), orders.safety.margin_mm)
     line: dict[str, object] = {
