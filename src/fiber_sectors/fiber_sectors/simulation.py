@@ -31,6 +31,7 @@ _STEP_S = 2.5e-3  # between two decisions of a sector
 _AHEAD_S = 10e-3  # before the start: after it a STOP may come too late
 _SILENCE_S = 5e-3  # robots without heartbeats stop by themselves
 _POLL_S = 15e-3  # in which a sector polls its robots after the GO
+_INSTANT_S = 1e-8  # no two reports have one time
 _EXTRA_S = 40e-3  # of a countdown, for the exchange of confirmations
 COORDINATOR = -1
 
@@ -138,6 +139,7 @@ class _Sector:
         self.member = Member(number, number + 1, terms)
         self._loads_s, self._lasts_s, self._notice_s = loads_s, lasts_s, terms.notice_s
         self.start_s = self.confirms_s = self.rest_s = math.inf
+        self.told_s = -math.inf
         self.stopped = False
 
     def wake(self, t: float) -> None:
@@ -256,7 +258,8 @@ class _World:
             sector.wake(t)
             self._push(t + _STEP_S, k)
         if data or member.stage is not stage:
-            self._send(t, k, COORDINATOR, encode_report(member.report(now_s)))
+            sector.told_s = max(now_s, sector.told_s + _INSTANT_S)
+            self._send(t, k, COORDINATOR, encode_report(member.report(sector.told_s)))
 
 
 def run(

@@ -44,9 +44,9 @@ class Terms:
         "gone_s": Range(1e-3, 3600.0),
     }
 
-    period_s: float = 5e-3
-    lease_s: float = 17.5e-3
-    fresh_s: float = 12.5e-3
+    period_s: float = 2.5e-3
+    lease_s: float = 8.75e-3
+    fresh_s: float = 6.25e-3
     notice_s: float = 1.5e-3
     start_error_s: float = 1e-3
     drift_ppm: float = 100.0

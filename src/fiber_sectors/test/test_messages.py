@@ -48,8 +48,8 @@ def test_unknown_orders_and_stages_are_refused():
 
 
 def test_a_lease_shorter_than_two_beats_is_refused():
-    with pytest.raises(SectorError, match=r"lease_s is 0\.008 s"):
-        Terms(lease_s=8e-3)
+    with pytest.raises(SectorError, match=r"lease_s is 0\.005 s"):
+        Terms(lease_s=5e-3)
     with pytest.raises(SectorError, match="period_s"):
         Terms(period_s=math.nan)
 

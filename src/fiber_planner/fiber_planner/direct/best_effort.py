@@ -4,12 +4,14 @@
 import numpy as np
 
 from fiber_core.array_types import Bools, Ints
+from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
 from fiber_planner.direct.initial_plan import Ends
 from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.scene import Scene
 
 __all__ = [
+    "at_borders",
     "hold_at_start",
     "hold_one_of_tangled",
     "near_static_arms",
@@ -28,6 +30,19 @@ def near_static_arms(scene: Scene, robots: int) -> Bools:
     pairs, movable = scene.pairs, scene.movable
     beside = pairs[((pairs < robots) & ~movable[pairs]).any(axis=1)]
     return movable & np.isin(np.arange(len(movable)), beside)
+
+
+def at_borders(scene: Scene, plane: FocalPlane) -> Bools:
+    """Return the robots with a neighbour in another sector, (b,): the two keep a wider gap.
+
+    Args:
+        scene: the robots and their surroundings.
+        plane: the focal plane, with its sectors.
+    """
+    pairs, sector = scene.pairs, plane.sector
+    pairs = pairs[(pairs < plane.n).all(axis=1)]
+    apart = pairs[sector[pairs[:, 0]] != sector[pairs[:, 1]]]
+    return scene.movable & np.isin(np.arange(len(scene.movable)), apart)
 
 
 def worst_robots(scene: Scene, plan: PlanState, bad: Bools, among: Bools) -> Ints:

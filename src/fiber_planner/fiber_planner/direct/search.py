@@ -12,6 +12,7 @@ from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
 from fiber_planner.direct.best_effort import (
+    at_borders,
     hold_at_start,
     hold_one_of_tangled,
     near_static_arms,
@@ -106,8 +107,9 @@ class Search:
         self._at_one_makespan = _AT_ONE_MAKESPAN * self._effort_share
         self._refolded_at_most = _REFOLDED_AT_MOST
         self.crowded, self.dense, self.stretch, self.certified = False, False, 1.0, False
-        self._near_static = near_static_arms(self._scene, problem.plane.n)
-        self._may_be_blocked = bool(self._near_static.any()) or len(problem.plane.walls) > 0
+        near_static = near_static_arms(self._scene, problem.plane.n)
+        self._first_released = near_static | at_borders(self._scene, problem.plane)
+        self._may_be_blocked = bool(near_static.any()) or len(problem.plane.walls) > 0
         self._at_most = np.zeros(len(self._scene.pairs), dtype=bool)  # see require_more
 
     def run(self) -> SearchResult:
@@ -340,10 +342,10 @@ class Search:
         self._hold_worst()
 
     def _releasable(self) -> Bools:
-        # Robots near static arms, and once one of them was released, all: a few robots that
-        # are stuck behind those are no reason for a longer makespan of all.
+        # Robots near static arms and at borders of sectors, and once one of them was released,
+        # all: a few robots that are stuck there are no reason for a longer makespan of all.
         released = (self._reason == Reason.NOT_CONVERGED).any()
-        return self._scene.movable if released else self._near_static
+        return self._scene.movable if released else self._first_released
 
     def _restore(self) -> None:
         # Released robots go to their targets after all if that motion is free and certified.
