@@ -186,6 +186,12 @@ kill: build ## kill, pause and disturb the processes of a small plane (RUNS= mor
 	$(if $(JOBS),--jobs $(JOBS)); failed=$$?; \
 	$(PYTHON) bench/kill_table.py bench/results/kill.jsonl --out bench/results/kill.md; exit $$failed
 
+.PHONY: sector-faults
+sector-faults: build ## kill, pause and cut off the hosts of a plane of sectors (RUNS=, SEED=, JOBS=), added to bench/results/sector_faults.jsonl
+	@trap : INT; $(INSTALLED) && PYTHONPATH=bench:$$PYTHONPATH $(PYTHON) bench/sector_faults.py --runs $(RUNS) \
+		$(if $(SEED),--seed $(SEED)) --jobs $(or $(JOBS),2) --scale $(or $(SCALE),0.15) \
+		--lines bench/results/sector_faults.jsonl
+
 FAULTS_AT_ONCE ?= 2
 .PHONY: explore
 explore: build ## check the protocol in every state that some faults can lead to (FAULTS_AT_ONCE=2)

@@ -16,12 +16,11 @@ import resource
 import sys
 import threading
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from multiprocessing.connection import Connection, wait
-from typing import NamedTuple
 
 import numpy as np
+from sector_judge import Moved, Start, Verdict, broken, judge
 
 from fiber_bus_bridge import PlanResult, Session, SessionConfig, SessionState
 from fiber_bus_bridge.plant.plant import Plant
@@ -29,26 +28,23 @@ from fiber_bus_bridge.simulation import (
     EVENT,
     Event,
     Faults,
-    Movements,
     SimulationConfig,
     simulated_buses,
 )
-from fiber_core.array_types import Bools
-from fiber_core.clearance import Safety, certify_arms, neighbour_pairs
+from fiber_core.clearance import Safety
 from fiber_core.fields import random_problem
 from fiber_core.outcomes import Outcome
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_positioners import make_orders
-from fiber_sectors import Terms
+from fiber_sectors import Stage, Terms
 from fiber_sectors.exchange import Pace
 from fiber_sectors.sector import Sector, certified_elsewhere
 from fiber_sectors.sectored_session import SectoredSession
 from fiber_sectors.shares import part_of, with_sectors
 
-__all__ = ["broken", "broken_off", "judge", "main", "problem_of"]
+__all__ = ["main", "problem_of"]
 
-_EXACT = Safety(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _KILL, _TRUTH = b"KILL", b"TRTH"
 _PATIENCE_S = 20.0
 
@@ -124,14 +120,6 @@ def _host(connection: Connection, plane, start, number: int, seed: int, jam) -> 
             sector.inbox.put(data)
 
 
-class _Truth(NamedTuple):
-    contacts: int
-    unverified: int
-    start_skew_ms: float
-    stop_ms: float
-    memory_mb: list[float]
-
-
 class _Plane:
     """The processes of the sectors, and the session of their coordinator."""
 
@@ -139,6 +127,7 @@ class _Plane:
         self._problem, self._units = problem, WireUnits.for_plane(problem.plane)
         self._rng, self._loss, self.dead = np.random.default_rng(seed), loss, set()
         self._connections, self._processes = [], []
+        self._told: list[Start] = []
         context = multiprocessing.get_context("fork")
         for k in range(sectors):
             ours, theirs = context.Pipe()
@@ -154,6 +143,17 @@ class _Plane:
             problem.plane, self._units, Safety(), problem.start, SessionConfig(), Terms(), self,
             Pace(patience_s=_PATIENCE_S),
         )  # fmt: skip
+        conductor = self.session.sectors.conductor
+        conductor.go = self._telling(conductor.go)  # type: ignore[method-assign]
+
+    def _telling(self, go):
+        def call(start_s: float, *more: float) -> None:
+            go(start_s, *more)
+            conductor = self.session.sectors.conductor
+            going = (k for k in conductor.part if conductor.stage(k) is Stage.READY)
+            self._told.append(Start(start_s, tuple(going)))
+
+        return call
 
     def send(self, sector: int, data: bytes) -> None:
         if sector not in self.dead and self._rng.random() >= self._loss:
@@ -171,16 +171,17 @@ class _Plane:
         self._connections[sector].send_bytes(_KILL)
         self.dead.add(sector)
 
-    def truth(self) -> _Truth:
-        """Judge the true motion of all robots since the begin."""
+    def truth(self) -> tuple[Verdict, list[float]]:
+        """Judge the true motion of all robots since the begin; return the memory, too [MB]."""
         found = []
         for k, each in enumerate(self._connections):
             while each.poll(0.05 if k in self.dead else 0.0):
                 each.recv_bytes()
             each.send_bytes(_TRUTH)
             found.append(self._answer(each))
-        rows = [self.session.sectors.rows[k] for k in range(len(found))]
-        return judge(self._problem.plane, self._units, rows, found)
+        moved = [Moved(own, *each[:4]) for own, each in zip(self.session.sectors.rows, found)]
+        verdict = judge(self._problem.plane, self._units, moved, self._told)
+        return verdict, [each[4] for each in found]
 
     @staticmethod
     def _answer(connection: Connection):
@@ -195,71 +196,6 @@ class _Plane:
         for process in self._processes:  # the forked ones hold each other's connections open
             process.terminate()
             process.join(10.0)
-
-
-def broken_off(moves: Movements, now_s: float) -> Bools:
-    """Return the movements that ended before their orders did, shape (r,).
-
-    Args:
-        moves: the movements; what lies beyond their segments is of earlier orders.
-        now_s: the present [s].
-    """
-    of_order = np.arange(moves.ticks.shape[2]) < moves.counts[:, :, None]
-    lasts_s = (moves.ticks * of_order).sum(axis=2).max(axis=1) * moves.tick_s
-    return np.minimum(moves.ended_s, now_s) < moves.started_s + lasts_s - 1e-4
-
-
-def starts_of(row):
-    """Return the common start of each movement, shape (m,), from their robots in time order, (m,).
-
-    A start ends where a robot of it begins again: a sector is late in its own, by any time.
-    """
-    number, begun, numbers = 0, set(), np.zeros(len(row), dtype=np.int64)
-    for at, robot in enumerate(row.tolist()):
-        if robot in begun:
-            number, begun = number + 1, set()
-        begun.add(robot)
-        numbers[at] = number
-    return numbers
-
-
-def judge(plane, units, rows, found) -> _Truth:
-    most = max(moves.ticks.shape[2] for _, moves, *_ in found)
-
-    def padded(values):
-        return np.pad(values, [(0, 0), (0, 0), (0, most - values.shape[2])])
-
-    merged = {}
-    for name in found[0][1]._fields:
-        parts = [getattr(each[1], name) for each in found]
-        if name == "row":
-            parts = [own[values] for own, values in zip(rows, parts)]
-        merged[name] = np.concatenate([padded(v) if v.ndim == 3 else v for v in parts])
-    moves = type(found[0][1])(**merged)
-    start = np.zeros((plane.n, 2), dtype=np.int64)
-    for own, each in zip(rows, found):
-        start[own] = each[0]
-    now_s = max(each[3] for each in found)
-    verified = np.concatenate([each[2] for each in found])
-    memory = [each[4] for each in found]
-    if len(moves.row) == 0:
-        return _Truth(0, 0, 0.0, 0.0, memory)
-    order = np.argsort(moves.started_s, kind="stable")
-    moves = type(moves)(*(getattr(moves, name)[order] for name in moves._fields))
-    motion = moves.motion(start, units.quantum_rad, now_s, float(moves.started_s.min()) - 1e-3)
-    certificate = certify_arms(plane, motion, _EXACT, neighbour_pairs(plane))
-    ended_s = np.minimum(moves.ended_s, now_s)
-    early = broken_off(moves, now_s)
-    phase = starts_of(moves.row)
-    skew_s = stop_s = 0.0
-    for each in np.unique(phase):
-        mine = phase == each
-        skew_s = max(skew_s, float(np.ptp(moves.started_s[mine])))
-        if (mine & early).any():
-            stop_s = max(stop_s, float(np.ptp(ended_s[mine & early])))
-    return _Truth(
-        int(certificate.unsafe.sum()), int((~verified).sum()), 1e3 * skew_s, 1e3 * stop_s, memory
-    )
 
 
 def problem_of(robots: int, sectors: int, seed: int):
@@ -281,6 +217,13 @@ def _start_bound_ms(session: SectoredSession) -> float:
     """Largest difference between two starts: between sectors as measured, and inside of one."""
     between_s = session.sectors.conductor.start_skew_bound_s
     return 1e3 * (between_s + session.protocol.safety.start_skew_s)
+
+
+def _stop_bound_ms(session: SectoredSession) -> float:
+    """Largest time from the stop of one robot until all rest [ms]."""
+    safety = session.protocol.safety
+    several = session.sectors.number > 1
+    return 1e3 * (safety.border_stop_skew_s if several else safety.stop_skew_s)
 
 
 def _run(session: SectoredSession) -> PlanResult:
@@ -318,7 +261,8 @@ def _measure(args: argparse.Namespace) -> dict:
     bound_ms = _start_bound_ms(session)
     result = _run(session)
     lap("move")
-    truth = plane.truth()
+    truth, memory_mb = plane.truth()
+    lap("judge")
     plane.close()
     own_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return {
@@ -326,16 +270,17 @@ def _measure(args: argparse.Namespace) -> dict:
         "reached": int((result.outcome == Outcome.REACHED).sum()),
         "start_skew_ms_max": round(truth.start_skew_ms, 4),
         "start_skew_bound_ms": round(bound_ms, 4),
-        "stop_ms_max": round(truth.stop_ms, 3), "contacts": truth.contacts,
+        "stop_ms_max": round(truth.stop_ms, 3), "stop_bound_ms": _stop_bound_ms(session),
+        "contacts": truth.contacts,
         "unverified": truth.unverified,
         "without_outcome": args.robots - len(result.outcome),
         "start_s": round(go_s, 4), "ended_s": round(session.transactions.now_s, 4),
         "wall_s": times,
-        "memory_mb": {"coordinator": round(own_mb), "sectors": [round(m) for m in truth.memory_mb]},
+        "memory_mb": {"coordinator": round(own_mb), "sectors": [round(m) for m in memory_mb]},
     }  # fmt: skip
 
 
-def _campaign(problem, orders, sectors: int, seed: int) -> tuple[_Truth, int, float]:
+def _campaign(problem, orders, sectors: int, seed: int) -> tuple[Verdict, int, float]:
     rng = np.random.default_rng(seed)
     kind, victim = ("jam", "kill", "loss", "jam and loss")[seed % 4], int(rng.integers(sectors))
     at_s = rng.uniform(0.05, 0.05 + 0.8 * orders.wire.decoded().makespan_s)
@@ -350,17 +295,9 @@ def _campaign(problem, orders, sectors: int, seed: int) -> tuple[_Truth, int, fl
     if kind == "kill" and session.state is SessionState.MOVING:
         session.advance(at_s)
         plane.kill(victim)
-    result, truth = _run(session), plane.truth()
+    result, (truth, _) = _run(session), plane.truth()
     plane.close()
     return truth, problem.plane.n - len(result.outcome), bound_ms
-
-
-def broken(line: Mapping[str, float]) -> list[str]:
-    """Return the promises that a line of results breaks."""
-    found = [name for name in ("contacts", "unverified", "without_outcome") if line[name]]
-    if not line["start_skew_ms_max"] <= line["start_skew_bound_ms"]:
-        found.append("start_skew")
-    return found
 
 
 def main(argv: list[str] | None = None) -> int:

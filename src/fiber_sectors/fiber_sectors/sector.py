@@ -288,13 +288,27 @@ class Sector:
         taken = self.inbox.take(wait_s)
         for data in taken:
             if data[:4] == CALL:
-                self._later.append(data)
+                self._keep(data)
             else:
                 self._hear(data)
         if not taken and self._clock is None:
             # the time that nothing was heard for passes on the buses as well
             self._alone = True
             self._at_s += wait_s
+
+    def _keep(self, data: bytes) -> None:
+        """Keep a call for later; one that is newer than this run ends it.
+
+        A coordinator calls no sector that is under way: this one was killed, and another began.
+        """
+        self._later.append(data)
+        try:
+            call = decode_call(data)
+        except SectorError:
+            return  # is sent again
+        newest = 0 if self._call is None else self._call.number
+        if call.sector == self._number and call.number > newest:
+            self.member.why = self.member.why or "the coordinator has begun anew"
 
     def _move(self) -> None:
         session, member, period_s = self._session, self.member, self._terms.period_s
@@ -303,6 +317,7 @@ class Sector:
         deadline_s = phase.start_s - self._ahead_s
         member.confirmed(phase.start_s, deadline_s, self._now_s())
         self._report()
+        told = member.stage
         while session.state is SessionState.MOVING:
             if self._clock is None and not self._alone:
                 self._wait_for_answer()
@@ -323,7 +338,9 @@ class Sector:
                 due_s = period_s / 4 if c.watch is None else c.watch.now_s - self._now_s()
                 self._listen(min(max(due_s, 0.0), period_s / 4))
             self._tell_table(now_s)
-            self._report()
+            if self._clock is None or member.stage is not told:  # beats are answered as they come
+                self._report()
+                told = member.stage
 
     def _wait_for_answer(self) -> None:
         """Wait for a beat that answers the last report; the time of the buses stands still."""
@@ -335,7 +352,7 @@ class Sector:
                 return
             for data in self.inbox.take(left_s):
                 if data[:4] == CALL:
-                    self._later.append(data)
+                    self._keep(data)
                 else:
                     self._take_beat(data)
                     if not self.member.answered(self._sent_s):

@@ -229,7 +229,9 @@ class _World:
 
     @property
     def _over(self) -> bool:
+        t = self._events[0][0]
         rest = all(s.member.stage in (Stage.ENDED, Stage.STOPPED) for s in self.sectors)
+        rest &= all(s.rest_s <= t for s in self.sectors if math.isfinite(s.start_s))
         return rest and self.conductor.step is Step.OVER
 
     def _conduct(self, t: float, data: bytes) -> None:

@@ -20,7 +20,8 @@ class Terms:
             [s].
         fresh_s: age of the newest beat that each sector has answered, up to which the coordinator
             lets the others move on [s].
-        notice_s: longest time from the decision of a sector to stop until its robots rest [s].
+        notice_s: longest time from the decision of a sector to stop until its robots rest [s]: that
+            for which they move without heartbeats, as its process may be paused in that moment.
         start_error_s: largest error of the instant at which a sector starts, with the error bound
             of the offset between the clocks of two hosts [s].
         drift_ppm: largest difference between the rates of the clocks of two hosts [1e-6].
@@ -47,7 +48,7 @@ class Terms:
     period_s: float = 2.5e-3
     lease_s: float = 8.75e-3
     fresh_s: float = 6.25e-3
-    notice_s: float = 1.5e-3
+    notice_s: float = 5e-3
     start_error_s: float = 1e-3
     drift_ppm: float = 100.0
     spare: int = 2
