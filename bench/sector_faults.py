@@ -151,7 +151,7 @@ class Campaign:
     def _new_sector(self, k: int) -> Any:
         return self._begin(run_sector, self._paths[k], k)
 
-    def _new_coordinator(self, orders: Any) -> Connection:
+    def _new_coordinator(self, orders: Any) -> Any:
         pipe, theirs = CONTEXT.Pipe()
         self._hosts[COORDINATOR] = self._begin(coordinate, theirs, orders)
         theirs.close()

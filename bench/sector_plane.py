@@ -106,7 +106,9 @@ def run_plant(path: Path, k: int, setting: Setting) -> None:
     """Serve the buses and robots of a sector; one of the victim's robots jams when it is told."""
     plane, problem = setting.problem.plane, setting.problem
     part, units = part_of(plane, k), WireUnits.for_plane(plane)
-    robots = simulated_buses(part, units, problem.start[plane.sector == k], SimulationConfig(k))
+    robots = simulated_buses(
+        part, units, problem.start[plane.sector == k], SimulationConfig(seed=k)
+    )
     later = np.array([(0, _NEVER_S, int(Event.JAM_THETA), 0)], dtype=EVENT)
     buses = type(robots)(robots.positioners, robots.timing, RobotFaults(events=later))
     plant, jams = Plant(buses, units.quantum_rad, setting.scale), setting.line["victim"] == k
