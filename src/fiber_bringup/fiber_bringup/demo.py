@@ -9,7 +9,8 @@ the logs of the nodes.
 
 With --tolerance-um a simulated camera sees arms that do not quite follow their counters, and
 corrections bring the fibres to their targets; outcome and error of each robot come from the last
-image, the recording is that of the blind move, and residuals.png has the vectors and histograms.
+image, the recording is that of the blind move with all images after it, which the player shows, and
+residuals.png has the vectors and histograms.
 
 With --faults robots and buses fail during the motion, e.g. `--faults stall:2,reset`: robots stop
 by themselves, all others are stopped with them, and the robots that can go on are started again.
@@ -226,6 +227,8 @@ def _reconfigure(problem: Problem, options: argparse.Namespace, display: Progres
                 figure.savefig(options.out / "residuals.png", dpi=110)
                 outcome, images = closed.outcome, show_images(closed, display.say)
                 times[-1] = time.monotonic()
+                path = options.out / recording_name(stamp)
+                _wait_for_images(client, path, len(closed.places), options.timeout)
     (options.out / recording_name(stamp)).replace(options.out / "recording.npz")
     graph, ready, start, move = np.diff(times)
     plan = stages["planner"] - stages["sent"]
@@ -233,6 +236,21 @@ def _reconfigure(problem: Problem, options: argparse.Namespace, display: Progres
         "graph": graph, "plan": plan, "discretize": ready - plan, "start": start, "move": move
     }  # fmt: skip
     return _Run(outcome, load_recording(options.out / "recording.npz"), wall_s, images)
+
+
+def _wait_for_images(client: PlaneClient, path: Path, images: int, timeout_s: float) -> None:
+    """Wait until the recorder has added all images of a loop to the recording of its plan."""
+    seen_ns, found = -1, 0
+
+    def written() -> bool:
+        nonlocal seen_ns, found
+        now_ns = path.stat().st_mtime_ns
+        if now_ns != seen_ns:  # to load it takes longer than a message
+            seen_ns, recorded = now_ns, load_recording(path).images
+            found = 0 if recorded is None else len(recorded.place_mm)
+        return found >= images
+
+    client.wait_for(written, timeout_s, lambda: f"images in the recording, {found} of {images}")
 
 
 def _recorder(problem: Problem, options: argparse.Namespace) -> dict[str, object]:

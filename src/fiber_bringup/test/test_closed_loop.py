@@ -21,7 +21,7 @@ from fiber_core.fields import random_field
 from fiber_core.outcomes import Outcome, Reason, Verdict
 from fiber_core.wire_units import WireUnits
 from fiber_metrology import ImageError
-from fiber_msgs_py import PlanStamp, layout, spots, topics
+from fiber_msgs_py import PlanStamp, layout, spots, targets, topics
 from fiber_recording import load_recording
 from fiber_recording.node import recording_name
 
@@ -132,6 +132,24 @@ def test_the_recording_of_the_blind_move_has_the_images_after_it_and_its_correct
     flagged = np.isin(night.client.plane.ids, list(end.flagged))
     assert all("not_moved" in name for name in names[0, flagged])
     assert (names[0, ~flagged] == "measured").mean() > 0.8
+
+
+def test_images_after_a_refused_plan_are_of_the_plan_that_was_carried_out(night, first):
+    ids, xy_mm = night.field(12)
+    blind = night.client.reconfigure(ids, xy_mm, WAIT_S)
+    plane = night.client.plane
+    late = targets.encode(plane.ids, plane.centers + 1.0, PlanStamp(5), night.client.session)
+    night.client.send_message(late)
+    night.client.wait_for(lambda: night.client.refusals.get(PlanStamp(5)), WAIT_S)
+    end = night.loop().run(ids, xy_mm, blind)
+    assert len(end.places) > 1
+    path = night.recordings / recording_name(PlanStamp(blind.stamp_ns))
+
+    def images():
+        found = load_recording(path).images if path.exists() else None
+        return 0 if found is None else len(found.place_mm)
+
+    night.client.wait_for(lambda: images() >= len(end.places), WAIT_S)
 
 
 def test_a_robot_that_sticks_is_flagged_and_an_obstacle_and_the_others_go_on(night, first):
@@ -280,6 +298,23 @@ def test_a_measurement_that_the_bridge_refuses_teaches_the_metrology_nothing(nig
     inputs.newest = newest
     night.loop().take_image()
     assert night.metrology._knowledge._images == learned + 1
+
+
+def test_what_the_bridge_may_take_over_after_the_time_out_is_forgotten(night, first):
+    night.loop().take_image()
+    bridge, before = night.graph.nodes[0], night.metrology._knowledge
+    taken = bridge._measured._images
+    night.metrology.set_parameters([Parameter("timeout_s", value=2.0)])
+    with bridge._lock:  # it is at work on something that takes longer
+        with pytest.raises(PlaneRefusal, match="has not taken it over in 2 s"):
+            night.loop().take_image()
+    night.client.wait_for(lambda: bridge._measured._images == taken + 1, WAIT_S)
+    night.metrology.set_parameters([Parameter("timeout_s", value=COMPILE_S)])
+    assert night.metrology._knowledge is not before and night.metrology._knowledge._images == 0
+    night.loop().take_image()
+    ids, xy_mm = night.field(11)
+    blind = night.client.reconfigure(ids, xy_mm, WAIT_S)
+    assert night.loop().run(ids, xy_mm, blind).images()[-1]["rms_um"] < 8.0
 
 
 def test_after_home_an_image_expects_robots_that_may_not_have_moved(night, first):

@@ -4,6 +4,7 @@
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 
 from fiber_core.errors import FiberError
@@ -27,14 +28,15 @@ class AcceptedAttempts:
     Args:
         node: the node that receives the messages.
         gate: tells which sessions are open.
+        group: callback group of the acceptances; None for the default one of the node.
     """
 
-    def __init__(self, node: Node, gate: SessionGate):
+    def __init__(self, node: Node, gate: SessionGate, group: CallbackGroup | None = None):
         self._gate, self._logger = gate, node.get_logger()
         self._accepted: dict[PlanStamp, tuple[Attempt, str]] = {}
         self._waiting: dict[PlanStamp, Callable[[Attempt, str], None]] = {}
         self._ended: dict[PlanStamp, None] = {}  # refused, or worked on already
-        topics.PROGRESS.subscription(node, self._on_progress)
+        topics.PROGRESS.subscription(node, self._on_progress, callback_group=group)
 
     def when_accepted(self, stamp: PlanStamp, work: Callable[[Attempt, str], None]) -> bool:
         """Do work on the attempt of a stamp as soon as the bridge has accepted it.

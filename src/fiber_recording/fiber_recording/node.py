@@ -43,7 +43,7 @@ from fiber_msgs_py import (
     trajectory,
     true_places,
 )
-from fiber_node import PlaneNode, Reporter, SessionGate, run
+from fiber_node import AcceptedAttempts, PlaneNode, Reporter, SessionGate, run
 from fiber_recording.build_recording import build_recording
 from fiber_recording.measured_images import ImagesOfPlans, with_images
 from fiber_recording.received_plans import PlanAttempts, ReceivedPlan, ReceivedPlans
@@ -125,6 +125,7 @@ class RecorderNode(PlaneNode):
         # a recording takes a second to write, in which the default group serves parameters
         work = MutuallyExclusiveCallbackGroup()
         gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic), work)
+        self._accepted = AcceptedAttempts(self, gate, work)
         for topic, observe in (
             (topics.LAYOUT, self._on_layout),
             (topics.JOINT_STATES, self._on_joint_states),
@@ -181,7 +182,10 @@ class RecorderNode(PlaneNode):
             return  # the planner refuses them
         self._received.announce(attempt)
         if attempt.number == 1:  # later attempts have some of these targets again
-            self._images.begin(attempt.plan, targets.decode_straight(message))
+            straight = targets.decode_straight(message)
+            self._accepted.when_accepted(
+                attempt.stamp, lambda accepted, _: self._images.begin(accepted.plan, straight)
+            )
             self._received.plan(attempt.plan).targets = message
 
     def _on_progress(self, message: DiagnosticStatus) -> None:

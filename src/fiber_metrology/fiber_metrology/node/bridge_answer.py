@@ -13,7 +13,11 @@ from fiber_metrology.errors import MetrologyError
 from fiber_msgs_py import PlanStamp, diagnostics, measured, progress, topics
 from fiber_node import BRIDGE
 
-__all__ = ["BridgeAnswer"]
+__all__ = ["BridgeAnswer", "BridgeSilent"]
+
+
+class BridgeSilent(MetrologyError):
+    """The bridge has not said whether it takes over what was measured: it may do so later."""
 
 
 class BridgeAnswer:
@@ -66,7 +70,8 @@ class BridgeAnswer:
             timeout_s: longest wait [s].
 
         Raises:
-            MetrologyError: the bridge refuses it; gives its reason. Or it does not answer.
+            MetrologyError: the bridge refuses it; gives its reason. Or nothing was heard of it.
+            BridgeSilent: it does not answer; it may take it over later.
         """
         with self._came:
             if not self._came.wait_for(lambda: self._taken is not None, timeout_s):
@@ -81,4 +86,4 @@ class BridgeAnswer:
             if stamp in self._refused:
                 raise MetrologyError(f"the bridge has not taken it over: {self._refused[stamp]}")
             if not taken_over():
-                raise MetrologyError(f"the bridge has not taken it over in {timeout_s:g} s")
+                raise BridgeSilent(f"the bridge has not taken it over in {timeout_s:g} s")

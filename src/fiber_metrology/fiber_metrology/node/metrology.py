@@ -19,7 +19,7 @@ from fiber_metrology.errors import ImageError, MetrologyError
 from fiber_metrology.identify import IdentifyConfig
 from fiber_metrology.knowledge import DriveErrors, Knowledge
 from fiber_metrology.measure import MeasureConfig, Measurement, measure
-from fiber_metrology.node.bridge_answer import BridgeAnswer
+from fiber_metrology.node.bridge_answer import BridgeAnswer, BridgeSilent
 from fiber_metrology.node.camera_intake import CameraIntake
 from fiber_metrology.node.motions import Motions, Rest
 from fiber_metrology.node.settings import MetrologyConfig
@@ -157,13 +157,24 @@ class MetrologyNode(ManagedNode):
         image = measure(expected, taken, fiducials, calibrated, self._measure_config())
         took_s = time.monotonic() - begin_s
         wider_mm = knowledge.outlines_off_mm(image)
-        self._answer.wait_after(
-            lambda: self._publish(image, wider_mm, stamp, rest.session),
-            stamp, self._config.value.timeout_s,
-        )  # fmt: skip
+        try:
+            self._answer.wait_after(
+                lambda: self._publish(image, wider_mm, stamp, rest.session),
+                stamp, self._config.value.timeout_s,
+            )  # fmt: skip
+        except BridgeSilent:
+            self._forget(knowledge)
+            raise
         with self._motions.lock:
             knowledge.learn(image)  # after the bridge: both count from the same places
         return self._report(image, stamp, took_s)
+
+    def _forget(self, knowledge: Knowledge) -> None:
+        # the counters may be set to what was measured, later or not at all: what was known of them
+        # before serves neither case
+        with self._motions.lock:
+            if self._knowledge is knowledge:
+                self._knowledge = Knowledge(knowledge.plane, self._drive)
 
     def _measure_config(self) -> MeasureConfig:
         return replace(self._measure.value, plate=self._plate.value, identify=self._identify.value)
