@@ -37,7 +37,7 @@ def test_orders_come_from_those_alone_that_make_them(root):
     assert holders(root, "publish", "focal_plane/targets") == {"bridge", "operator", "gateway"}
     assert holders(root, "publish", "focal_plane/trajectory") == {"planner"}
     assert holders(root, "publish", "focal_plane/segments") == {"discretizer"}
-    for service in ("start", "stop", "home", "clear", "configure"):
+    for service in ("start", "stop", "home", "turn", "clear", "configure"):
         assert holders(root, "reply", f"focal_plane/{service}") == {"bridge"}
         assert holders(root, "request", f"focal_plane/{service}") == clients
     assert holders(root, "request", "bridge/set_parameters") == clients

@@ -31,6 +31,7 @@ setup(
             "disable = fiber_client.disable:disable",
             "enable = fiber_client.disable:enable",
             "vouch = fiber_client.vouch:vouch",
+            "recover = fiber_client.recover:main",
             "show = fiber_client.show:main",
             "gateway = fiber_client.gateway:main",
             "robot_model = fiber_client.robot_model:main",

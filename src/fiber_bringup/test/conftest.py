@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plans of a small plane with a recorder in the graph: done, home, replaced, stopped."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,6 +15,7 @@ from fiber_recording import load_recording
 from fiber_recording.node import recording_name
 from fiber_recording.settled_replay import settled_replay
 
+sys.path.append(str(Path(__file__).parent))  # helper modules in this folder
 COMPILE_S, WAIT_S, ROBOTS = 600.0, 60.0, 37
 
 

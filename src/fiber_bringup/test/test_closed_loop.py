@@ -2,83 +2,20 @@
 """The loop in the graph: blind move, image, correction, image; and images that cannot be used."""
 
 import json
-import threading
 
 import numpy as np
 import pytest
+from night import COMPILE_S, WAIT_S, Night
 from rclpy.parameter import Parameter
 
-from fiber_bringup.graph import Graph
-from fiber_bus_bridge.plant.plant import Plant
-from fiber_bus_bridge.plant.server import PlantServer, listen
-from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses, simulated_problem
-from fiber_client.client import PlaneClient
-from fiber_client.closed_loop import CameraLoop
 from fiber_client.errors import PlaneError, PlaneRefusal
 from fiber_client.reconfigure import main as reconfigure
 from fiber_core.arm_bounds import arms_within, interval_of_tips
-from fiber_core.fields import random_field
 from fiber_core.outcomes import Outcome, Reason, Verdict
-from fiber_core.wire_units import WireUnits
 from fiber_metrology import ImageError
 from fiber_msgs_py import PlanStamp, layout, spots, targets, topics
 from fiber_recording import load_recording
 from fiber_recording.node import recording_name
-
-WAIT_S, COMPILE_S, ROBOTS = 60.0, 600.0, 61
-ARMS = {"scale": 0.004, "backlash_deg": 0.08, "wave_deg": 0.12, "non_movers": 0.04}
-
-
-class Night:
-    """A plant, the graph with a camera, and a client."""
-
-    def __init__(self, folder, domain):
-        self.domain, path = domain, folder / "plant"
-        config = SimulationConfig(preset="desi", robots=ROBOTS)
-        problem = simulated_problem(config).problem
-        units = WireUnits.for_plane(problem.plane)
-        buses = simulated_buses(problem.plane, units, problem.start, config)
-        plant = Plant(buses, units.quantum_rad, 0.0)
-        listener, self._lock = listen(path)
-        self._server = PlantServer(plant, problem.plane.ids, listener, lambda: 0.0)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(
-            target=self._server.serve, args=[self._ended.is_set], daemon=True
-        )
-        self._thread.start()
-        bridge = {"preset": "desi", "robots": ROBOTS, "plant": str(path), "time_scale": 0.0,
-                  "memory": "none", "blind_um": 40.0}  # fmt: skip
-        camera = {"plant": str(path), "seed": 3, "dark": 0.04}
-        camera |= {f"arms.{name}": value for name, value in ARMS.items()}
-        self.recordings = folder / "recordings"
-        self.graph = Graph(
-            bridge=bridge, metrology={"timeout_s": COMPILE_S}, camera=camera, domain=domain,
-            recorder={"folder": str(self.recordings)},
-        )  # fmt: skip
-        self.graph.__enter__()
-        self.metrology, self.camera = self.graph.nodes[-2:]
-        self.client = PlaneClient(domain, args=[])
-        self.client.wait_for_graph(COMPILE_S)
-
-    def end(self):
-        self.client.close()
-        self.graph.__exit__(None, None, None)
-        self._ended.set()
-        self._thread.join(WAIT_S)
-        self._server.close(self._lock)
-
-    def field(self, seed):
-        rng = np.random.default_rng(seed)
-        plane = self.client.plane
-        drawn = random_field(plane, rng, 0.1, start=self.client.angles).problem
-        return plane.ids[drawn.asked], drawn.targets[drawn.asked]
-
-    def true_fibres(self):
-        return self.camera._true_fibres(self.client.plane)
-
-    def loop(self, tolerance_um=12.0, iterations=2):
-        return CameraLoop(self.client, tolerance_um, iterations, COMPILE_S)
-
 
 @pytest.fixture(scope="module")
 def night(tmp_path_factory, new_domain):

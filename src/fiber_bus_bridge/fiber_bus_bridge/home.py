@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Orders that bring robots home: phi to its upper limit, theta still."""
+"""Motions of one segment a joint: home, and a test turn of robots at unknown places."""
 
 import numpy as np
 
 from fiber_core.array_types import Counts, Ints, Mask
+from fiber_core.clearance import Certificate, Safety, hold_until_safe, levers_of
+from fiber_core.focal_plane import FocalPlane
+from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 
-__all__ = ["home_motion"]
+__all__ = ["hold_beyond", "home_motion", "turn_motion"]
+
+_ROUNDING_MM = 1e-9
 
 
 def home_motion(
@@ -26,10 +31,54 @@ def home_motion(
         speed: highest speeds of phi [velocity units], shape (n,).
         chosen: robots to fold, shape (n,).
     """
-    distance = np.where(chosen, high - start[:, 1], 0)
+    return _one_segment(units, start, 1, np.where(chosen, high - start[:, 1], 0), speed)
+
+
+def turn_motion(
+    units: WireUnits, start: Counts, turn: Ints, speed: Ints, chosen: Mask
+) -> WireMotion:
+    """Return the motion that turns theta of robots with one segment each.
+
+    Args:
+        units: tick, quantum and widths.
+        start: joint positions now [quanta], shape (n, 2).
+        turn: turn of each theta; a little less of it is ordered, never more [quanta], shape (n,).
+        speed: speeds of theta [velocity units], shape (n,).
+        chosen: robots to turn, shape (n,).
+    """
+    return _one_segment(units, start, 0, np.where(chosen, turn, 0), np.maximum(speed, 1))
+
+
+def _one_segment(
+    units: WireUnits, start: Counts, joint: int, distance: Ints, speed: Ints
+) -> WireMotion:
     ticks = np.clip(-(-np.abs(distance) // np.maximum(speed, 1)), 1, units.max_ticks)
     velocity = np.sign(distance) * np.minimum(np.abs(distance) // ticks, speed)
     moves = velocity != 0
-    segments = np.stack([np.zeros_like(distance), moves], axis=1)
+    segments = np.zeros((len(distance), 2), dtype=np.int64)
+    segments[:, joint] = moves
     offsets = Parts.from_counts(segments).offsets
     return WireMotion(units, start, offsets, ticks[moves], velocity[moves])
+
+
+def hold_beyond(
+    plane: FocalPlane, motion: SegmentMotion, safety: Safety, within_mm: float
+) -> tuple[SegmentMotion, Mask, Certificate]:
+    """Hold robots of which a point could move farther than a distance, wherever their arms are.
+
+    The gaps of pairs take no part: places of arms may be unknown.
+
+    Args:
+        plane: the focal plane.
+        motion: joint profiles of all robots, as ordered.
+        safety: the timing errors.
+        within_mm: the distance [mm].
+
+    Returns:
+        As of hold_until_safe, with a certificate without pairs.
+    """
+    travel = np.maximum(motion.highest - motion.start, motion.start - motion.lowest)
+    far = (travel * levers_of(plane)).sum(axis=1) > within_mm + _ROUNDING_MM
+    none = np.zeros((0, 2), dtype=np.int64)
+    rest, held, certificate = hold_until_safe(plane, motion.without(far), safety, none)
+    return rest, held | far, certificate

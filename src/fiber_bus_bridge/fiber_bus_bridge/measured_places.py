@@ -14,10 +14,16 @@ from fiber_core.array_types import Mask
 from fiber_core.clearance import neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 
-__all__ = ["place_robots", "widen_outlines"]
+__all__ = ["place_robots", "require_rest", "widen_outlines"]
 
 
-def place_robots(session: Session, counts: ArrayLike, chosen: ArrayLike, t: float) -> Mask:
+def place_robots(
+    session: Session,
+    counts: ArrayLike,
+    chosen: ArrayLike,
+    t: float,
+    turn_known: ArrayLike = True,
+) -> Mask:
     """Tell robots where their joints are.
 
     Args:
@@ -25,6 +31,8 @@ def place_robots(session: Session, counts: ArrayLike, chosen: ArrayLike, t: floa
         counts: what their encoders shall read [quanta], shape (n, 2).
         chosen: robots that are told, shape (n,).
         t: earliest time [s].
+        turn_known: whether theta is told with its turn, one value or shape (n,). A robot at an
+            unknown place of which it is not stays out of use, and hinders no other.
 
     Returns:
         The robots whose encoders read so now, shape (n,).
@@ -33,7 +41,7 @@ def place_robots(session: Session, counts: ArrayLike, chosen: ArrayLike, t: floa
         SessionError: robots move, are stopped or have orders, the session has no buses of its own,
             or the shapes do not fit.
     """
-    _require_rest(session, "be told where they are")
+    require_rest(session, "be told where they are")
     counts, chosen = np.asarray(counts, dtype=np.int64), np.asarray(chosen, dtype=bool)
     if counts.shape != session.counts.shape or chosen.shape != (session.plane.n,):
         raise SessionError(f"places of shape {counts.shape} for {session.plane.n} robots")
@@ -43,7 +51,15 @@ def place_robots(session: Session, counts: ArrayLike, chosen: ArrayLike, t: floa
         transactions = session.transactions
         transactions.send(rows, encode_place(transactions.addresses[rows], counts[rows]), t)
         session.protocol.read(rows, t)
-    return session.known & (session.counts == counts).all(axis=1)
+    there = session.known & (session.counts == counts).all(axis=1)
+    robots = session.robots
+    placed = there & chosen & robots["unplaced"]
+    robots["lost"] &= ~placed
+    robots["recalled"] &= ~placed
+    # of a robot that was seen before, an image alone does not tell the turn
+    robots["unplaced"] &= ~(placed & turn_known & ~robots["seen"])
+    robots["seen"] = robots["unplaced"] & (robots["seen"] | placed)
+    return there
 
 
 def widen_outlines(
@@ -61,7 +77,7 @@ def widen_outlines(
         SessionError: robots move, are stopped or have orders, the session has no buses of its own,
             or a bound is negative or infinite.
     """
-    _require_rest(session, "get wider outlines")
+    require_rest(session, "get wider outlines")
     wider = np.stack(np.broadcast_arrays(theta_mm, phi_mm, np.zeros(exact.n)))[:2].astype(float)
     wrong = ~(np.isfinite(wider) & (wider >= 0.0)).all(axis=0)
     if wrong.any():
@@ -78,7 +94,16 @@ def widen_outlines(
     context.pairs = neighbour_pairs(context.plane)
 
 
-def _require_rest(session: Session, what: str) -> None:
+def require_rest(session: Session, what: str) -> None:
+    """Refuse a call while robots move, are stopped or have orders.
+
+    Args:
+        session: the session with the robots.
+        what: what the robots would do or suffer, for the error.
+
+    Raises:
+        SessionError: they do, or the session has no buses of its own.
+    """
     if not session.has_buses:
         raise SessionError(
             f"robots of sectors cannot {what}: a camera needs one bridge for its plane"

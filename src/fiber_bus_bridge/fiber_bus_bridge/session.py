@@ -113,6 +113,11 @@ class Session:
         return self.robots["known"]
 
     @property
+    def usable(self) -> Mask:
+        """Robots that were found and configured, and whose counters tell their places, (n,)."""
+        return self.robots["known"] & ~self.robots["unplaced"]
+
+    @property
     def counts(self) -> Counts:
         """Encoders, last read or assumed [quanta], shape (n, 2)."""
         return self.robots["counts"]
@@ -178,9 +183,11 @@ class Session:
                 stopped after a failure are about to resume.
         """
         robots = self.robots
-        lost = robots["lost"] | (robots["verified"] if starting else False)
+        # a robot that rested when it lost its power is where it was, as far as nothing moved it
+        lost = robots["lost"] & ~robots["recalled"] | (robots["verified"] if starting else False)
+        boot = np.where(robots["unplaced"], -1, robots["boot"])  # and its next boot is another one
         return RobotMemory(
-            robots["counts"].copy(), robots["placed"].copy(), lost, robots["boot"].copy(),
+            robots["counts"].copy(), robots["placed"].copy(), lost, boot,
             failed.copy(), self.buses["sequence"].copy(),
             self.state is SessionState.STOPPED,
             starting or self.state is SessionState.MOVING,
@@ -230,7 +237,7 @@ class Session:
         self.protocol.was_moving = memory.moving
 
     def vouch(self, ids: ArrayLike) -> None:
-        """Believe that robots that do not answer rest where they were read last, or assumed.
+        """Believe that robots rest where they were read last, or assumed.
 
         Args:
             ids: ids of the robots, shape (k,).
@@ -245,10 +252,12 @@ class Session:
             raise SessionError(
                 f"robot {ids[rows < 0][0]} cannot be vouched for: the plane has no such robot"
             )
-        known = ~self.robots["lost"][rows]
+        known = ~(self.robots["lost"] | self.robots["unplaced"])[rows]
         if known.any():
             raise SessionError(f"robot {ids[known][0]} cannot be vouched for: its place is known")
         self.robots["placed"][rows], self.robots["lost"][rows] = True, False
+        for column in ("unplaced", "recalled", "seen"):
+            self.robots[column][rows] = False
 
     def configure(self, t: float) -> float:
         """Identify the robots, and send units, limits and speeds to them.

@@ -25,6 +25,9 @@ class SessionConfig:
         stretch_s: how much longer than the shortest a heartbeat may take on a bus [s]; a STOP would
             be late by as much. inf on a host without real-time behaviour.
         resumes: how often in a plan the other robots resume after a stop of all.
+        counters_kept: whether the counters of a robot outlive a loss of its power and a joint that
+            did not follow. Else the place of such a robot is unknown until a camera tells it, or an
+            operator vouches for it.
 
     Raises:
         BridgeError: a value is not a number, negative or out of bounds; names it.
@@ -49,6 +52,7 @@ class SessionConfig:
     heartbeat_period_s: float = 2.5e-3
     stretch_s: float = 1e-3
     resumes: int = 3
+    counters_kept: bool = True
 
     def __post_init__(self) -> None:
         check_ranges(self, self.RANGES, BridgeError)

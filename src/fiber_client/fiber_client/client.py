@@ -74,7 +74,7 @@ class PlaneClient(PlaneMonitor):
         self._services = {
             service: service.client(self.node)
             for service in (
-                topics.START, topics.STOP, topics.HOME, topics.CLEAR, topics.CONFIGURE
+                topics.START, topics.STOP, topics.HOME, topics.TURN, topics.CLEAR, topics.CONFIGURE
             )
         }  # fmt: skip
 
@@ -303,14 +303,16 @@ class PlaneClient(PlaneMonitor):
             PlaneRefusal: the bridge refused; gives its reason.
             WaitError: no answer, or the motion did not end.
         """
-        answer = self.call_service(topics.HOME, timeout_s)
+        return self.end_of(self.call_service(topics.HOME, timeout_s), timeout_s)
+
+    def end_of(self, answer: str, timeout_s: float) -> PlanOutcome:
+        """Wait for the end of the motion that a service has started, by its answer."""
         plan = answer.removeprefix("plan ").partition(":")[0]
-
-        def ended() -> list[PlanOutcome]:
-            return [each for stamp, each in self.outcomes.items() if str(stamp) == plan]
-
-        self._wait_for_bridge(ended, timeout_s, f"outcome of home, plan {plan}")
-        return ended()[0]
+        self._wait_for_bridge(
+            lambda: plan in map(str, self.outcomes), timeout_s, f"outcome of plan {plan}"
+        )
+        named = {str(stamp): each for stamp, each in self.outcomes.items()}
+        return named[plan]
 
     def call_service(self, service: Service, timeout_s: float) -> str:
         """Call a service of the bridge, such as `fiber_msgs_py.topics.STOP`; return its answer.

@@ -10,7 +10,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState, PointCloud2
 
 from fiber_client.errors import PlaneError, PlaneRefusal
-from fiber_core.array_types import Angles, Counts, Ids
+from fiber_core.array_types import Angles, Codes, Counts, Ids
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
@@ -60,6 +60,7 @@ class PlaneMonitor:
     - `counts_before`: the encoders before the first frame of each attempt [quanta], shape (n, 2).
     - `held`: the robots that the stages hold, of each attempt: ids, Reason and Stage.
 
+    - `unplaced`: robots whose counters do not tell their places, codes of the layout.
     - `measured`: where the robots are after a plan, by its last image.
     - `refusals`: the refusals of each plan and attempt, by any node.
 
@@ -88,6 +89,7 @@ class PlaneMonitor:
         self.frames: dict[PlanStamp, list[FrameLog]] = {}
         self.counts_before: dict[PlanStamp, Counts] = {}
         self.held: dict[PlanStamp, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
+        self.unplaced: Codes = np.zeros(0, dtype=np.int64)
         self.measured: dict[PlanStamp, measured.Measured] = {}
         self.moving = False
         self._layout: tuple[FocalPlane, WireUnits] | None = None
@@ -223,7 +225,7 @@ class PlaneMonitor:
         return any(each > plan and self._attempts.find(each) is None for each in self.frames)
 
     def _on_layout(self, message: PointCloud2) -> None:
-        self._layout = layout.decode(message)
+        self._layout, self.unplaced = layout.decode(message), layout.decode_unplaced(message)
         self.session = session_of(message)
 
     def _on_targets(self, message: PointCloud2) -> None:

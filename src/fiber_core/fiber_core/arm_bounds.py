@@ -10,7 +10,7 @@ from fiber_core.array_types import Angles, Floats
 from fiber_core.clearance import levers_of
 from fiber_core.focal_plane import FocalPlane
 
-__all__ = ["arms_within", "grown", "interval_of_tips"]
+__all__ = ["arms_within", "grown", "interval_of_tips", "turn_within"]
 
 
 def interval_of_tips(plane: FocalPlane, error_mm: ArrayLike) -> Angles:
@@ -61,6 +61,21 @@ def _theta_lever(plane: FocalPlane) -> Floats:
     if plane.theta_vertices.shape[1] == 0:
         return np.zeros(plane.n)
     return np.hypot(*np.moveaxis(plane.theta_vertices, -1, 0)).max(axis=1) + plane.theta_radius
+
+
+def turn_within(plane: FocalPlane, gap_mm: float) -> Floats:
+    """Return how far theta of all robots may turn at once so that none uses up half of its gap.
+
+    It holds wherever the arms are: no point of an arm is farther from its theta axis than the lever.
+
+    Args:
+        plane: the focal plane.
+        gap_mm: gap that the outlines keep before the turn [mm].
+
+    Returns:
+        The turn of each robot [rad], shape (n,).
+    """
+    return 0.5 * gap_mm / levers_of(plane)[:, 0]
 
 
 def grown(plane: FocalPlane, interval_rad: Angles, tip_mm: ArrayLike = np.nan) -> FocalPlane:

@@ -88,6 +88,7 @@ class Verdict(IntEnum):
     THETA_NOT_MOVED = 6
     PHI_NOT_MOVED = 7
     OFF_MODEL = 8  # further from where it should be than its errors explain
+    UNPLACED = 9  # at an unknown place, and no light is surely that of its fibre
 
 
 # a joint, or both, did not turn when they were told to

@@ -88,6 +88,7 @@ class Expected:
         error_um: error of one coordinate of a place after the motion, 1 sigma [um], one number or
             shape (n,).
         dark: fibres without light in earlier images, shape (n,); by default none.
+        unplaced: robots at unknown places, of which no light is told, shape (n,); by default none.
 
     Raises:
         MetrologyError: a shape does not fit, or a value is out of range; names it.
@@ -99,6 +100,7 @@ class Expected:
     before_rad: Angles
     error_um: ArrayLike
     dark: ArrayLike | None = None
+    unplaced: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         n = self.plane.n
@@ -112,8 +114,11 @@ class Expected:
         if not ((error > 0.0) & np.isfinite(error)).all():
             raise MetrologyError(f"error_um must be positive, got {error.min()}")
         object.__setattr__(self, "error_um", error)
-        dark = np.zeros(n) if self.dark is None else self.dark
-        object.__setattr__(self, "dark", frozen_array(dark, np.bool_, (n,), "dark", MetrologyError))
+        for name in ("dark", "unplaced"):
+            given = getattr(self, name)
+            value = np.zeros(n) if given is None else given
+            value = frozen_array(value, np.bool_, (n,), name, MetrologyError)
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,8 +202,10 @@ def measure(
     )
     has = found.light >= 0
     certain = has & (found.doubt <= config.identify.certain)
+    unplaced = np.asarray(expected.unplaced)
     seen_lights = len(lights.places)
-    if seen_lights >= plane.n / 2 and certain.sum() < config.found * min(seen_lights, plane.n):
+    least = min(seen_lights, plane.n) - np.count_nonzero(unplaced)
+    if seen_lights >= plane.n / 2 and certain.sum() < config.found * least:
         raise ImageError(
             f"{certain.sum()} robots are at {seen_lights} lights: the image is of another plane, "
             "turned, or the robots are not near where their counters say"
@@ -231,6 +238,7 @@ def measure(
     verdict = np.where(~has & (found.doubt > config.identify.certain) & (found.group >= 0),
                        Verdict.AMBIGUOUS, verdict)  # fmt: skip
     verdict = np.where((verdict == Verdict.MISSING) & expected.dark, Verdict.DARK, verdict)
+    verdict = np.where(unplaced, Verdict.UNPLACED, verdict)
     unknown = ~sure
     angles[unknown] = near[unknown]  # by the counters where no light tells more
     interval[unknown] = _unseen(expected, config)[unknown]
@@ -314,6 +322,7 @@ def _hypotheses(expected: Expected, config: MeasureConfig) -> tuple[Floats, Floa
     asked[:, 2] &= turned[:, 0]
     asked[:, 3] &= turned[:, 1]
     asked[:, 0] = True
+    asked &= ~np.asarray(expected.unplaced)[:, None]
     places[~asked] = np.nan
     chance[~asked] = 0.0
     chance[:, 0] = 1.0 - config.identify.none - chance[:, 1:].sum(axis=1)

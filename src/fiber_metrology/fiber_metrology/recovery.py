@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from fiber_core import bounds
+from fiber_core.arm_bounds import turn_within
 from fiber_core.array_types import Angles, Floats, Ints, Mask, Points
-from fiber_core.clearance import levers_of
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.validation import frozen_array
 from fiber_metrology.angles import angles_of_places
@@ -112,14 +112,18 @@ def turn_within_margin(plane: FocalPlane, config: RecoveryConfig | None = None) 
         MetrologyError: a robot has both elbows in its range; names it.
     """
     config = config or RecoveryConfig()
+    _refuse_both_elbows(plane, np.ones(plane.n, dtype=bool))
+    return turn_within(plane, config.margin_mm)
+
+
+def _refuse_both_elbows(plane: FocalPlane, among: Mask) -> None:
     low, high = plane.limits[:, 1].T
-    both = np.flatnonzero((low < -_BEYOND_RAD) | (high > np.pi + _BEYOND_RAD))
+    both = np.flatnonzero(among & ((low < -_BEYOND_RAD) | (high > np.pi + _BEYOND_RAD)))
     if len(both):
         raise MetrologyError(
             f"robot {plane.ids[both[0]]} has both elbows in its range of phi: a turn of theta does "
             "not tell them apart"
         )
-    return 0.5 * config.margin_mm / levers_of(plane)[:, 0]
 
 
 def recover(
@@ -128,23 +132,34 @@ def recover(
     after: Lights,
     turned: ArrayLike,
     config: RecoveryConfig | None = None,
+    among: ArrayLike | None = None,
+    recalled: ArrayLike | None = None,
 ) -> Recovered:
-    """Find every robot from an image before and one after its theta turned.
+    """Find robots from an image before and one after their theta turned.
 
     Args:
         plane: the focal plane.
         before, after: the lights of both images.
         turned: turns of theta that were ordered [rad], shape (n,).
         config: what is known of camera and drives.
+        among: robots that are looked for, shape (n,), by default all. The lights of the others are
+            none of `before` and `after`, as far as they are known.
+        recalled: angles at which robots rested before they lost their places [rad], shape (n, 2),
+            nan for none: of two turns of theta the one within a quarter of a turn is told.
 
     Raises:
         MetrologyError: a shape does not fit, or a robot has both elbows in its range.
     """
     config = config or RecoveryConfig()
-    turn_within_margin(plane, config)  # refuses robots with both elbows
-    turned = frozen_array(turned, np.float64, (plane.n,), "turned", MetrologyError)
+    n = plane.n
+    turned = frozen_array(turned, np.float64, (n,), "turned", MetrologyError)
+    wanted = np.ones(n) if among is None else among
+    wanted = frozen_array(wanted, np.bool_, (n,), "among", MetrologyError)
+    rested = np.full((n, 2), np.nan) if recalled is None else recalled
+    rested = frozen_array(rested, np.float64, (n, 2), "recalled", MetrologyError)
+    _refuse_both_elbows(plane, wanted)
     track, first, last = _tracks(before, after)
-    row, light, weight = _pairs(plane, first, last, turned, config)
+    row, light, weight = _pairs(plane, first, last, turned, config, wanted)
     # dark, or lacking in an image
     none = max(config.identify.none - config.identify.missed, 0.0) + 2 * config.identify.missed**2
     found, doubt = most_likely(row, light, weight, plane.n, len(track), none)
@@ -152,10 +167,11 @@ def recover(
     places = np.full((plane.n, 2), np.nan)
     places[certain] = last[found[certain]]
     error_mm = np.where(certain, config.sigmas * config.error_um * 1e-3, np.nan)
-    middle = plane.limits.mean(axis=2)
-    angles, interval, _ = angles_of_places(plane, places, middle, error_mm)
+    near = np.where(np.isnan(rested), plane.limits.mean(axis=2), rested)
+    angles, interval, _ = angles_of_places(plane, places, near, error_mm)
     low, high = plane.limits[:, 0].T
     other = (angles[:, 0] + _TURN_RAD <= high) | (angles[:, 0] - _TURN_RAD >= low)
+    other &= ~(np.abs(angles[:, 0] - rested[:, 0]) < _TURN_RAD / 4.0)
     told = np.full(plane.n, -1)
     told[certain] = track[found[certain]]
     return Recovered(told, places, angles, interval, error_mm, doubt, certain & ~other)
@@ -179,7 +195,12 @@ def _lasting(lights: Lights) -> Mask:
 
 
 def _pairs(
-    plane: FocalPlane, first: Points, last: Points, turned: Floats, config: RecoveryConfig
+    plane: FocalPlane,
+    first: Points,
+    last: Points,
+    turned: Floats,
+    config: RecoveryConfig,
+    among: Mask,
 ) -> tuple[Ints, Ints, Floats]:
     """Robots and lights in their reach, and the evidence over that of a stray light, (p,) each."""
     sigma_mm = np.sqrt(2.0) * config.error_um * 1e-3
@@ -187,6 +208,7 @@ def _pairs(
     near = cKDTree(first).query_ball_point(plane.centers, reach) if len(first) else []
     row = np.repeat(np.arange(len(near)), [len(each) for each in near])
     light = np.array([k for each in near for k in each], dtype=np.int64)
+    row, light = row[among[row]], light[among[row]]
     moved = last[light] - first[light]
     off_mm = _off_turn(first[light] - plane.centers[row], moved, turned[row], config.least)
     stays = _density(np.hypot(*moved.T), sigma_mm)

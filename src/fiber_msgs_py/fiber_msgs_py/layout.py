@@ -2,9 +2,10 @@
 """Layout: the robots and obstacles of the focal plane, and the units of its orders."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2
 
-from fiber_core.array_types import Floats
+from fiber_core.array_types import Floats, Ints
 from fiber_core.drive import Drive, ListedSpeeds
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
@@ -14,8 +15,11 @@ from fiber_msgs_py.ids import checked_ids, refuse
 from fiber_msgs_py.stamps import PlanStamp
 from fiber_msgs_py.table import column_names, decode_table, encode_table
 
-__all__ = ["decode", "encode"]
+__all__ = ["RECALLED", "SEEN", "decode", "decode_unplaced", "encode"]
 
+# of a robot whose counters do not tell its place: they read where it rested before; a camera has told
+# all but the turn of theta
+RECALLED, SEEN = 2, 3
 _ROBOT, _DISC, _WALL = 0, 1, 2  # kinds of row: robots first, then fixed discs, then walls
 
 # lengths [m]
@@ -40,16 +44,23 @@ _DRIVE = {"drive": "<f8"}
 _DRIVE_NUMBERS = 13
 # a plane of one sector has no such column
 _SECTOR = {"sector": "<u2"}
+# 1 of a robot at an unknown place, RECALLED or SEEN, else 0; a plane of robots at known places has no
+# such column
+_UNPLACED = {"unplaced": "<u1"}
 # the names of the fibres in UTF-8, a line each, the same in every row
 _NAMES = {"fibre_names": "<u1"}
 # of robots with coupled joints: the rows of the matrix, the speeds [rad/s], and low, high [rad]
 _MOTORS = {"coupling": "<f8", "motor_speed": "<f8", "motor_range": "<f8"}
 
-_LISTS = _OUTLINES | _DRIVE | _MOTORS | _NAMES | _SECTOR
+_LISTS = _OUTLINES | _DRIVE | _MOTORS | _NAMES | _SECTOR | _UNPLACED
 
 
 def encode(
-    plane: FocalPlane, units: WireUnits, stamp: PlanStamp, session: str | None = None
+    plane: FocalPlane,
+    units: WireUnits,
+    stamp: PlanStamp,
+    session: str | None = None,
+    unplaced: ArrayLike = 0,
 ) -> PointCloud2:
     """Return a focal plane and its wire units as a message, without the name of the
     plane.
@@ -59,6 +70,7 @@ def encode(
         units: size of tick and quantum, widths of the fields.
         stamp: time of the layout.
         session: id of the session that the bridge has opened.
+        unplaced: 0 for robots at known places, else 1, RECALLED or SEEN, one number or shape (n,).
 
     Raises:
         MessageError: no robot, or an id, bus, address or unit does not fit its column.
@@ -82,6 +94,8 @@ def encode(
     numbers = {"id": ids, "bus": plane.bus, "address": plane.address}
     if plane.sector.any():
         numbers["sector"], named = plane.sector, [*named, *_SECTOR.items()]
+    if np.any(unplaced):
+        numbers["unplaced"], named = unplaced, [*named, *_UNPLACED.items()]
     dtype = [*_COLUMNS.items(), *outlines, *corners, *drives, *gears, *named]
     rows = np.zeros(n + plane.fixtures, dtype=dtype)
     robots, fixed, walls = np.split(rows, [n, n + len(discs)])
@@ -121,6 +135,29 @@ def encode(
             raise MessageError("layout", "does not fit its column", field=name, value=value)
         rows[name] = value
     return encode_table(rows, stamp, session)
+
+
+def decode_unplaced(message: PointCloud2) -> Ints:
+    """Return which robots of a layout are at unknown places.
+
+    Returns:
+        0 for a robot at a known place, else 1, RECALLED or SEEN, shape (n,).
+
+    Raises:
+        MessageError: the table is malformed, or a number is another one.
+    """
+    rows = decode_table(message, "layout", {"id": "<u4", "kind": "<u1"}, lists=_UNPLACED)
+    robots = rows[rows["kind"] == _ROBOT]
+    if "unplaced" not in column_names(rows):
+        return np.zeros(len(robots), dtype=np.int64)
+    values = robots["unplaced"]
+    if values.shape[1] != 1:
+        raise MessageError(
+            "layout", "numbers, expected 1", field="unplaced has", value=values.shape[1]
+        )
+    bad = values[:, 0] > SEEN
+    refuse(bad, "layout", "unplaced", robots["id"], values[:, 0], "is none of 0 to 3")
+    return values[:, 0].astype(np.int64)
 
 
 def _vertices_of(plane: FocalPlane) -> dict[str, Floats]:

@@ -46,6 +46,7 @@ __all__ = [
     "TO_SECTOR",
     "TRAJECTORY",
     "TRUE_PLACES",
+    "TURN",
     "VIEW_ARMS",
     "VIEW_PLANE",
     "VIEW_TARGETS",
@@ -305,6 +306,7 @@ STOP = _service(
     "stop", "Stops robots that move, and ends planning and discretizing; answered at any time."
 )
 HOME = _service("home", "Folds all robots that can be commanded.")
+TURN = _service("turn", "Turns robots at unknown places, so little that nothing can touch.")
 CLEAR = _service(
     "clear",
     "Ends what is left of a plan or a stop, reads all robots, and makes the next plan possible.",

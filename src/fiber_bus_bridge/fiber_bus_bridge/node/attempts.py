@@ -244,7 +244,9 @@ class Attempts:
         known = self._session.known
         self._availability.exclude_failed(result, known)
         combined = self._combined(self._replanning, attempt, result)
-        robots = self._replanning.next_robots(self._ordered, self._availability.commandable(known))
+        robots = self._replanning.next_robots(
+            self._ordered, self._availability.commandable(self._session.usable)
+        )
         stamp = self.inputs.free_stamp_after(attempt.stamp)
         self._reporter.debug(
             f"plan {attempt}: ended; {int(robots.sum())} robots could be tried again"

@@ -31,6 +31,7 @@ from fiber_bus_bridge.node.plane_claim import OtherBridges, claim_plane
 from fiber_bus_bridge.node.publishers import Publishers
 from fiber_bus_bridge.node.remembered import Remembered, memory_path
 from fiber_bus_bridge.node.stage_watch import StageWatch
+from fiber_bus_bridge.node.unplanned_motions import UnplannedMotions
 from fiber_bus_bridge.node.vouched_parameter import follow_vouched_parameter
 from fiber_bus_bridge.protocol import Event, State
 from fiber_bus_bridge.session_state import SessionState
@@ -132,6 +133,10 @@ class BridgeNode(ManagedNode):
             self._outgoing, self._remembered, self._stop_requested, given.execution.time_scale,
             self._work_group,
         )  # fmt: skip
+        self._unplanned = UnplannedMotions(
+            self._session, self._attempts, self._time.now_s, self._check_role, self._may_go,
+            self._report_started,
+        )  # fmt: skip
         self._subscribe()
         self._make_timers()
 
@@ -197,7 +202,8 @@ class BridgeNode(ManagedNode):
             topic.subscription(self, self._calls.locked(hear), callback_group=work)
         for service, call in (
             (topics.START, self._start),
-            (topics.HOME, self._home),
+            (topics.HOME, self._unplanned.home),
+            (topics.TURN, self._unplanned.turn),
             (topics.CLEAR, self._clear),
             (topics.CONFIGURE, lambda: self._find_robots(restore=True)),
         ):
@@ -263,19 +269,6 @@ class BridgeNode(ManagedNode):
         self._session.start(self._time.now_s(), self._may_go)
         self._attempts.forget_replaced()
         return self._report_started()
-
-    def _home(self) -> str:
-        self._check_role()
-        self._attempts.end_all(Reason.NOT_PLANNED, "the robots go home")
-        self._session.home(self._time.now_s(), self._may_go_home)
-        if self._attempts.ended:
-            self._attempts.begin_home()
-        return self._report_started()
-
-    def _may_go_home(self) -> bool:
-        if self._attempts.ended:
-            self._attempts.begin_home()
-        return self._may_go()
 
     def _may_go(self) -> bool:
         if self._stop_requested.is_set():  # the file must not say that robots move

@@ -16,7 +16,7 @@ from fiber_bus_bridge.session import Session
 from fiber_core.clearance import levers_of
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import STILL, Reason
+from fiber_core.outcomes import STILL, Reason, Verdict
 from fiber_msgs_py import Attempt, MessageError, PlanStamp, measured
 from fiber_node import Reporter
 
@@ -94,7 +94,9 @@ class MeasuredRobots:
         certain[rows] = np.isfinite(told.places).all(axis=1)
         angles[rows], wider[rows] = told.angles, told.wider_mm
         counts = session.units.encoder_counts(plane, angles)
-        took = place_robots(session, counts, certain, self._now_s())
+        turn_known = np.ones(plane.n, dtype=bool)
+        turn_known[rows] = told.verdict != Verdict.UNPLACED
+        took = place_robots(session, counts, certain, self._now_s(), turn_known)
         # a robot that keeps its counters may be where the camera tells, or where they say
         off = np.abs(angles - session.angles) * levers_of(plane)
         wider += np.where(took[:, None], 0.0, off.sum(axis=1, keepdims=True))

@@ -12,7 +12,7 @@ from fiber_bus_bridge.frame_log import frame_log
 from fiber_bus_bridge.plan_result import PlanResult
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.session_state import SessionState
-from fiber_core.array_types import Mask
+from fiber_core.array_types import Ints, Mask
 from fiber_core.outcomes import Reason
 from fiber_msgs_py import (
     Level,
@@ -50,7 +50,8 @@ class Publishers:
         self._frames = topics.FRAMES.publisher(node)
         self._outcome = topics.OUTCOME.publisher(node)
         self._last_layout: PointCloud2 | None = None
-        self._published_enabled: Mask | None = None  # column `enabled` of the last layout
+        # columns `enabled` and `unplaced` of the last layout
+        self._published: tuple[Mask, Ints] | None = None
 
     def now_ns(self) -> int:
         """Return the time of messages [ns]."""
@@ -63,14 +64,18 @@ class Publishers:
             always: publish even without a change.
             now_ns: time of the messages [ns]; None for the present.
         """
-        enabled = self._availability.commandable(self._session.known)
-        published = self._published_enabled
-        if not always and published is not None and np.array_equal(enabled, published):
+        enabled = self._availability.commandable(self._session.usable)
+        robots, published = self._session.robots, self._published
+        code = np.select([robots["seen"], robots["recalled"]], [layout.SEEN, layout.RECALLED], 1)
+        unplaced = np.where(robots["unplaced"], code, 0)
+        if not always and published is not None and np.array_equal((enabled, unplaced), published):
             return
-        self._published_enabled = enabled
+        self._published = enabled, unplaced
         now_ns = self.now_ns() if now_ns is None else now_ns
         plane = self._session.plane.with_enabled(enabled)
-        message = layout.encode(plane, self._session.units, PlanStamp(now_ns), self._session_id)
+        message = layout.encode(
+            plane, self._session.units, PlanStamp(now_ns), self._session_id, unplaced
+        )
         self._layout.publish(message)
         self._last_layout = message
         self.layout_ns = now_ns

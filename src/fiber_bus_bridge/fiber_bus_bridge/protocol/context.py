@@ -214,7 +214,8 @@ class Context:
         ok = status.ok
         if not ok.all():
             rows, status = rows[ok], status.select(ok)
-        observe(self.robots, rows, status, t, self.units.quantum_rad)
+        kept = self.config.counters_kept
+        observe(self.robots, rows, status, t, self.units.quantum_rad, kept)
 
     def read(self, rows: Rows, t: float) -> Statuses:
         """Read robots; a robot without a reply has state 0 and keeps its last position."""

@@ -15,6 +15,7 @@ from fiber_bus_bridge.wire import (
     RobotState,
     config_crcs,
     encode_config,
+    encode_place,
 )
 from fiber_core.array_types import Ints, Mask, Rows
 from fiber_core.outcomes import Reason
@@ -51,6 +52,7 @@ def configure(c: Context) -> Event:
         robots["boot"][todo] = status.boot
         read_rows.append(todo[status.ok])
         sequences.append(status.sequence[status.ok])
+    _place_unplaced(c, t)
     # where a robot is that was never read, and that nothing vouches for, is not known
     robots["lost"] |= ~robots["placed"]
     begin_sequences(c.buses, c.bus[np.concatenate(read_rows)], np.concatenate(sequences))
@@ -76,6 +78,20 @@ def look(c: Context) -> Mask:
         nothing = np.zeros(len(robots), dtype=bool)
         robots["cause"][rows] = resting_cause(robots, nothing, c.cut_off)[rows]
     return robots["state"] == RobotState.MOVING
+
+
+def _place_unplaced(c: Context, t: float) -> None:
+    """Let encoders that tell nothing read where the robot rested before, which tells its turn.
+
+    Without that they read the middle of the ranges, so that a test turn meets no limit.
+    """
+    robots = c.robots
+    counts = np.where(robots["recalled"][:, None], robots["counts"], c.limits.sum(axis=2) // 2)
+    rows = np.flatnonzero(robots["known"] & robots["unplaced"] & ~robots["seen"])
+    if len(rows):
+        place = encode_place(c.transactions.addresses[rows], counts[rows])
+        c.transactions.send(rows, place, t)
+        c.read(rows, t)
 
 
 def _found(c: Context) -> Event:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fiber_bus_bridge.bus import Ack
+from fiber_bus_bridge.home import hold_beyond
 from fiber_bus_bridge.plan_result import LoadedPlan
 from fiber_bus_bridge.protocol.context import Context, Phase
 from fiber_bus_bridge.protocol.decisions import neighbours_of, not_loaded
@@ -20,6 +21,8 @@ from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import SEQUENCES, Robots, begin_phase
 from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_load, encode_load
 from fiber_core.array_types import Bools, Codes, Mask, Rows
+from fiber_core.clearance import Certificate
+from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion
 
@@ -74,6 +77,8 @@ def prepare(c: Context, motion: WireMotion, wanted: Mask, t: float) -> Phase:
         t: earliest time of the first message [s].
     """
     lost = c.robots["lost"]
+    if c.plan is not None and c.plan.within_mm is not None:
+        lost = np.zeros_like(lost)
     blocked = wanted & (neighbours_of(lost, c.pairs) | lost)
     begin_phase(c.robots, c.buses, wanted, blocked)
     c.phase = Phase(motion.only(wanted & ~blocked), t)
@@ -105,7 +110,7 @@ def certify(c: Context, phase: Phase) -> Event:
     """Certify the verified orders with unsafe robots held."""
     robots = c.robots
     phase.loaded = _decode(c, phase, robots["verified"])
-    motion, held, phase.certificate = c.certify(c.plane, phase.loaded.decoded(), c.safety)
+    motion, held, phase.certificate = _certified(c, phase.loaded.decoded())
     # two resting robots may be too close to each other; a moving robot may not be one of them
     certificate = phase.certificate
     wrong = certificate.unsafe_robots | certificate.limits_broken | certificate.moved_disabled
@@ -117,6 +122,13 @@ def certify(c: Context, phase: Phase) -> Event:
     robots["reason"][held] = Reason.UNSAFE_AS_LOADED
     robots["wanted"] &= ~held
     return Event.UNSAFE
+
+
+def _certified(c: Context, motion: SegmentMotion) -> tuple[SegmentMotion, Mask, Certificate]:
+    within_mm = None if c.plan is None else c.plan.within_mm
+    if within_mm is None:
+        return c.certify(c.plane, motion, c.safety)
+    return hold_beyond(c.plane, motion, c.safety, within_mm)
 
 
 def disarm(c: Context, phase: Phase) -> Event:
@@ -143,7 +155,7 @@ def drop(c: Context, phase: Phase) -> Event:
     c.transactions.command(Opcode.CLEAR, rows, c.transactions.now_s)
     robots["verified"] = robots["started"] = False
     phase.loaded = _decode(c, phase, robots["verified"])
-    _, _, phase.certificate = c.certify(c.plane, phase.loaded.decoded(), c.safety)
+    _, _, phase.certificate = _certified(c, phase.loaded.decoded())
     phase.go_s = phase.start_s = c.transactions.now_s
     commit(c, phase)
     return Event.DROPPED

@@ -6,7 +6,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from fiber_bus_bridge.wire import RobotState, Statuses
+from fiber_bus_bridge.wire import Alert, RobotState, Statuses
 from fiber_core.array_types import Counts, Ints, Mask, Rows
 from fiber_core.outcomes import Reason
 
@@ -35,7 +35,10 @@ ROBOT = np.dtype(
         ("boot", "i8"),  # boot counter at configuration, -1 before
         ("config_crc", "i8"),  # of the configuration that it was sent
         ("counts", "i8", (2,)),  # encoders [quanta]
-        ("lost", "?"),  # moved at its last status, or was started since: its place is unknown
+        ("unplaced", "?"),  # its counters tell nothing: its place is unknown until it is told
+        ("recalled", "?"),  # unplaced, and its counts are those at which it rested before
+        ("seen", "?"),  # unplaced, and a camera has told all but the turn of theta
+        ("lost", "?"),  # moved at its last status, was started since, or is unplaced and not seen
         ("placed", "?"),  # its place was read, or is vouched for
         ("state", "i8"),  # RobotState, 0 without a reply
         ("fault", "i8"),
@@ -142,7 +145,14 @@ def running(robots: Robots) -> Mask:
     return robots["started"] & ~robots["arrived"]
 
 
-def observe(robots: Robots, rows: Rows, status: Statuses, t: float, quantum_rad: float) -> None:
+def observe(
+    robots: Robots,
+    rows: Rows,
+    status: Statuses,
+    t: float,
+    quantum_rad: float,
+    counters_kept: bool = True,
+) -> None:
     """Take over valid statuses.
 
     Args:
@@ -151,15 +161,24 @@ def observe(robots: Robots, rows: Rows, status: Statuses, t: float, quantum_rad:
         status: their statuses, complete, r rows.
         t: time of the statuses [s].
         quantum_rad: one quantum of joint angle [rad].
+        counters_kept: as of SessionConfig. Else a robot of another boot keeps the counts that it
+            had, and is unplaced.
     """
+    fresh = np.zeros(len(rows), dtype=bool)
+    if not counters_kept:
+        fresh = status.boot != robots["boot"][rows]
+        robots["unplaced"][rows] |= fresh | (status.alerts & Alert.STALLED != 0)
     distance = (status.position - robots["counts"][rows]) * quantum_rad
     elapsed_s = np.maximum(t - robots["read_s"][rows], 1e-9)[:, None]
     moves = status.state == RobotState.MOVING
     robots["velocity"][rows] = np.where(moves[:, None], distance / elapsed_s, 0.0)
     robots["read_s"][rows] = t
-    robots["counts"][rows] = status.position
+    kept = fresh & robots["placed"][rows]
+    robots["recalled"][rows] |= kept & ~robots["lost"][rows]
+    robots["counts"][rows] = np.where(kept[:, None], robots["counts"][rows], status.position)
     robots["state"][rows] = status.state
     robots["fault"][rows] = status.fault
     robots["alerts"][rows] = status.alerts
-    robots["lost"][rows] = moves
+    robots["seen"][rows] &= ~fresh
+    robots["lost"][rows] = moves | (robots["unplaced"][rows] & ~robots["seen"][rows])
     robots["placed"][rows] = True

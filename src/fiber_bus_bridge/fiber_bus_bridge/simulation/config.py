@@ -43,6 +43,7 @@ class SimulationConfig:
         clock: bus clock, as 100k, 400k, 1M, 1.7M or 3.4M.
         clock_ppm: largest error of a robot's clock, in both directions [1e-6].
         start_skew_s: largest delay of a robot's start after a GO [s].
+        volatile: whether a loss of power sets the encoders of a robot to 0.
         faults: names of FaultKind with their numbers, as "stall:2,scl_stuck".
         faults_from_s: earliest begin of a fault, simulated time [s].
         faults_until_s: latest begin of a fault [s]. The first plan of 5000 robots moves from
@@ -69,6 +70,7 @@ class SimulationConfig:
     clock: str = "1M"
     clock_ppm: float = 20.0
     start_skew_s: float = 20e-6
+    volatile: bool = False
     faults: str = ""
     faults_from_s: float = 0.8
     faults_until_s: float = 2.0
@@ -149,6 +151,7 @@ def simulated_buses(
         clock_ppm=rng.uniform(-config.clock_ppm, config.clock_ppm, plane.n),
         start_skew_s=rng.uniform(0.0, config.start_skew_s, plane.n),
         coupling=gear_counts(plane),
+        volatile=config.volatile,
     )
     faults = Faults()
     if kinds := config.fault_kinds():

@@ -254,6 +254,8 @@ def start_order(r: Robot, t: float, countdown_s: float) -> None:
 def reboot(r: Robot, t: float) -> None:
     """Stop a robot, delete order and configuration, and count one more boot."""
     halt(r, t)
+    if r.volatile:
+        r.position[0] = r.position[1] = 0
     r.state = _UNCONFIGURED
     r.fault = _NONE
     r.alerts = _REBOOTED

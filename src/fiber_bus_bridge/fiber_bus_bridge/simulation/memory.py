@@ -30,6 +30,7 @@ MEMORY = np.dtype(
         ("coupling", "i8", (2, 2)),  # of motors and joints, zeros of independent joints [GEAR_UNIT]
         ("clock_ppm", "f8"),
         ("start_skew_s", "f8"),
+        ("volatile", "?"),  # the encoders read 0 after a boot
         # defects
         ("jam_s", "f8", (2,)),  # a joint is jammed from this time on [s]
         ("deaf", "?"),  # receives no frame
@@ -37,7 +38,7 @@ MEMORY = np.dtype(
         ("busy", "?"),  # refuses every frame
         ("powered", "?"),
         ("boots_until_s", "f8"),  # the robot receives nothing before this time [s]
-        # kept without power
+        # kept without power, unless volatile
         ("position", "i8", (2,)),  # encoders at rest, or where the motion began [quanta]
         ("boot", "i8"),
         # lost without power; what every frame looks at comes first
@@ -85,6 +86,7 @@ class Robot(Protocol):
     coupling: Ints
     clock_ppm: float
     start_skew_s: float
+    volatile: bool
     jam_s: Floats
     deaf: bool
     call_deaf: bool
@@ -132,6 +134,7 @@ def new_memory(
     clock_ppm: ArrayLike,
     start_skew_s: ArrayLike,
     coupling: ArrayLike = 0,
+    volatile: ArrayLike = False,
 ) -> Memory:
     """Return the memory of robots in their first boot; arguments as in Positioners."""
     memory = np.zeros(len(addresses), dtype=MEMORY)
@@ -142,6 +145,7 @@ def new_memory(
     memory["coupling"] = coupling
     memory["clock_ppm"] = clock_ppm
     memory["start_skew_s"] = start_skew_s
+    memory["volatile"] = volatile
     memory["position"] = position
     memory["jam_s"] = np.inf
     memory["powered"] = True

@@ -57,6 +57,8 @@ class Positioners:
         start_skew_s: delay of each robot's start after a GO [s], one number or (n,).
         coupling: how gears couple motors and joints [GEAR_UNIT], shape (n, 2, 2), zeros of
             independent joints.
+        volatile: whether a boot sets the encoders to 0, as of motors that count their steps, one
+            value or (n,).
 
     Raises:
         WireError: a serial number or an encoder value does not fit its field.
@@ -71,6 +73,7 @@ class Positioners:
         clock_ppm: ArrayLike = 0.0,
         start_skew_s: ArrayLike = 0.0,
         coupling: ArrayLike = 0,
+        volatile: ArrayLike = False,
     ):
         serial, position = np.asarray(serial), np.asarray(position)
         for name, wrong, value in (
@@ -82,7 +85,7 @@ class Positioners:
                 raise WireError(f"row {at}: {name} {value[at].tolist()} does not fit 32 bits")
         self.bus = addresses.bus
         self.memory = new_memory(
-            addresses, serial, quantum_prad, position, clock_ppm, start_skew_s, coupling
+            addresses, serial, quantum_prad, position, clock_ppm, start_skew_s, coupling, volatile
         )
         self.schedule(())
 

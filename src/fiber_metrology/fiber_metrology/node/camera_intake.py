@@ -24,6 +24,8 @@ from fiber_node import Declared
 
 __all__ = ["CameraIntake"]
 
+_CALIBRATION_S = 5.0
+
 
 class CameraIntake:
     """Takes the exposures of an image, and keeps the calibration of the camera.
@@ -63,8 +65,10 @@ class CameraIntake:
             raise MetrologyError(
                 f"{lights.sum()} calibration lights, and a map of degree {degree} has {terms} terms"
             )
-        self._map = fit_map(place_px[lights], plane_mm[lights], degree)
-        self._fiducials = plane_mm[fiducial]
+        fitted = fit_map(place_px[lights], plane_mm[lights], degree)
+        with self._came:
+            self._map, self._fiducials = fitted, plane_mm[fiducial]
+            self._came.notify_all()
         text = f"calibration: {lights.sum()} lights, {fiducial.sum()} fiducials"
         self._node.get_logger().info(text)
 
@@ -72,11 +76,13 @@ class CameraIntake:
         """Return the map from pixels to the plane, and the places of the fiducials [mm], (k, 2).
 
         Raises:
-            MetrologyError: the camera has sent none.
+            MetrologyError: the camera has sent none, also after a wait for one that has just begun.
         """
-        if self._map is None:
-            raise MetrologyError("the camera has sent no calibration")
-        return self._map, self._fiducials
+        with self._came:
+            self._came.wait_for(lambda: self._map is not None, _CALIBRATION_S)
+            if self._map is None:
+                raise MetrologyError("the camera has sent no calibration")
+            return self._map, self._fiducials
 
     def _on_exposure(self, message: PointCloud2 | Image) -> None:
         found: Spots | Exception

@@ -11,7 +11,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import JointState, PointCloud2
 from std_srvs.srv import Trigger
 
-from fiber_core.array_types import Angles, Floats
+from fiber_core.array_types import Angles, Codes, Floats
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_metrology.centroids import CentroidConfig
@@ -23,6 +23,7 @@ from fiber_metrology.node.bridge_answer import BridgeAnswer, BridgeSilent
 from fiber_metrology.node.camera_intake import CameraIntake
 from fiber_metrology.node.motions import Motions, Rest
 from fiber_metrology.node.settings import MetrologyConfig
+from fiber_metrology.node.turn_images import TurnImages, at_unknown_places
 from fiber_metrology.plate import PlateConfig
 from fiber_msgs_py import (
     Attempt,
@@ -68,7 +69,8 @@ class MetrologyNode(ManagedNode):
         self._plane: FocalPlane | None = None
         self._session: str | None = None
         self._knowledge: Knowledge | None = None
-        self._motions = Motions(self._begin_motion)
+        self._unplaced: Codes = np.zeros(0, dtype=np.int64)
+        self._motions, self._turns = Motions(self._begin_motion), TurnImages()
         gate = SessionGate(self, lambda topic, text: self.reporter.refuse(text, topic))
         self._accepted = AcceptedAttempts(self, gate)
         gate.subscription(topics.LAYOUT, self._refusing("layout", self._on_layout))
@@ -103,6 +105,7 @@ class MetrologyNode(ManagedNode):
             if session != self._session or self._plane is None or self._plane.n != plane.n:
                 self._knowledge = Knowledge(plane, self._drive)
             self._plane, self._session = plane, session
+            self._unplaced = layout.decode_unplaced(message)
 
     def _begin_motion(self, angles: Angles, straight: bool) -> None:
         if self._knowledge is not None:
@@ -151,10 +154,14 @@ class MetrologyNode(ManagedNode):
             knowledge = self._knowledge
             if knowledge is None or self._session != rest.session:
                 raise ImageError("the bridge has begun anew while the camera exposed")
-            expected = knowledge.expected(rest.counters)
+            unplaced = self._unplaced
+            lost = at_unknown_places(unplaced)
+            expected = replace(knowledge.expected(rest.counters), unplaced=lost)
         stamp = PlanStamp(self.get_clock().now().nanoseconds) if rest.plan is None else rest.plan
         begin_s = time.monotonic()
-        image = measure(expected, taken, fiducials, calibrated, self._measure_config())
+        config = self._measure_config()
+        image = measure(expected, taken, fiducials, calibrated, config)
+        image = self._turns.find(image, rest.counters, unplaced, rest.session, config)
         took_s = time.monotonic() - begin_s
         wider_mm = knowledge.outlines_off_mm(image)
         try:

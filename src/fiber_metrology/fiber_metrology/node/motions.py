@@ -127,6 +127,7 @@ class Motions:
             MetrologyError: robots move, a plan has not ended, or no robot was heard of.
         """
         with self.lock:
+            self.lock.wait_for(lambda: bool(self._at_rest) or self._moving, _SETTLED_S)
             if not self._at_rest and not self._moving:
                 raise MetrologyError("no plane is known yet: there is no bridge in the graph")
             # topics overtake each other: a client may know the outcome before this node

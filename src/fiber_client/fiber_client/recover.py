@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Find robots at unknown places with a camera, so that they come back into use."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rclpy.utilities import remove_ros_args
+
+from fiber_client.client import PlaneClient
+from fiber_client.closed_loop import CameraLoop
+from fiber_core.array_types import Ids, Mask
+from fiber_core.errors import FiberError
+from fiber_msgs_py import layout, topics
+from fiber_node.ros_environment import use_loopback
+
+__all__ = ["Recovery", "main", "recover"]
+
+_TURNS = 4
+_SHOWN = 20
+_ABOUT = """
+The counters of robots that lost their power tell nothing, where the bridge has the parameter
+session.counters_kept false. The command asks all robots anew (the service configure) and takes
+images between small turns of theta of all such robots at once. Each turn moves no point of an
+arm by more than half of the margin that the last certificate left, so nothing can touch. The light of
+each robot turns about its own axis and tells where its arms are. Exit code 0: all robots that
+answer are in use again.
+"""
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """Which robots were found.
+
+    Args:
+        lost: robots that were at unknown places.
+        found: those that are in use again.
+        turn_unknown: those that were seen and have another turn of theta in their range: they
+            rest, and hinder no other robot.
+        left: those that no image tells; their neighbours rest.
+        turns: number of test turns.
+    """
+
+    lost: Ids
+    found: Ids
+    turn_unknown: Ids
+    left: Ids
+    turns: int
+
+
+def recover(
+    client: PlaneClient, timeout_s: float, turns: int = _TURNS,
+    say: Callable[[str], None] = lambda _: None,
+) -> Recovery:  # fmt: skip
+    """Find the robots at unknown places.
+
+    Args:
+        client: a client of a graph with a metrology and a camera.
+        timeout_s: time-out of each wait [s].
+        turns: largest number of test turns.
+        say: called with a line for each image.
+
+    Raises:
+        PlaneRefusal: the bridge or the metrology refuses; gives the reason.
+        NodeLost, WaitError: as in the calls of the client.
+    """
+    say(client.call_service(topics.CONFIGURE, timeout_s))
+    client.wait_for_graph(timeout_s)
+    loop = CameraLoop(client, 1.0, 0, timeout_s)  # for its images alone
+    ids, lost = client.plane.ids, _lost(client)
+    say(f"{lost.sum()} robots at unknown places")
+    made = 0
+    if lost.any():
+        _take_image(client, loop)
+    while _lost(client).any() and made < turns:
+        with client.stops_on_error(timeout_s):
+            client.end_of(client.call_service(topics.TURN, timeout_s), timeout_s)
+        made += 1
+        _take_image(client, loop)
+        say(f"after test turn {made}: {_lost(client).sum()} robots at unknown places")
+    left, seen = _lost(client), client.unplaced == layout.SEEN
+    return Recovery(ids[lost], ids[lost & ~left & ~seen], ids[lost & seen], ids[left], made)
+
+
+def _take_image(client: PlaneClient, loop: CameraLoop) -> None:
+    """Take an image, and wait until the layout tells which robots it has found."""
+    image = loop.take_image()
+    found = image.ids[np.isfinite(image.places[:, 0])]
+    rows = client.plane.index_of(found)
+    client.wait_for(
+        lambda: not _lost(client)[rows].any(), loop.timeout_s, "the robots found at known places"
+    )
+
+
+def _lost(client: PlaneClient) -> Mask:
+    return (client.unplaced > 0) & (client.unplaced != layout.SEEN)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="recover",
+        description=f"{(__doc__ or '').strip()}\n{_ABOUT}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--turns", type=int, default=_TURNS, metavar="N",
+        help=f"largest number of test turns, {_TURNS}",
+    )  # fmt: skip
+    parser.add_argument(
+        "--timeout", type=float, default=60.0, metavar="S", help="time-out of each wait [s], 60"
+    )
+    args = sys.argv if argv is None else [parser.prog, *argv]
+    options = parser.parse_args(remove_ros_args(args)[1:])
+    use_loopback()
+    try:
+        with PlaneClient(args=args) as client:
+            client.wait_for_graph(options.timeout)
+            ended = recover(client, options.timeout, options.turns, print)
+    except FiberError as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return 1
+    print(f"{len(ended.found)} of {len(ended.lost)} robots are in use again")
+    for ids, text in (
+        (ended.turn_unknown, "seen, and another turn of theta is in range: they rest"),
+        (ended.left, "not found: they and their neighbours rest"),
+    ):
+        if len(ids):
+            more = f" and {len(ids) - _SHOWN} more" if len(ids) > _SHOWN else ""
+            print(f"{text}: robots {', '.join(map(str, ids[:_SHOWN]))}{more}")
+    return int(bool(len(ended.left) or len(ended.turn_unknown)))
