@@ -11,7 +11,8 @@ of which another turn of theta is in range stay. Drives, dark fibres and camera 
 - outside: robots found whose true angles are not in their intervals.
 - closest_um: smallest gap of the true outlines in the test turn, as certified.
 - planned, held: robots with a target that the first plan moves, or holds; resting: robots that have
-  none, for the causes above.
+  none, for the causes above. Robots that are not found may be anywhere: what can reach them rests.
+- contacts: pairs of true arms that touch in the first plan, which is certified without them.
 - simulated_s: the turn and the first move with what the buses take, without exposures: for the turn
   they take what they take for the move.
 """
@@ -25,7 +26,9 @@ from dataclasses import replace
 import numpy as np
 
 from fiber_bus_bridge.simulation import (
+    ArmState,
     MechanicalErrors,
+    Mechanics,
     arms_at,
     arms_motion,
     draw_mechanics,
@@ -33,8 +36,7 @@ from fiber_bus_bridge.simulation import (
 )
 from fiber_core import kinematics
 from fiber_core.arm_bounds import grown
-from fiber_core.array_types import Angles
-from fiber_core.clearance import Safety, certify_arms, neighbour_pairs
+from fiber_core.clearance import Certificate, Safety, certify_arms, neighbour_pairs
 from fiber_core.fields import random_field
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -52,7 +54,7 @@ _SPEED = 0.2  # of the joints in a test turn, as a share of their limits
 
 
 def main() -> int:
-    """Run it; return 1 if a robot was told wrongly."""
+    """Run it; return 1 if a robot was told wrongly, or true arms touch."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--preset", default="desi")
     parser.add_argument("--robots", type=int)
@@ -60,7 +62,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     found = run(parser.parse_args())
     print(json.dumps(found))
-    return int(bool(found["wrong"]))
+    return int(bool(found["wrong"] or found["outside"] or found["contacts"]))
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
@@ -82,8 +84,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     for image in range(2):
         if image:
             arms, state = arms_motion(mechanics, state, motion)
-            touch = certify_arms(plane, arms, Safety(*np.zeros(6)), neighbour_pairs(plane))
-            closest_um = 1e3 * touch.min_gap_mm
+            closest_um = 1e3 * _touch(plane, arms).min_gap_mm
         tips = kinematics.forward(plane, true_angles(mechanics, state))[1]
         shots = [camera.expose(tips, fiducials, lit, rng) for _ in range(options.exposures)]
         lights.append(combine([each.spots for each in shots], fiducials, camera.calibrated))
@@ -107,13 +108,21 @@ def run(options: argparse.Namespace) -> dict[str, object]:
         "turn_unknown": int((found.certain & ~found.turn_known).sum()),
         "closest_um": round(float(closest_um), 1), "recover_cpu_s": round(cpu_s, 3),
     }  # fmt: skip
-    return about | _first_plan(plane, found, true, rng, float(lasts.max()))
+    return about | _first_plan(plane, found, (mechanics, state), rng, float(lasts.max()))
+
+
+def _touch(plane: FocalPlane, arms: SegmentMotion) -> Certificate:
+    return certify_arms(plane, arms, Safety(*np.zeros(6)), neighbour_pairs(plane))
 
 
 def _first_plan(
-    plane: FocalPlane, found: Recovered, true: Angles, rng: np.random.Generator, turn_s: float
+    plane: FocalPlane,
+    found: Recovered,
+    true: tuple[Mechanics, ArmState],
+    rng: np.random.Generator,
+    turn_s: float,
 ) -> dict[str, object]:
-    """Plan from what is known, and return how many move, and how long all of it takes."""
+    """Plan from what is known, let the true arms follow, and return what came of it."""
     known = found.certain
     pairs = neighbour_pairs(plane)
     pairs = pairs[(pairs < plane.n).all(axis=1)]
@@ -121,21 +130,24 @@ def _first_plan(
     for one, other in (pairs.T, pairs.T[::-1]):
         beside[one[~known[other]]] = True
     moves = known & found.turn_known & ~beside & plane.enabled
-    # where a robot is not known its neighbours rest, and nothing comes near it
-    angles = np.where(known[:, None], found.angles, true)
+    # a robot that is not known is drawn anywhere: its neighbours rest wherever it is
+    angles = np.where(known[:, None], found.angles, plane.limits.mean(axis=2))
     half = np.where(known[:, None], found.interval_rad, 0.0)
     wider = replace(grown(plane, half, np.nan_to_num(found.error_mm)), enabled=moves)
     targets = random_field(wider, rng, start=angles).problem.targets
     begin = time.process_time()
     orders = make_orders(Problem(wider, angles, targets))
     plan_cpu_s = time.process_time() - begin
-    run = run_on_simulated_buses(orders)
+    run = run_on_simulated_buses(orders, observe=True)
+    assert run.counters is not None  # it was observed
+    arms, _ = arms_motion(*true, *run.counters)
     asked = np.isfinite(targets).all(axis=1)
     buses_s = run.costs["bus_time_s"] + run.costs["countdown_s"]
     return {
         "planned": int((asked & (orders.reason == Reason.OK)).sum()),
         "held": int((asked & (orders.reason != Reason.OK)).sum()),
         "resting": int((~moves).sum()),
+        "contacts": int(_touch(plane, arms).unsafe.sum()),
         "plan_cpu_s": round(plan_cpu_s, 2),
         "simulated_s": round(2 * buses_s + turn_s + run.motion.makespan_s, 2),
     }

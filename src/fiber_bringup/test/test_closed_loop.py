@@ -17,6 +17,7 @@ from fiber_msgs_py import PlanStamp, layout, spots, targets, topics
 from fiber_recording import load_recording
 from fiber_recording.node import recording_name
 
+
 @pytest.fixture(scope="module")
 def night(tmp_path_factory, new_domain):
     made = Night(tmp_path_factory.mktemp("night"), new_domain())

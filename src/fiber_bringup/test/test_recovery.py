@@ -111,7 +111,11 @@ def test_robots_whose_power_fails_in_motion_come_back(night):
     begin = plant.now_s
     # half a second after the start, as seen by the robots alone
     plant.robots.schedule(
-        [(row, begin + 1.0 + at, Event.POWER, on) for row in rows for on, at in ((0, 0.0), (1, 0.1))]
+        [
+            (row, begin + 1.0 + at, Event.POWER, on)
+            for row in rows
+            for on, at in ((0, 0.0), (1, 0.1))
+        ]
     )
     client.start(WAIT_S)
     failed = client.wait_for_outcome(stamp, WAIT_S).of(client.plane.ids[rows])
@@ -152,4 +156,3 @@ def test_the_command_finds_all_robots_after_a_loss_of_all_power(night, monkeypat
     night.client.wait_for(lambda: night.client.plane.enabled[lit & in_use].all(), WAIT_S)
     night.client.wait_for(lambda: off_um(night)[lit & in_use].max() < 20.0, WAIT_S)
     assert nothing_touched(night)
-

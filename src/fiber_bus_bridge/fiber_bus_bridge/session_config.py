@@ -55,4 +55,6 @@ class SessionConfig:
     counters_kept: bool = True
 
     def __post_init__(self) -> None:
+        if not isinstance(self.counters_kept, bool):
+            raise BridgeError(f"counters_kept must be true or false, got {self.counters_kept!r}")
         check_ranges(self, self.RANGES, BridgeError)

@@ -24,8 +24,8 @@ _ABOUT = """
 The counters of robots that lost their power tell nothing, where the bridge has the parameter
 session.counters_kept false. The command asks all robots anew (the service configure) and takes
 images between small turns of theta of all such robots at once. Each turn moves no point of an
-arm by more than half of the margin that the last certificate left, so nothing can touch. The light of
-each robot turns about its own axis and tells where its arms are. Exit code 0: all robots that
+arm by more than half of the margin that the last certificate left, so nothing can touch. The light
+of each robot turns about its own axis and tells where its arms are. Exit code 0: all robots that
 answer are in use again.
 """
 

@@ -66,7 +66,7 @@ def _theta_lever(plane: FocalPlane) -> Floats:
 def turn_within(plane: FocalPlane, gap_mm: float) -> Floats:
     """Return how far theta of all robots may turn at once so that none uses up half of its gap.
 
-    It holds wherever the arms are: no point of an arm is farther from its theta axis than the lever.
+    It holds wherever the arms are: no point is farther from its theta axis than the lever.
 
     Args:
         plane: the focal plane.

@@ -11,13 +11,17 @@ from fiber_core.array_types import Angles, Floats, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.kinematics import configurations, most_configurations
 
-__all__ = ["angles_of_places"]
+__all__ = ["BEYOND_RAD", "angles_of_places"]
 
-_BEYOND_RAD = 0.05  # an arm may stand this far beyond a stop of its counter
+BEYOND_RAD = 0.05  # an arm may stand this far beyond a stop of its counter
 
 
 def angles_of_places(
-    plane: FocalPlane, places: ArrayLike, near: ArrayLike, error_mm: ArrayLike
+    plane: FocalPlane,
+    places: ArrayLike,
+    near: ArrayLike,
+    error_mm: ArrayLike,
+    beyond_rad: ArrayLike = BEYOND_RAD,
 ) -> tuple[Angles, Angles, Floats]:
     """Return the joint angles that put fibres on measured places, next to expected angles.
 
@@ -29,6 +33,8 @@ def angles_of_places(
         places: measured places [mm], shape (n, 2), nan for none.
         near: expected angles [rad], shape (n, 2).
         error_mm: bound of the error of a place [mm], one number or shape (n,).
+        beyond_rad: an arm may stand this far beyond the stops of its counter [rad], one number or
+            shape (n,).
 
     Returns:
         The angles [rad], shape (n, 2), nan without a place; half the width of the interval of each
@@ -41,7 +47,8 @@ def angles_of_places(
     out = np.full((plane.n, 2), np.nan)
     wide = np.full((plane.n, 2), np.nan)
     outside = np.full(plane.n, np.nan)
-    limits = plane.limits + np.array([-_BEYOND_RAD, _BEYOND_RAD])
+    beyond = np.broadcast_to(np.asarray(beyond_rad, dtype=float), (plane.n,))[:, None, None]
+    limits = plane.limits + beyond * np.array([-1.0, 1.0])
     error = np.ascontiguousarray(np.broadcast_to(np.asarray(error_mm, dtype=float), (plane.n,)))
     rows = most_configurations(plane) + 8  # of limits that are a little wider
     _angles(plane.arms, offsets, limits, plane.limits, near, error, rows, out, wide, outside)

@@ -6,7 +6,7 @@ their outlines. A turn that moves no point of any arm by more than half of that 
 wherever the arms are. The light of a robot turns about the axis of its robot, by an angle that lost
 motion makes smaller, and so tells which robot it is of. All assignments of lights to robots are
 summed as in `identify`. Robots with both elbows in range are refused: so small a turn does not tell
-the elbow.
+the elbow. A folded arm of which no memory tells the elbow is not told either.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from fiber_core.arm_bounds import turn_within
 from fiber_core.array_types import Angles, Floats, Ints, Mask, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.validation import frozen_array
-from fiber_metrology.angles import angles_of_places
+from fiber_metrology.angles import BEYOND_RAD, angles_of_places
 from fiber_metrology.errors import MetrologyError
 from fiber_metrology.exposures import Lights
 from fiber_metrology.identify import IdentifyConfig, most_likely
@@ -32,6 +32,7 @@ _TRACK_MM = 0.08  # a light is the one nearest to where it was, within
 _SIGMAS = 9.0  # beyond which a movement is no evidence
 _TURN_RAD = 2.0 * np.pi
 _BEYOND_RAD = 1e-6  # of a range of phi that ends where the arm is stretched or folded
+_ELBOW_RAD = 0.005  # an arm may stand this far beyond the stops of its counter
 _LEAST = 1e-12  # evidence over that of a stray light, below which there is none
 
 
@@ -79,7 +80,7 @@ class Recovered:
         interval_rad: half the width of their intervals [rad], shape (n, 2), nan without a place.
         error_mm: bound of the error of each place [mm], shape (n,), nan without a place.
         doubt: probability of anything else, shape (n,).
-        turn_known: whether one turn of theta alone is in its range, shape (n,).
+        turn_known: whether one turn of theta alone is in its range, or was recalled, shape (n,).
     """
 
     light: Ints
@@ -168,13 +169,33 @@ def recover(
     places[certain] = last[found[certain]]
     error_mm = np.where(certain, config.sigmas * config.error_um * 1e-3, np.nan)
     near = np.where(np.isnan(rested), plane.limits.mean(axis=2), rested)
-    angles, interval, _ = angles_of_places(plane, places, near, error_mm)
+    unremembered = np.isnan(rested).any(axis=1)
+    beyond = np.where(unremembered, 0.0, BEYOND_RAD)
+    angles, interval, _ = angles_of_places(plane, places, near, error_mm, beyond)
+    # an arm that may stand a little beyond its stop has either elbow
+    bent = angles[:, 1] >= 2.0 * np.pi - plane.limits[:, 1, 1] - _ELBOW_RAD
+    folded = unremembered & bent
+    certain &= ~folded
+    for column in (places, angles, interval, error_mm):
+        column[folded] = np.nan
+    _widen_by_other_elbow(plane, angles, interval, unremembered)
     low, high = plane.limits[:, 0].T
     other = (angles[:, 0] + _TURN_RAD <= high) | (angles[:, 0] - _TURN_RAD >= low)
     other &= ~(np.abs(angles[:, 0] - rested[:, 0]) < _TURN_RAD / 4.0)
     told = np.full(plane.n, -1)
     told[certain] = track[found[certain]]
     return Recovered(told, places, angles, interval, error_mm, doubt, certain & ~other)
+
+
+def _widen_by_other_elbow(
+    plane: FocalPlane, angles: Angles, interval: Angles, chosen: Mask
+) -> None:
+    """Let intervals of stretched arms hold the other elbow, a little beyond the stop of phi."""
+    phi = angles[:, 1]
+    straight = chosen & (phi <= _ELBOW_RAD - plane.limits[:, 1, 0])
+    lead = plane.arms[:, 1] / plane.arms.sum(axis=1) * phi  # of theta before the tip
+    interval[:, 0] += np.where(straight, 2.0 * np.abs(lead), 0.0)
+    interval[:, 1] += np.where(straight, 2.0 * np.abs(phi), 0.0)
 
 
 def _tracks(before: Lights, after: Lights) -> tuple[Ints, Points, Points]:

@@ -17,8 +17,8 @@ from fiber_msgs_py.table import column_names, decode_table, encode_table
 
 __all__ = ["RECALLED", "SEEN", "decode", "decode_unplaced", "encode"]
 
-# of a robot whose counters do not tell its place: they read where it rested before; a camera has told
-# all but the turn of theta
+# of a robot whose counters do not tell its place: they read where it rested before; a camera has
+# told all but the turn of theta
 RECALLED, SEEN = 2, 3
 _ROBOT, _DISC, _WALL = 0, 1, 2  # kinds of row: robots first, then fixed discs, then walls
 
@@ -44,8 +44,8 @@ _DRIVE = {"drive": "<f8"}
 _DRIVE_NUMBERS = 13
 # a plane of one sector has no such column
 _SECTOR = {"sector": "<u2"}
-# 1 of a robot at an unknown place, RECALLED or SEEN, else 0; a plane of robots at known places has no
-# such column
+# 1 of a robot at an unknown place, RECALLED or SEEN, else 0; a plane of robots at known places has
+# no such column
 _UNPLACED = {"unplaced": "<u1"}
 # the names of the fibres in UTF-8, a line each, the same in every row
 _NAMES = {"fibre_names": "<u1"}

@@ -262,3 +262,16 @@ def without_last_number(rows, name):
     for n in rows.dtype.names:
         changed[n] = rows[n][:, :-1] if n == name else rows[n]
     return changed
+
+
+def test_robots_at_unknown_places_travel_with_the_layout(plane, stamp):
+    told = np.zeros(plane.n, dtype=int)
+    assert not layout.decode_unplaced(layout.encode(plane, UNITS, stamp)).any()
+    told[:3] = 1, layout.RECALLED, layout.SEEN
+    message = layout.encode(plane, UNITS, stamp, unplaced=told)
+    np.testing.assert_array_equal(layout.decode_unplaced(message), told)
+    np.testing.assert_array_equal(layout.decode(message)[0].ids, plane.ids)
+    told[1] = 4
+    wrong = layout.encode(plane, UNITS, stamp, unplaced=told)
+    with pytest.raises(MessageError, match=f"robot {plane.ids[1]}.*unplaced"):
+        layout.decode_unplaced(wrong)

@@ -76,6 +76,8 @@ class SimulationConfig:
     faults_until_s: float = 2.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.volatile, bool):
+            raise BridgeError(f"volatile must be true or false, got {self.volatile!r}")
         self.fault_kinds()
         bus_timing(self.clock)
         bounds.check_ranges(self, self.RANGES, BridgeError)
