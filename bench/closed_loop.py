@@ -31,7 +31,7 @@ from fiber_core.fields import random_field
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
-from fiber_metrology import MeasureConfig, Verdict
+from fiber_metrology import DriveErrors, MeasureConfig, Verdict
 from fiber_metrology.camera import CameraConfig, SimulatedCamera, fiducial_places
 from fiber_positioners import ClosedLoop, LoopConfig, closed_loop, read_layout
 
@@ -122,7 +122,10 @@ def figures(loop: ClosedLoop, sticks: np.ndarray) -> dict[str, object]:
     for move in moves:
         counts = _identified(move)
         visible, told, wrong = visible + counts[0], told + counts[1], wrong + counts[2]
-    judged = sticks & planned & loop.lit & (before > 1.05 * MeasureConfig().moved_um)
+    ordered = blind.orders.units.to_angles(blind.run.counts)
+    error_um = DriveErrors().after_um(problem.plane, problem.start, ordered)
+    far = before > 1.05e3 * MeasureConfig().judged_mm(error_um)
+    judged = sticks & planned & loop.lit & far
     pairs = np.concatenate([m.touches.pairs[m.touches.unsafe] for m in moves])
     stuck = np.append(sticks, np.zeros(problem.plane.fixtures, dtype=bool))[pairs].any(axis=1)
     verdicts = last.measurement.verdict

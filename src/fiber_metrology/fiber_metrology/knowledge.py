@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiber_core import bounds
+from fiber_core import bounds, kinematics
 from fiber_core.arm_bounds import arms_within, interval_of_tips
 from fiber_core.array_types import Angles, Floats, Mask
 from fiber_core.focal_plane import FocalPlane
@@ -25,9 +25,13 @@ class DriveErrors:
     """How far fibres end from where their counters say.
 
     Args:
-        blind_um: error of one coordinate of a fibre after a blind move, 1 sigma [um].
+        blind_um: error of one coordinate of a fibre after a blind move, 1 sigma, of all moves
+            together [um].
         corrected_um: the same after a correction of a measured robot [um].
         sigmas: errors at which the interval of a robot ends that was moved and not seen since.
+        base_um: the part of the error of a coordinate that the length of a move does not change,
+            1 sigma [um].
+        scale: error of the angle of a joint over the angle that it was to turn, 1 sigma.
 
     Raises:
         MetrologyError: a value is out of range; names it.
@@ -37,11 +41,15 @@ class DriveErrors:
         "blind_um": bounds.Range(1e-3, 1e5),
         "corrected_um": bounds.Range(1e-3, 1e5),
         "sigmas": bounds.Range(0.0, 10.0),
+        "base_um": bounds.Range(1e-3, 1e5),
+        "scale": bounds.Range(0.0, 1.0),
     }
 
     blind_um: float = 40.0
     corrected_um: float = 10.0
     sigmas: float = 2.0
+    base_um: float = 20.0
+    scale: float = 0.004
 
     def __post_init__(self) -> None:
         bounds.check_ranges(self, self.RANGES, MetrologyError)
@@ -49,6 +57,19 @@ class DriveErrors:
     def interval_rad(self, plane: FocalPlane) -> Angles:
         """Return half the width of the interval of each joint after a blind move [rad], (n, 2)."""
         return interval_of_tips(plane, self.sigmas * self.blind_um * 1e-3)
+
+    def after_um(self, plane: FocalPlane, before: ArrayLike, after: ArrayLike) -> Floats:
+        """Return the error of a coordinate of each fibre after a blind move, 1 sigma [um], (n,).
+
+        Args:
+            plane: the focal plane.
+            before, after: joint angles by the counters [rad], shape (n, 2).
+        """
+        after = np.asarray(after, dtype=float)
+        offsets = kinematics.forward(plane, after)[1] - plane.centers
+        levers = np.stack([np.hypot(*offsets.T), plane.arms[:, 1]], axis=1)
+        turned_mm = np.abs(after - np.asarray(before, dtype=float)) * levers
+        return np.hypot(self.base_um, 1e3 * self.scale * np.hypot(*turned_mm.T))
 
 
 class Knowledge:
@@ -97,9 +118,9 @@ class Knowledge:
         before = begin if self._before is None else self._before
         self._before = np.where(moved[:, None], begin, before)
         self._before_rad = np.where(moved[:, None], self._known, self._before_rad)
-        error = self._drive.blind_um
+        error = self._drive.after_um(self.plane, begin, counters)
         if self._straight:
-            error = np.where(self._follows, self._drive.corrected_um, self._drive.blind_um)
+            error = np.where(self._follows, self._drive.corrected_um, error)
         self._error_um = np.where(moved, error, self._error_um)
         # until the next image nothing better than the drive is known of what moved
         self._known = np.where(moved[:, None], self._blind_rad, self._known)

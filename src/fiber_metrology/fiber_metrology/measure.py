@@ -37,7 +37,8 @@ class MeasureConfig:
     Args:
         error_um: rms error of one coordinate of a place in one exposure [um].
         sigmas: errors at which an interval ends.
-        moved_um: a robot whose joint should have moved its fibre less than this is not judged [um].
+        moved_um: a joint that should have moved its fibre less than this is not judged [um].
+        moved_sigmas: nor one that should have moved it less than so many errors of the drive.
         blame: a joint did not turn if it is less likely than this that both did.
         found: least share of the lights that must be of robots, in an image with a light for every
             second robot or more; else it is not of this plane.
@@ -56,6 +57,7 @@ class MeasureConfig:
         "error_um": bounds.Range(1e-3, 1e3),
         "sigmas": bounds.Range(1.0, 10.0),
         "moved_um": bounds.Range(0.0, 1e5),
+        "moved_sigmas": bounds.Range(0.0, 1e3),
         "blame": bounds.Range(0.0, 0.5),
         "off_model": bounds.Range(1.0, 100.0),
         "found": bounds.Range(0.0, 1.0),
@@ -65,6 +67,7 @@ class MeasureConfig:
     error_um: float = 4.5
     sigmas: float = 4.0
     moved_um: float = 300.0
+    moved_sigmas: float = 12.0
     blame: float = 0.01
     off_model: float = 6.0
     found: float = 0.5
@@ -74,6 +77,14 @@ class MeasureConfig:
 
     def __post_init__(self) -> None:
         bounds.check_ranges(self, self.RANGES, MetrologyError)
+
+    def judged_mm(self, error_um: ArrayLike) -> Floats:
+        """Return how far a joint must have been told to move a fibre so that it is judged [mm].
+
+        Args:
+            error_um: error of a coordinate of the fibre after the motion, 1 sigma [um].
+        """
+        return 1e-3 * np.maximum(self.moved_um, self.moved_sigmas * np.asarray(error_um))
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +328,7 @@ def _hypotheses(expected: Expected, config: MeasureConfig) -> tuple[Floats, Floa
     chance[:, 1:] = config.identify.unmoved * np.array([0.5, 0.25, 0.25])
     turned = np.abs(expected.counters - expected.before) > FIXED_JOINT_RAD
     away = np.hypot(*np.moveaxis(places - places[:, :1], -1, 0))
-    asked = away > config.moved_um * 1e-3
+    asked = away > config.judged_mm(expected.error_um)[:, None]
     asked[:, 1] &= turned.all(axis=1)  # one joint alone is one of the other two
     asked[:, 2] &= turned[:, 0]
     asked[:, 3] &= turned[:, 1]

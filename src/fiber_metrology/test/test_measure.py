@@ -6,7 +6,9 @@ import pytest
 from metrology_scene import N, Scene, owners
 
 from fiber_core import kinematics
+from fiber_core.presets import preset
 from fiber_metrology import (
+    DriveErrors,
     IdentifyConfig,
     MeasureConfig,
     MetrologyError,
@@ -123,3 +125,20 @@ def test_theta_of_a_folded_arm_is_known_as_well_as_its_drive_keeps_it(scene):
                           counters=image.angles)  # fmt: skip
     wider = again.interval_rad - image.interval_rad
     assert wider.max() < 0.1
+
+
+def test_what_a_long_move_may_be_off_is_no_sign_of_a_joint_that_stuck():
+    plane = preset("desi", 7)
+    drive, config = DriveErrors(), MeasureConfig()
+    before = np.tile([-3.0, 1.5], (7, 1))
+    after = before.copy()
+    after[:, 0] += np.linspace(0.0, 6.2, 7)
+    after[:, 1] += 0.05
+    error_um = drive.after_um(plane, before, after)
+    assert (np.diff(error_um) > 0.0).all() and 20.0 <= error_um[0] < 21.0
+    # 6.2 rad at the radius of the fibre, 0.4 % of it
+    radius_mm = np.hypot(*(kinematics.forward(plane, after)[1] - plane.centers)[-1])
+    assert error_um[-1] == pytest.approx(np.hypot(20.0, 4.0 * 6.2 * radius_mm), rel=1e-3)
+    judged_mm = config.judged_mm(error_um)
+    assert judged_mm[0] == pytest.approx(0.3)
+    assert judged_mm[-1] == pytest.approx(0.012 * error_um[-1])

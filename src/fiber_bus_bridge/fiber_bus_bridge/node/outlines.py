@@ -24,8 +24,9 @@ class BlindErrors:
     """How far fibres are from where their counters say, in and after a blind move.
 
     Args:
-        blind_um: error of one coordinate of a fibre, 1 sigma [um]; 0 for robots that are where
-            their counters say.
+        blind_um: error of one coordinate of a fibre, 1 sigma [um], beyond what the drive of the
+            plane tells (`uncertainty_rad` and lost motion are in every certificate without it);
+            0 for robots that are where their counters say.
         blind_sigmas: errors at which the interval of a robot ends.
 
     Raises:
