@@ -169,7 +169,7 @@ def recover(
     places[certain] = last[found[certain]]
     error_mm = np.where(certain, config.sigmas * config.error_um * 1e-3, np.nan)
     near = np.where(np.isnan(rested), plane.limits.mean(axis=2), rested)
-    unremembered = np.isnan(rested).any(axis=1)
+    unremembered: Mask = np.asarray(np.isnan(rested).any(axis=1))
     beyond = np.where(unremembered, 0.0, BEYOND_RAD)
     angles, interval, _ = angles_of_places(plane, places, near, error_mm, beyond)
     # an arm that may stand a little beyond its stop has either elbow

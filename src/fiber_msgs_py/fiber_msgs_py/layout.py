@@ -95,7 +95,8 @@ def encode(
     if plane.sector.any():
         numbers["sector"], named = plane.sector, [*named, *_SECTOR.items()]
     if np.any(unplaced):
-        numbers["unplaced"], named = unplaced, [*named, *_UNPLACED.items()]
+        numbers["unplaced"] = np.broadcast_to(np.asarray(unplaced, dtype=np.int64), (n,))
+        named = [*named, *_UNPLACED.items()]
     dtype = [*_COLUMNS.items(), *outlines, *corners, *drives, *gears, *named]
     rows = np.zeros(n + plane.fixtures, dtype=dtype)
     robots, fixed, walls = np.split(rows, [n, n + len(discs)])
