@@ -2,7 +2,6 @@
 """Layout: the robots and obstacles of the focal plane, and the units of its orders."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2
 
 from fiber_core.array_types import Floats, Ints
@@ -60,7 +59,7 @@ def encode(
     units: WireUnits,
     stamp: PlanStamp,
     session: str | None = None,
-    unplaced: ArrayLike = 0,
+    unplaced: Ints | None = None,
 ) -> PointCloud2:
     """Return a focal plane and its wire units as a message, without the name of the
     plane.
@@ -70,7 +69,8 @@ def encode(
         units: size of tick and quantum, widths of the fields.
         stamp: time of the layout.
         session: id of the session that the bridge has opened.
-        unplaced: 0 for robots at known places, else 1, RECALLED or SEEN, one number or shape (n,).
+        unplaced: 0 for robots at known places, else 1, RECALLED or SEEN, shape (n,); None for no
+            robot at an unknown place.
 
     Raises:
         MessageError: no robot, or an id, bus, address or unit does not fit its column.
@@ -94,9 +94,8 @@ def encode(
     numbers = {"id": ids, "bus": plane.bus, "address": plane.address}
     if plane.sector.any():
         numbers["sector"], named = plane.sector, [*named, *_SECTOR.items()]
-    if np.any(unplaced):
-        numbers["unplaced"] = np.broadcast_to(np.asarray(unplaced, dtype=np.int64), (n,))
-        named = [*named, *_UNPLACED.items()]
+    if unplaced is not None and unplaced.any():
+        numbers["unplaced"], named = unplaced, [*named, *_UNPLACED.items()]
     dtype = [*_COLUMNS.items(), *outlines, *corners, *drives, *gears, *named]
     rows = np.zeros(n + plane.fixtures, dtype=dtype)
     robots, fixed, walls = np.split(rows, [n, n + len(discs)])
