@@ -47,6 +47,7 @@ __all__ = ["main", "problem_of"]
 
 _KILL, _TRUTH = b"KILL", b"TRTH"
 _PATIENCE_S = 20.0
+_ON_BUS = 500  # robots, at most
 
 
 class _Buses:
@@ -202,7 +203,7 @@ def problem_of(robots: int, sectors: int, seed: int):
     plane = preset("desi", robots)
     # neighbours share a sector: sectors are slices around the axis
     turn = np.argsort(np.arctan2(*plane.centers.T[::-1]), kind="stable")
-    on_bus = max(1, -(-robots // max(10, sectors)))
+    on_bus = max(1, min(_ON_BUS, -(-robots // max(10, sectors))))
     bus = np.empty(robots, dtype=np.int64)
     bus[turn] = np.arange(robots) // on_bus
     order = np.argsort(bus, kind="stable")
