@@ -25,47 +25,66 @@ from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
-from fiber_formats import read_layout
+from fiber_formats import read_layout, read_targets
 from fiber_planner import Planner, make_planner, pair_bound
 from fiber_positioners import make_orders, random_problem
 
-__all__ = ["main", "problem_of", "run"]
+__all__ = ["main", "problem_of", "run", "run_problem"]
 
 _DATA = Path(os.environ.get("FIBER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 _RESULTS = Path(__file__).parent / "results"
 
-# name -> (preset or layout and obstacle files, robots, share disabled, phi radius [mm] or
-# None for the preset's)
+# name -> (preset, or files of layout and obstacles and the preset of their outlines; robots, share
+# disabled, phi radius [mm] or None for the preset's)
 PLANES = {
     "desi": ("desi", None, 0.0, None),
     "desi_outlines": ("desi_outlines", None, 0.0, None),
     "pfs": ("pfs", None, 0.0, None),
-    "desi_2021": (("desi_2021-06-25.csv", None), None, 0.0, None),
+    "desi_2021": (("desi_2021-06-25.csv", None, None), None, 0.0, None),
     "desi_15": ("desi", None, 0.15, None),
     "desi_wide_15": ("desi", None, 0.15, 1.6),
     "sdss_v": ("sdss_v", None, 0.0, None),
-    "sdss_v_real": (("sdss_v_positioners.csv", "sdss_v_fiducials.csv"), None, 0.0, None),
+    "sdss_v_real": (("sdss_v_positioners.csv", "sdss_v_fiducials.csv", None), None, 0.0, None),
     "sdss_v_4921": ("sdss_v", 4921, 0.0, None),
     "moons": ("moons", None, 0.0, 2.25),
     "sdss_v_15": ("sdss_v", None, 0.15, None),
     "moons_15": ("moons", None, 0.15, 2.25),
     "desi_100k": ("desi", 100_000, 0.0, None),
+    "desi_2026": (("desi/desi2026_layout_ours.csv", None, "desi_outlines"), None, 0.0, None),
 }
+_MOONS_START = np.deg2rad([0.0, -180.0])
+_MOONS_RADIUS_MM = 2.0
 
 
 def problem_of(name: str, seed: int) -> Problem:
-    """Return the random problem of a plane in PLANES for a seed."""
+    """Return the random problem of a plane in PLANES for a seed.
+
+    "moons_real" is a real assignment of MOONS with the number `seed`, from folded arms.
+    """
+    if name == "moons_real":
+        return _moons_assignment(seed)
     source, robots, disabled, radius = PLANES[name]
     if isinstance(source, str):
         plane = preset(source, robots)
     else:
-        plane = read_layout(_DATA / source[0], obstacles=source[1] and _DATA / source[1]).plane
+        layout, obstacles, outlines = source
+        obstacles = obstacles and _DATA / obstacles
+        plane = read_layout(_DATA / layout, outlines, obstacles=obstacles).plane
     if radius is not None:
         plane = replace(plane, phi_radius=np.full(plane.n, radius))
     rng = np.random.default_rng(seed)
     if disabled:
         plane = plane.with_enabled(plane.enabled & (rng.random(plane.n) >= disabled))
     return random_problem(plane, rng)
+
+
+def _moons_assignment(number: int) -> Problem:
+    path = _DATA / "moons" / f"assignment_{number}.txt"
+    plane, found = read_layout(path).plane, read_targets(path)
+    plane = replace(plane, phi_radius=np.full(plane.n, _MOONS_RADIUS_MM))
+    targets = np.full((plane.n, 2), np.nan)
+    targets[found.ids] = found.xy_mm
+    return Problem(plane, np.tile(_MOONS_START, (plane.n, 1)), targets)
 
 
 def run(name: str, planner: Planner, seed: int) -> dict:
@@ -76,7 +95,12 @@ def run(name: str, planner: Planner, seed: int) -> dict:
         planner: a planner.
         seed: of the problem.
     """
-    orders = make_orders(problem_of(name, seed), planner=planner)
+    return run_problem(name, problem_of(name, seed), planner, seed)
+
+
+def run_problem(name: str, given: Problem, planner: Planner, seed: int) -> dict:
+    """Plan and discretize a problem and return its line of the results, see `run`."""
+    orders = make_orders(given, planner=planner)
     problem, plane, safety = orders.start_problem, orders.plane, orders.safety
     planned, sent, motion = orders.planned, orders.discretization, orders.wire.decoded()
     begin_cpu = time.process_time()

@@ -101,6 +101,7 @@ ARROWS = {
         "fiber_viewer",
         "fiber_positioners",
     },
+    "bench.goals": {"bench", "planners"},
     "bench.identification": {"bench", "closed_loop"},
     "bench.sectors": {"bench", "fiber_sectors", "sector_judge"},
     "bench.sector_hosts": {"fiber_bus_bridge.plant", "fiber_sectors", "numpy"},

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from fiber_core.array_types import Bools, Floats, Ints, Mask, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motors import in_motor_range
+from fiber_core.threads import share_out
 
 __all__ = [
     "RIM_MM",
@@ -28,6 +29,7 @@ __all__ = [
 ]
 
 _TURN = 2 * math.pi
+_LEAST_ROBOTS = 2000  # of a thread: fewer are done sooner than it begins
 RIM_MM = 1e-9  # a point this far outside the annulus is on its rim
 # A tip d + e away from a stretched arm bends it by sqrt(2 e d / (l1 l2)): the rounding of
 # coordinates (1e-13 mm) costs up to 3e-7 rad there. A joint angle this far beyond a stop
@@ -189,7 +191,16 @@ def solutions(plane: FocalPlane, points: ArrayLike) -> Solutions:
     most = most_configurations(plane)
     angles = np.full((plane.n, most * fibres.shape[1], 2), np.nan)
     fibre = np.zeros(angles.shape[:2], dtype=np.int64)
-    count = _inverse(plane.arms, offsets, plane.limits, fibres, plane.fibre, angles, fibre, most)
+    count = np.zeros(plane.n, dtype=np.int64)
+
+    def invert(first: int, last: int) -> None:
+        some = slice(first, last)
+        _inverse(
+            plane.arms[some], offsets[some], plane.limits[some], fibres[some], plane.fibre[some],
+            angles[some], fibre[some], most, count[some],
+        )  # fmt: skip
+
+    share_out(invert, plane.n, _LEAST_ROBOTS)
     used = max(1, count.max(initial=0))
     angles, fibre = angles[:, :used].copy(), fibre[:, :used].copy()
     aside = np.arctan2(fibres[..., 1], fibres[..., 0])
@@ -255,7 +266,7 @@ def configurations(
     return count
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def _inverse(
     arms: Floats,
     offsets: Points,
@@ -265,9 +276,9 @@ def _inverse(
     angles: Floats,
     fibre: Ints,
     most: int,
-) -> Ints:
-    # Fills in the configurations of each robot and their fibres; returns their number, shape (n,).
-    count = np.zeros(len(arms), dtype=np.int64)
+    count: Ints,
+) -> None:
+    # fills in the configurations of each robot, their fibres and their number, at first 0
     shifted = np.empty((2, 2))
     for i in range(len(arms)):
         x, y = offsets[i]
@@ -285,4 +296,3 @@ def _inverse(
                 phi = angles[i, s, 1] - aside
                 angles[i, s, 1] = min(max(phi, limits[i, 1, 0]), limits[i, 1, 1])
                 fibre[i, s] = k
-    return count

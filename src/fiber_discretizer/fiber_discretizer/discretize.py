@@ -123,9 +123,11 @@ def _no_report(fraction: float, text: str) -> None:
 
 def _with_robots_at_rest(trajectory: SampledMotion, robots: Mask) -> SampledMotion:
     # the trajectory from time zero, with some robots at rest where they begin
+    time_s, is_late = trajectory.time_s, trajectory.time_s[0] > 0.0
+    if not (robots.any() or is_late or len(time_s) == 1):
+        return trajectory
     angles = np.where(robots[:, None, None], trajectory.angles[:, :, :1], trajectory.angles)
-    time_s = trajectory.time_s
-    if len(time_s) == 1 or time_s[0] > 0.0:  # at least two points, the first at zero
-        time_s = np.concatenate([[0.0], time_s if time_s[0] > 0.0 else [1.0]])
+    if len(time_s) == 1 or is_late:  # at least two points, the first at zero
+        time_s = np.concatenate([[0.0], time_s if is_late else [1.0]])
         angles = np.concatenate([angles[:, :, :1], angles], axis=2)
     return SampledMotion(time_s, angles)

@@ -90,6 +90,8 @@ def _of_whole_plane(
     rows = plane.index_of(ids)
     if (rows < 0).any():
         raise MotionError(f"robot {ids[rows < 0][0]} of the trajectory is not in the layout")
+    if np.array_equal(rows, np.arange(plane.n)):
+        return trajectory, velocities
     angles = np.repeat(np.asarray(present)[:, :, None], len(trajectory.time_s), axis=2)
     angles[rows] = trajectory.angles
     if velocities is not None:

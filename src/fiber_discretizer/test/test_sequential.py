@@ -19,6 +19,7 @@ from fiber_core.fields import random_problem
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
+from fiber_core.threads import thread_count, threads
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import DiscretizeOptions, discretize
 from fiber_discretizer.corridor import open_corridors
@@ -197,23 +198,25 @@ def test_a_robot_that_returns_to_its_start_moves_only_where_it_must_make_way(pla
     assert result.reason[0] == Reason.OK and not result.wire.decoded().counts.any()
 
 
-def test_one_thread_and_two_give_the_same_bytes(monkeypatch):
+def test_any_number_of_threads_gives_the_same_bytes(monkeypatch):
     plane = preset("pfs", 60)
     start, goal = (random_problem(plane, np.random.default_rng(seed)).start for seed in range(2))
     trajectory = SampledMotion([0.0, 2.5], np.stack([start, goal], axis=2))  # many pairs collide
     units, calls, wires = WireUnits.for_plane(plane), [], []
 
     def counted_corridors(*arguments):
-        calls.append(candidates._LEAST_SHARE)
+        calls.append(thread_count())
         return open_corridors(*arguments)
 
     monkeypatch.setattr(candidates, "open_corridors", counted_corridors)
-    for least in (1, 1000):
-        monkeypatch.setattr(candidates, "_LEAST_SHARE", least)
-        wires.append(discretize(plane, trajectory, units, SAFETY).wire.decoded())
-    assert calls.count(1) > calls.count(1000) > 0  # work was divided the first time
-    for column, other in zip(wires[0].arrays, wires[1].arrays):
-        assert column.tobytes() == other.tobytes()
+    monkeypatch.setattr(candidates, "_LEAST_ROBOTS", 1)
+    for count in (1, 2, 3):
+        with threads(count):
+            wires.append(discretize(plane, trajectory, units, SAFETY).wire.decoded())
+    assert calls.count(3) > calls.count(1) > 0  # work was divided
+    for wire in wires[1:]:
+        for column, other in zip(wires[0].arrays, wire.arrays):
+            assert column.tobytes() == other.tobytes()
 
 
 @pytest.mark.timeout(60)

@@ -19,10 +19,12 @@ from fiber_core.metrics import lower_bound_s
 from fiber_core.motors import alone_s
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
+from fiber_core.threads import share_out
 
 __all__ = ["choose_goals", "ends_that_clash", "fastest_ends", "lower_bound_s", "travel_s"]
 
 _STAYS = 2  # pose of a robot that ends where it starts; 0 and 1 are its elbows, faster first
+_LEAST_PAIRS = 1000  # of a thread: fewer are done sooner than it begins
 _OPEN = -1  # pose of a robot that has none yet
 
 
@@ -112,7 +114,6 @@ def _clashes_by_robot(near: Neighbours, clash: Bools) -> Bools:
     return clash
 
 
-@nb.njit(cache=True)
 def ends_that_clash(
     bodies: Bodies, pairs: Pairs, options: Floats, count: Ints, margin_mm: float
 ) -> Bools:
@@ -124,8 +125,19 @@ def ends_that_clash(
         options, count: from fastest_ends.
         margin_mm: gap to keep [mm].
     """
-    n = len(options)
     clash = np.zeros((len(pairs), 3, 3), dtype=np.bool_)
+
+    def find(first: int, last: int) -> None:
+        some = slice(first, last)
+        _find_clashes(bodies, pairs[some], options, count, margin_mm, clash[some])
+
+    share_out(find, len(pairs), _LEAST_PAIRS)
+    return clash
+
+
+@nb.njit(cache=True, nogil=True)
+def _find_clashes(bodies, pairs, options, count, margin_mm, clash):
+    n = len(options)
     for e in range(len(pairs)):
         a, b = pairs[e]
         for i in range(3):
@@ -141,7 +153,6 @@ def ends_that_clash(
                     bodies, a, b, options[a, i, 0], options[a, i, 1], theta, phi, margin_mm
                 )
                 clash[e, i, j] = gap < margin_mm
-    return clash
 
 
 @nb.njit(cache=True)

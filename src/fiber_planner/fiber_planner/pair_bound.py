@@ -18,8 +18,6 @@ from fiber_planner.goal_selection import choose_goals, lower_bound_s, travel_s
 
 __all__ = ["PairBound", "pair_bound"]
 
-_FINEST_RAD = np.deg2rad(0.5)  # grid in which passages past static bodies are sought
-
 
 class PairBound(NamedTuple):
     """Bounds of every certified motion that ends on its targets, up to the rounding to quanta.
@@ -54,7 +52,7 @@ def pair_bound(problem: Problem, margin_mm: float = 0.05) -> PairBound:
         margin_mm: gap between outlines that the certificate requires at every instant [mm].
     """
     # on its way an arm may go where no approach can end
-    can = reachable(problem, neighbour_pairs(problem.plane), margin_mm, _FINEST_RAD)
+    can = reachable(problem, neighbour_pairs(problem.plane), margin_mm)
     problem = inside_approaches(problem)
     plane = problem.plane
     _, valid, fibre, _ = kinematics.solutions(plane, problem.targets)

@@ -167,18 +167,18 @@ def test_a_target_behind_a_wall_is_unreachable_though_free_itself():
     assert not reachable(Problem(stiff, start, below), pairs, 0.05)[0]
 
 
-def test_a_finer_grid_shows_that_a_passage_is_too_narrow():
-    radius_mm = float(preset("desi", 1).phi_radius[0])
-    for gap_mm, reached in ((-0.05, False), (0.06, True)):
-        plane, start, pairs = _pair_with_a_disabled(180.0, 12.0 + 2.0 * radius_mm + gap_mm)
-        narrow = np.deg2rad([[-100.0, 100.0], [0.0, 3.0]])
-        stiff = plane_from(
-            PRESETS["desi"], plane.ids, plane.centers, enabled=plane.enabled,
-            limits=np.stack([narrow, plane.limits[1]]),
-        )  # fmt: skip
-        problem = Problem(stiff, start, [[0.0, -5.999], [np.nan, np.nan]])
-        assert reachable(problem, pairs, 0.05)[0]
-        assert reachable(problem, pairs, 0.05, np.deg2rad(0.5))[0] == reached
+@pytest.mark.parametrize("missing_mm, expected", [(0.15, False), (-0.02, True)])
+def test_a_passage_that_is_a_little_too_narrow_is_closed(missing_mm, expected):
+    # theta has to turn past the tip of the disabled arm, and the arm cannot bend away from it
+    plane, start, pairs = _pair_with_a_disabled(180.0, 14.0)
+    gap = float(gaps(plane, pairs, np.deg2rad([[0.0, 0.0], [180.0, 0.0]]))[0])
+    plane, start, pairs = _pair_with_a_disabled(180.0, 14.0 - gap + 0.05 - missing_mm)
+    stiff = plane_from(
+        PRESETS["desi"], plane.ids, plane.centers, enabled=plane.enabled,
+        limits=np.stack([np.deg2rad([[-100.0, 100.0], [0.0, 0.3]]), plane.limits[1]]),
+    )  # fmt: skip
+    below = [[0.0, -6.0], [np.nan, np.nan]]
+    assert reachable(Problem(stiff, start, below), pairs, 0.05)[0] == expected
 
 
 def test_reachable_needs_no_neighbours():
@@ -234,7 +234,7 @@ def test_an_unneeded_detour_becomes_a_line_and_a_needed_one_stays():
     q[1, 0] = np.interp(time, [0, 4, 16], [0.0, 0.3, -1.0])  # it looks the other way
     plan = _plan(scene, q.copy(), 0.1)
     assert measure_all(scene, plan) == 0
-    assert shortcut_profiles(scene, plan, _STEP_S) == 2
+    assert shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2)) == 2
     assert measure_all(scene, plan) == 0
     assert np.allclose(plan.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
     assert np.allclose(plan.q[1, 0], np.linspace(0.0, -1.0, _STEPS + 1))
@@ -243,10 +243,31 @@ def test_an_unneeded_detour_becomes_a_line_and_a_needed_one_stays():
     q[1, 0] = np.interp(time, [0, 8, 16], [np.pi, np.pi, np.pi + 1.5])  # it leaves first
     plan = _plan(scene, q.copy(), 0.1)
     assert measure_all(scene, plan) == 0
-    shortcut_profiles(scene, plan, _STEP_S)
+    shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2))
     assert measure_all(scene, plan) == 0
     assert np.array_equal(plan.q[0], q[0])  # and is waited for
     assert np.array_equal(plan.q[:, :, [0, -1]], q[:, :, [0, -1]])
+
+
+def test_a_robot_that_goes_around_what_comes_later_is_there_sooner_on_one_line():
+    plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
+    ahead = np.array([[-0.8, 0.0], [np.pi + 1.5, 0.0]])
+    scene = scene_of(Problem(plane, ahead, np.full((2, 2), np.nan)))
+    time = np.arange(_STEPS + 1)
+    q = np.repeat(ahead[:, :, None], _STEPS + 1, axis=2)
+    q[0, 0] = np.interp(time, [0, 8, _STEPS], [-0.8, 1.6, 0.8])
+    q[1, 0] = np.interp(time, [0, 4, 12], [np.pi + 1.5, np.pi + 1.5, np.pi])
+    plan = _plan(scene, q.copy(), 0.1)
+    scene.movable[1] = False  # not for shortcut_profiles to change
+    assert measure_all(scene, plan) == 0
+    shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2))
+    assert np.array_equal(plan.q[0], q[0])  # on a line over the whole time it is in the way
+    plan.shortcut_due[0] = True
+    assert shortcut_profiles(scene, plan, _STEP_S, 100, np.arange(2)) == 1
+    assert measure_all(scene, plan) == 0
+    arrives = int(np.argmax(plan.q[0, 0] == 0.8))
+    assert arrives < 16
+    assert np.allclose(plan.q[0, 0, : arrives + 1], np.linspace(-0.8, 0.8, arrives + 1))
 
 
 def test_a_straightened_robot_keeps_its_ends_and_no_other_robot_changes():
@@ -275,12 +296,14 @@ def test_a_robot_that_had_to_wait_is_tried_again_once_its_neighbour_has_changed(
     plan = _plan(scene, q, 0.1)
     scene.movable[1] = False  # not for shortcut_profiles to change
     assert measure_all(scene, plan) == 0
-    assert shortcut_profiles(scene, plan, _STEP_S) == 0
+    assert shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2)) == 0
     plan.q[1, 0] = np.linspace(0.0, -1.0, _STEPS + 1)  # now it looks the other way
     assert measure_all(scene, plan) == 0
-    assert shortcut_profiles(scene, plan, _STEP_S) == 0  # no robot is marked as changed
+    assert (
+        shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2)) == 0
+    )  # no robot is marked as changed
     mark_changed(scene, plan, 1)
-    assert shortcut_profiles(scene, plan, _STEP_S) == 1
+    assert shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2)) == 1
     assert np.allclose(plan.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
 
 

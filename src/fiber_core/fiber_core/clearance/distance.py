@@ -23,8 +23,11 @@ from fiber_core.clearance.collision_bodies import (
 )
 from fiber_core.clearance.gjk import gjk_distance
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.threads import share_out
 
 __all__ = ["gaps", "pair_gap", "pair_gap_below", "posed_gap", "sampled_gaps"]
+
+_LEAST_PAIRS = 2000  # of a thread: fewer are done sooner than it begins
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -194,12 +197,18 @@ def sampled_gaps(plane: FocalPlane, pairs: ArrayLike, angles: ArrayLike) -> Floa
     obstacles = np.zeros((plane.fixtures, *poses.shape[1:]))
     obstacles[..., ::2] = 1.0  # the cosines of angles of 0
     pairs = np.array(pairs, dtype=np.int32).reshape(-1, 2)
-    return _posed_gaps(bodies_of(plane).table, pairs, np.concatenate([poses, obstacles]))
+    table, poses = bodies_of(plane).table, np.concatenate([poses, obstacles])
+    found = np.empty((len(pairs), poses.shape[1]))
+
+    def measure(first: int, last: int) -> None:
+        _measure_gaps(table, pairs[first:last], poses, found[first:last])
+
+    share_out(measure, len(pairs), _LEAST_PAIRS)
+    return found
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
-def _posed_gaps(table: Floats, pairs: Pairs, poses: Floats) -> Floats:
-    out = np.empty((len(pairs), poses.shape[1]))
+def _measure_gaps(table: Floats, pairs: Pairs, poses: Floats, out: Floats) -> None:
     for i in range(len(pairs)):
         a, b = pairs[i]
         for k in range(poses.shape[1]):
@@ -207,4 +216,3 @@ def _posed_gaps(table: Floats, pairs: Pairs, poses: Floats) -> Floats:
             out[i, k] = posed_gap(
                 table, a, b, p[0], p[1], p[2], p[3], q[0], q[1], q[2], q[3], np.inf
             )
-    return out

@@ -11,10 +11,12 @@ from fiber_core.array_types import Angles, Floats, Gaps, Mask, Offsets, Pairs, R
 from fiber_core.clearance.collision_bodies import Bodies
 from fiber_core.clearance.distance import table_gap
 from fiber_core.motion import CurveArrays
+from fiber_core.threads import share_out
 
 __all__ = ["FINEST_MM", "Minima", "minimum_gaps"]
 
 FINEST_MM = 1e-6  # no gap is resolved further than this
+_LEAST_PAIRS = 200  # of a thread: fewer are done sooner than it begins
 _ROUNDING_MM = 1e-9  # far above the rounding of a gap, far below anything that matters
 
 
@@ -186,7 +188,6 @@ def _cut(
     return k
 
 
-@nb.njit(cache=True, error_model="numpy", nogil=True)  # the longest loop of all
 def minimum_gaps(
     bodies: Bodies,
     motion: CurveArrays,
@@ -198,7 +199,7 @@ def minimum_gaps(
     resolve: bool,
     minima: Minima,
 ) -> None:
-    """Bracket the smallest gap of some pairs until it is proven or resolved.
+    """Bracket the smallest gap of some pairs, on all cores, until it is proven or resolved.
 
     For each pair, the time interval with the lowest bound is halved until that bound reaches
     the level (proven), or is within the tolerance of the smallest gap found (resolved).
@@ -214,6 +215,26 @@ def minimum_gaps(
         resolve: whether the search goes on after a gap below the level was found.
         minima: filled in at the rows.
     """
+
+    def bracket(first: int, last: int) -> None:
+        some = rows[first:last]
+        _minimum_gaps(bodies, motion, resting, pairs, some, level, tolerance, resolve, minima)
+
+    share_out(bracket, len(rows), _LEAST_PAIRS)
+
+
+@nb.njit(cache=True, error_model="numpy", nogil=True)  # the longest loop of all
+def _minimum_gaps(
+    bodies: Bodies,
+    motion: CurveArrays,
+    resting: Mask,
+    pairs: Pairs,
+    rows: Rows,
+    level: Gaps,
+    tolerance: float,
+    resolve: bool,
+    minima: Minima,
+) -> None:
     # Fields are read once: each reading of a tuple's array costs two atomic operations.
     table, arm1 = bodies.table, bodies.arm1
     phi_reach, theta_reach = bodies.phi_reach, bodies.theta_reach

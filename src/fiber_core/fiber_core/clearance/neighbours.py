@@ -2,6 +2,7 @@
 """Neighbours: the pairs of robots and obstacles that can come close to each other."""
 
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numba as nb
 import numpy as np
@@ -14,6 +15,9 @@ from fiber_core.ragged import Parts
 from fiber_core.walls import distances_to_walls
 
 __all__ = ["Neighbours", "most_neighbours", "neighbour_pairs", "neighbours_of"]
+
+# the pairs of every plane in use, by slack; a plane never changes
+_known: WeakKeyDictionary[FocalPlane, dict[float, Pairs]] = WeakKeyDictionary()
 
 
 class Neighbours(NamedTuple):
@@ -50,6 +54,14 @@ def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> Pairs:
         Rows a < b in increasing order, int32, shape (p, 2). Rows from n on are the
         obstacles, then the walls; two fixed bodies are never a pair.
     """
+    known = _known.setdefault(plane, {})
+    if slack_mm not in known:
+        known[slack_mm] = _pairs_within(plane, slack_mm)
+        known[slack_mm].setflags(write=False)
+    return known[slack_mm]
+
+
+def _pairs_within(plane: FocalPlane, slack_mm: float) -> Pairs:
     if plane.n == 0:
         return np.zeros((0, 2), dtype=np.int32)
     reach = plane.reach_mm
@@ -64,7 +76,8 @@ def neighbour_pairs(plane: FocalPlane, slack_mm: float = 1.0) -> Pairs:
         close = np.concatenate([close, with_obstacle])
     centers = np.concatenate([plane.centers, plane.obstacles[:, :2]])
     apart = np.hypot(*(centers[close[:, 0]] - centers[close[:, 1]]).T)
-    close = close[apart <= np.concatenate([reach, radius])[close].sum(axis=1) + slack_mm]
+    reaches = np.concatenate([reach, radius])
+    close = close[apart <= reaches[close[:, 0]] + reaches[close[:, 1]] + slack_mm]
     close = np.concatenate([close, _near_walls(plane, robots, slack_mm)])
     return close[np.lexsort(close.T[::-1])].astype(np.int32)
 

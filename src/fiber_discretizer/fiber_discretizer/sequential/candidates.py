@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motions that a robot can select from, straightest first."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from fiber_core.array_types import Counts, Floats, Ints, Mask, Rows
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.ragged import Parts
+from fiber_core.threads import share_out
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer.corridor import Corridors, Task, keep_inside, open_corridors
 from fiber_discretizer.fit.linearize import Polylines, linearize
@@ -21,8 +21,7 @@ from fiber_discretizer.soften import softened
 
 __all__ = ["Candidates"]
 
-_THREADS = 2  # that trace corridors
-_LEAST_SHARE = 8  # robots of a thread: a few are done sooner than a thread begins
+_LEAST_ROBOTS = 8  # of a thread that traces corridors: fewer are done sooner than it begins
 _INTERVALS = 24
 _SHARES = np.linspace(0.0, 1.0, _INTERVALS + 1)
 _FINEST_MM = 0.001  # smallest width within which a trajectory is traced
@@ -58,7 +57,6 @@ class Candidates:
         options: DiscretizeOptions,
     ):
         plane, units = plan.plane, plan.units
-        self._pool = ThreadPoolExecutor(_THREADS, "corridors")  # ends with this object
         self._plan, self._options = plan, options
         self.time_s, self._planned = trajectory.time_s, trajectory.angles
         self._ranges = units.range_counts(plane)
@@ -146,6 +144,20 @@ class Candidates:
             desired[:, joint] = lines[joint].at(times)
         return self._rounded(rows, [lines[0], lines[1]]), found
 
+    def planned_lines(self, rows: Rows, width_mm: float) -> Polylines:
+        """Return the trajectory as lines within a width [mm]; breaks are samples of it."""
+        return self._trace(rows, width_mm)[0]
+
+    def rounded(self, rows: Rows, lines: Polylines, slack_rad: float) -> SegmentMotion:
+        """Return lines in whole units; rounding may shift a profile by a slack.
+
+        Args:
+            rows: the robots, shape (m,).
+            lines: profiles of theta and phi of these in turn.
+            slack_rad: largest shift [rad].
+        """
+        return self._quantized(rows, lines, np.full((len(rows), 2), slack_rad))
+
     def traced(self, rows: Rows, width_mm: float) -> SegmentMotion:
         """Return the trajectory itself, within a width [mm], not rounded."""
         paths = self._trace(rows, width_mm)[0]
@@ -218,20 +230,19 @@ class Candidates:
         # Lines through the corridor of one joint, and which of the robots have such lines. Each
         # robot has a corridor of its own, so the result does not depend on the threads.
         plan = self._plan
-        share = max(_LEAST_SHARE, -(-len(rows) // _THREADS))
-        parts = [slice(k, k + share) for k in range(0, len(rows), share)]
+        parts: dict[int, tuple[Polylines, Mask]] = {}
 
-        def path_of(part: slice) -> tuple[Polylines, Mask]:
+        def find(first: int, last: int) -> None:
+            part = slice(first, last)
             task = Task(
                 plan.bodies.table, plan.levers_mm, plan.plane.limits, motion.arrays,
                 plan.neighbours, required_mm, rows[part], joint, times[part], desired[part],
                 self._options.reach_rad,
             )  # fmt: skip
-            return self._path(task, side)
+            parts[first] = self._path(task, side)
 
-        if len(parts) < 2:
-            return path_of(slice(None))
-        paths, found = zip(*self._pool.map(path_of, parts))
+        share_out(find, len(rows), _LEAST_ROBOTS)
+        paths, found = zip(*(parts[first] for first in sorted(parts)))
         return Polylines.concatenate(paths), np.concatenate(found)
 
     def _path(self, task: Task, side: int) -> tuple[Polylines, Mask]:

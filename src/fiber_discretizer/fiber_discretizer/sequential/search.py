@@ -30,6 +30,7 @@ __all__ = ["discretize_sequentially"]
 _LATER_TICKS = 20  # how much longer than planned rounding makes a motion
 _WAITING_MM = 0.002  # width within which a robot traces its trajectory until it is discretized
 _TRACES_MM = (0.02, 0.004, 0.001)  # widths of traces for a robot without a better motion
+_SLACKS_RAD = (0.25, 0.05, 0.01)  # shifts of the lines of a trajectory by rounding, widest first
 _SIDES = (1, -1)
 _MANY = 3  # segments of one joint; a robot with more tries other motions
 # When a robot without a short motion can turn theta and phi: as soon as possible, as slowly
@@ -226,6 +227,7 @@ class _Search:
         required_mm = selection.required_mm
         one_more = self.moving_joints[rows] + 1
         selection.evaluate(np.arange(len(rows)), candidates.straight(rows))
+        self._evaluate_planned(selection)
         for joint in (1, 0):
             for side in _SIDES:
                 if len(which := selection.longer_than(one_more)):
@@ -244,6 +246,20 @@ class _Search:
             if len(which := selection.unsolved()):
                 selection.evaluate(which, candidates.traced_rounded(rows[which], width))
         return len(selection.commit())
+
+    def _evaluate_planned(self, selection: Selection) -> None:
+        # the lines of the trajectory; the wider the shift that is allowed, the fewer segments
+        candidates = self.candidates
+        which = selection.longer_than(self.moving_joints[selection.rows])
+        lines = candidates.planned_lines(selection.rows[which], _TRACES_MM[0])
+        segments = np.full(len(selection.rows), np.inf)
+        segments[which] = np.maximum(lines.counts - 1, 0).reshape(-1, 2).sum(axis=1)
+        for slack_rad in _SLACKS_RAD:
+            left = np.flatnonzero(np.isin(which, selection.longer_than(segments)))
+            if len(left):
+                at = (2 * left[:, None] + np.arange(2)).ravel()
+                rows = selection.rows[which[left]]
+                selection.evaluate(which[left], candidates.rounded(rows, lines.of(at), slack_rad))
 
     def _evaluate_timings(self, selection: Selection) -> None:
         # straight lines and detours at other times than planned

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fiber_core.array_types import Bools, Counts, Ints, Mask, Rows
+from fiber_core.array_types import Bools, Counts, Floats, Ints, Mask, Rows
 from fiber_core.clearance import (
     Safety,
     bodies_of,
@@ -29,6 +29,7 @@ class Snapshot(NamedTuple):
 
     motion: SegmentMotion
     true_motion: SegmentMotion | CurveMotion
+    speeds: Floats
     is_rounded: Mask
     unsafe: Bools
 
@@ -67,6 +68,7 @@ class SegmentPlan:
         self._true_motion = carried_out(plane.drive, self.motion)
         self._safety, self._makespan_s = safety, makespan_s + plane.drive.ramp_s
         self.levers_mm = levers_of(plane)
+        self._speeds = np.zeros(plane.n)  # bounds of the speeds of the points of each robot [mm/s]
         speeds = point_speeds(self.levers_mm, plane.speeds * plane.enabled[:, None])
         most_mm = safety.at_full_speed_mm(plane, self._makespan_s)
         self.pairs = neighbour_pairs(plane, max(1.0, most_mm))
@@ -86,7 +88,9 @@ class SegmentPlan:
     def pairs_of(self, rows: Rows) -> Ints:
         """Return the pairs with at least one of some robots, increasing, shape (k,)."""
         _, at = self.neighbours.parts.select(rows)
-        return np.unique(self.neighbours.pair[at])
+        found = np.zeros(len(self.pairs), dtype=bool)
+        found[self.neighbours.pair[at]] = True
+        return np.flatnonzero(found)
 
     def robots_in(self, pairs: Ints) -> Mask:
         """Return the robots in some pairs, shape (n,).
@@ -111,10 +115,9 @@ class SegmentPlan:
             rows: robots that would move in another way, shape (m,); none by default.
             changed: their motion, of m robots.
         """
-        true_motion = self._true_motion
+        true_motion, speeds = self._true_motion, self._speeds
         if rows is not None and changed is not None:
-            true_motion = self._with_robots(rows, changed)
-        speeds = point_speeds(self.levers_mm, true_motion.fastest)
+            true_motion, speeds = self._with_robots(rows, changed)
         required = self._safety.required_at(
             speeds,
             self._makespan_s,
@@ -133,12 +136,16 @@ class SegmentPlan:
             unsafe |= robots[self.pairs[pairs]].any(axis=1)
         return unsafe
 
-    def _with_robots(self, rows: Rows, motion: SegmentMotion) -> SegmentMotion | CurveMotion:
-        # the true motion of all robots if some of them, m rows, had another motion, of m robots
-        changed = carried_out(self.plane.drive, motion)
+    def _with_robots(
+        self, rows: Rows, motion: SegmentMotion
+    ) -> tuple[SegmentMotion | CurveMotion, Floats]:
+        # The true motion of all robots if some of them, m rows, had another motion, of m robots,
+        # and a bound of the speeds of their points.
+        changed, speeds = carried_out(self.plane.drive, motion), self._speeds.copy()
+        speeds[rows] = point_speeds(self.levers_mm[rows], changed.fastest)
         if isinstance(self._true_motion, CurveMotion) and isinstance(changed, CurveMotion):
-            return self._true_motion.with_robots(rows, changed)
-        return self.motion.with_robots(rows, motion)
+            return self._true_motion.with_robots(rows, changed), speeds
+        return self.motion.with_robots(rows, motion), speeds
 
     def assign(self, rows: Rows, motion: SegmentMotion, is_rounded: bool = True) -> None:
         """Replace the motion of some robots.
@@ -148,7 +155,7 @@ class SegmentPlan:
             motion: their motion, of m robots.
             is_rounded: whether its segments are of whole units.
         """
-        self._true_motion = self._with_robots(rows, motion)
+        self._true_motion, self._speeds = self._with_robots(rows, motion)
         self.motion = self.motion.with_robots(rows, motion)
         self.is_rounded[rows] = is_rounded
         affected = self.pairs_of(rows)
@@ -156,11 +163,13 @@ class SegmentPlan:
 
     def snapshot(self) -> Snapshot:
         """Return the present state, for `restore`."""
-        return Snapshot(self.motion, self._true_motion, self.is_rounded.copy(), self.unsafe.copy())
+        return Snapshot(
+            self.motion, self._true_motion, self._speeds, self.is_rounded.copy(), self.unsafe.copy()
+        )
 
     def restore(self, snapshot: Snapshot) -> None:
         """Undo all that was assigned since a snapshot."""
-        self.motion, self._true_motion, self.is_rounded, self.unsafe = snapshot
+        self.motion, self._true_motion, self._speeds, self.is_rounded, self.unsafe = snapshot
 
     def rest(self, robots: Mask) -> None:
         """Let some robots, shape (n,), stay where they are."""

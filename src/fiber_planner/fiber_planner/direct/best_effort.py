@@ -7,12 +7,13 @@ from fiber_core.array_types import Bools, Ints
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
 from fiber_planner.direct.initial_plan import Ends
-from fiber_planner.direct.plan_state import PlanState
+from fiber_planner.direct.plan_state import PlanState, measure_all
 from fiber_planner.direct.scene import Scene
 
 __all__ = [
     "at_borders",
     "hold_at_start",
+    "hold_idle",
     "hold_one_of_tangled",
     "near_static_arms",
     "release_worst",
@@ -96,6 +97,27 @@ def hold_at_start(scene: Scene, plan: PlanState, rows: Ints) -> Ints:
     lost = rows[plan.choice[rows] >= 0]
     plan.choice[lost] = -1
     return lost
+
+
+def hold_idle(scene: Scene, plan: PlanState) -> int:
+    """Let robots without a target that are in conflict rest where they start.
+
+    Args:
+        scene: the robots and their surroundings.
+        plan: the plan; profiles and costs are written.
+
+    Returns:
+        How many of them did not rest.
+    """
+    idle = np.zeros(len(scene.movable), dtype=bool)
+    idle[scene.pairs[plan.cost > 0.0]] = True
+    idle &= scene.movable
+    idle[: len(plan.choice)] &= plan.choice < 0
+    rows = np.flatnonzero(idle)
+    rows = rows[(plan.q[rows] != scene.start[rows][:, :, None]).any(axis=(1, 2))]
+    hold_at_start(scene, plan, rows)
+    measure_all(scene, plan)
+    return len(rows)
 
 
 def hold_one_of_tangled(scene: Scene, plan: PlanState, ends: Ends, tangled: Bools) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The initial plan: the goal of every robot, straight motions, the gaps to keep."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numba as nb
@@ -12,6 +13,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.motors import motors_of
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
+from fiber_core.threads import share_out
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.reachability import reachable
@@ -28,6 +30,7 @@ from fiber_planner.goal_selection import choose_goals
 __all__ = ["Ends", "choose_ends", "straight_plan"]
 
 _EPS_MM = 1e-6
+_LEAST_ROBOTS = 2000  # of a thread: fewer are done sooner than it begins
 _UNTANGLING = 0.25  # share of the time alone in which a tangled pair has to part
 _LEAST_TURN_RAD = 0.1  # sets the makespan if no robot has to move: time to make way
 
@@ -128,7 +131,7 @@ def straight_plan(
     plane, n = problem.plane, problem.plane.n
     # numpy asks the system for huge pages, numba does not
     q = np.empty((len(scene.movable), 2, grid.intervals + 1))
-    _fill_straight(problem.start, ends.angles, q)
+    share_out(partial(_fill_straight, problem.start, ends.angles, q), len(q), _LEAST_ROBOTS)
 
     # The gap that safety requires at the speeds of this plan. A robot that moves faster later
     # may need more, which the certificate finds; to require that of all pairs would make the
@@ -158,11 +161,11 @@ def straight_plan(
     return plan, tangled
 
 
-@nb.njit(cache=True)
-def _fill_straight(start, end, q):
-    # angles on the straight way from start to end, (b, 2, k + 1); zeros for obstacles
+@nb.njit(cache=True, nogil=True)
+def _fill_straight(start, end, q, first, last):
+    # angles of some bodies on the way from start to end, (b, 2, k + 1); zeros for obstacles
     intervals = q.shape[2] - 1
-    for i in range(len(q)):
+    for i in range(first, last):
         for joint in range(2):
             s = start[i, joint] if i < len(start) else 0.0
             g = end[i, joint] if i < len(start) else 0.0

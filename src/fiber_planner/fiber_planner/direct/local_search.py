@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from fiber_core.array_types import Bools, Floats, Ints
+from fiber_core.array_types import Bools, Floats, Ints, Rows
 from fiber_core.clearance import most_neighbours
 from fiber_planner.direct.coupled import motors_follow, sample_by_motors, sample_legs
 from fiber_planner.direct.moves import (
@@ -14,6 +14,7 @@ from fiber_planner.direct.moves import (
     nearer_fold,
     resample_half,
     sample_folded,
+    sample_lines,
     sample_profile,
 )
 from fiber_planner.direct.plan_state import (
@@ -39,6 +40,7 @@ _KEEP_HALF = 0.3  # share of the moves with odd numbers that change half of a pr
 # pair may resolve, and takes the best move for all its other pairs: two robots that pass
 # through each other are not always freed by moves of one robot at a time.
 _KICK = 0.1
+_LINES = 8  # moves of a visit that take one segment a joint
 _BY_MOTORS = 0.7  # share of the moves of coupled joints that are made for them
 _FOLDING_OF_COUPLED = 0.3  # least share of their moves that fold the arm: time is short
 _IGNORED = 1e-9  # weight of the conflict that is ignored
@@ -62,15 +64,14 @@ def sweep(
     step_s: float,
     folding: float,
     number: int,
-    first: int,
-    last: int,
+    rows: Rows,
     draws: int,
 ) -> int:
-    """Visit the robots in conflict, or some of them, and let each try other profiles.
+    """Visit some robots, and let those in conflict try other profiles.
 
     Guided local search (Voudouris and Tsang, EJOR 113, 1999): a robot takes the first
     move that frees it from all conflicts, else the move of least weighted collision cost if
-    that is an improvement. Sweeps visit the rows in increasing and decreasing order by turns.
+    that is an improvement.
 
     Args:
         scene: the robots and their surroundings.
@@ -78,19 +79,17 @@ def sweep(
         step_s: length of a grid interval [s].
         folding: share of the moves that fold the arm on its way.
         number: number of the sweep; each has other random numbers.
-        first, last: the visits of this call, 0 <= first <= last <= n.
+        rows: the robots to visit, in this order, shape (k,).
         draws: moves per robot.
 
     Returns:
         Number of moves evaluated.
     """
-    n = len(scene.start)
     buffers = _buffers(scene, plan)
-    in_conflict = _robots_in_conflict(scene, plan)
     evaluated = 0
-    for visit in range(first, last):
-        i = visit if number % 2 == 0 else n - 1 - visit
-        if not (in_conflict[i] and scene.movable[i]):
+    for row in rows:
+        i = int(row)
+        if not scene.movable[i]:
             continue
         best = _present_cost(scene, plan, i)
         if best == 0.0:
@@ -108,9 +107,6 @@ def sweep(
             plan.weight[ignored] = weight
         if choice != INFEASIBLE:
             commit(scene, plan, i, buffers.best_profile, buffers.best_costs)
-            for e in range(scene.near.offsets[i], scene.near.offsets[i + 1]):
-                if buffers.best_costs[e - scene.near.offsets[i]] > 0.0:
-                    in_conflict[scene.near.body[e]] = True
             plan.choice[i] = choice
             plan.folded[i, 0], plan.folded[i, 1] = buffers.best_folded
     return evaluated
@@ -125,16 +121,6 @@ def _buffers(scene, plan):
     return _Buffers(
         profile, np.empty_like(profile), costs, np.empty_like(costs), order, folded, best_folded
     )
-
-
-@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _robots_in_conflict(scene, plan):
-    # the robots of all pairs in conflict, (b,)
-    in_conflict = np.zeros(len(scene.movable), dtype=np.bool_)
-    for p in range(len(plan.cost)):
-        if plan.cost[p] > 0.0:
-            in_conflict[scene.pairs[p, 0]] = in_conflict[scene.pairs[p, 1]] = True
-    return in_conflict
 
 
 @nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -169,7 +155,9 @@ def _best_move(scene, plan, i, step_s, folding, draws, best, rng, buffers):
         folding = max(folding, _FOLDING_OF_COUPLED)
     for draw in range(draws):
         folded[0] = folded[1] = 0
-        if coupled and next_uniform(rng) < _BY_MOTORS:
+        if draw < _LINES and plan.choice[i] >= 0:
+            choice = sample_lines(scene, plan, i, step_s, rng, profile)
+        elif coupled and next_uniform(rng) < _BY_MOTORS:
             if next_uniform(rng) < 0.5:
                 choice = sample_legs(scene, plan, i, draw, draws, step_s, rng, profile)
             else:

@@ -12,13 +12,21 @@ from fiber_planner.direct.profile_sampling import (
     copy_profile,
     least_intervals,
     sample_fold,
+    sample_line,
     sample_via,
     sample_window,
 )
 from fiber_planner.direct.scene import Scene
 from fiber_planner.direct.splitmix64 import RngState, next_uniform
 
-__all__ = ["INFEASIBLE", "nearer_fold", "resample_half", "sample_folded", "sample_profile"]
+__all__ = [
+    "INFEASIBLE",
+    "nearer_fold",
+    "resample_half",
+    "sample_folded",
+    "sample_lines",
+    "sample_profile",
+]
 
 INFEASIBLE = -2
 _SEQUENTIAL = 0.4  # share of folded profiles in which one joint waits for the other
@@ -60,6 +68,41 @@ def _sample_option(scene, plan, i, step_s, rng):
         if pair_gap_below(scene.bodies, i, j, theta, phi, theta_j, phi_j, required) < required:
             return own
     return other
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def sample_lines(
+    scene: Scene, plan: PlanState, i: int, step_s: float, rng: RngState, profile: Floats
+) -> int:
+    """Sample a profile that takes one segment a joint: both begin at once, one may be there early.
+
+    Arguments as for sample_profile; the robot has a target.
+
+    Returns:
+        The option that the profile ends at.
+    """
+    choice = _sample_option(scene, plan, i, step_s, rng)
+    which = int(3.0 * next_uniform(rng))  # the joint that takes the whole time, if one does
+    for joint in range(2):
+        s, g = scene.start[i, joint], scene.options[i, choice, joint]
+        sample_line(
+            profile[joint],
+            s,
+            g,
+            _per_interval(scene, i, joint, g, step_s, profile),
+            joint == which,
+            rng,
+        )
+    return choice
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _per_interval(scene, i, joint, g, step_s, profile):
+    # largest change of a joint in an interval while the other one rests, if it gets to g with that
+    alone, last = scene.speed_alone[i, joint] * step_s, profile.shape[1] - 1
+    if abs(g - scene.start[i, joint]) > alone * last:
+        return scene.speed[i, joint] * step_s
+    return alone
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -111,9 +154,7 @@ def sample_profile(
     for joint in range(2):
         s = scene.start[i, joint]
         g = theta if joint == 0 else phi
-        per_interval = scene.speed_alone[i, joint] * step_s
-        if abs(g - s) > per_interval * last:
-            per_interval = scene.speed[i, joint] * step_s
+        per_interval = _per_interval(scene, i, joint, g, step_s, profile)
         spread = math.pi * (0.15 + progress) * (0.2 + 0.8 * next_uniform(rng))
         straight = (
             progress < 0.3 or (kind < 0.3 and joint == 0) or (0.3 < kind < 0.5 and joint == 1)

@@ -7,6 +7,7 @@ import numba as nb
 import numpy as np
 
 from fiber_core.array_types import Bools, Floats, Ints
+from fiber_core.threads import share_out
 from fiber_planner.direct.collision_cost import collision_cost
 from fiber_planner.direct.profile_sampling import copy_profile
 from fiber_planner.direct.scene import Scene
@@ -15,12 +16,15 @@ __all__ = [
     "PlanState",
     "commit",
     "count_conflicts",
+    "is_free",
     "mark_changed",
     "measure_all",
     "measure_pairs",
     "rank_neighbours",
     "weighted_cost",
 ]
+
+_LEAST_PAIRS = 400  # of a thread: fewer are done sooner than it begins
 
 
 class PlanState(NamedTuple):
@@ -70,9 +74,17 @@ def measure_all(scene: Scene, plan: PlanState) -> int:
     return count_conflicts(plan)
 
 
-@nb.njit(cache=True, error_model="numpy", nogil=True)
 def measure_pairs(scene: Scene, plan: PlanState, pairs: Ints) -> None:
     """Compute the collision cost of some pairs, given as rows of scene.pairs, shape (k,)."""
+
+    def measure(first: int, last: int) -> None:
+        _measure_pairs(scene, plan, pairs[first:last])
+
+    share_out(measure, len(pairs), _LEAST_PAIRS)
+
+
+@nb.njit(cache=True, error_model="numpy", nogil=True)
+def _measure_pairs(scene, plan, pairs):
     for p in pairs:
         a, b = scene.pairs[p]
         plan.cost[p] = _pair_cost(scene, plan, p, plan.q[a], plan.q[b], np.inf)
@@ -149,6 +161,39 @@ def weighted_cost(
         if total > best:
             return total
     return total
+
+
+@nb.njit(cache=True, error_model="numpy", nogil=True)
+def is_free(
+    scene: Scene, plan: PlanState, i: int, profile: Floats, order: Ints, costs: Floats
+) -> bool:
+    """Return whether robot i would have no conflict with another profile.
+
+    A neighbour that is in the way is evaluated first the next time: it is in the way of similar
+    profiles too.
+
+    Args:
+        scene: the robots and their surroundings.
+        plan: the plan of all other robots.
+        i: row of the robot.
+        profile: its joint angles on the grid [rad], shape (2, k + 1).
+        order: order in which the neighbours are evaluated, as in rank_neighbours; written.
+        costs: zeros, written where the profile is free.
+    """
+    begin = scene.near.offsets[i]
+    for at in range(scene.near.offsets[i + 1] - begin):
+        e = int(begin + order[at])
+        p = int(scene.near.pair[e])
+        a, b = scene.pairs[p]
+        qa = profile if a == i else plan.q[a]
+        qb = profile if b == i else plan.q[b]
+        costs[e - begin] = 0.0
+        if _pair_cost(scene, plan, p, qa, qb, 0.0) > 0.0:
+            for k in range(at, 0, -1):
+                order[k] = order[k - 1]
+            order[0] = e - begin
+            return False
+    return True
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)

@@ -13,6 +13,7 @@ __all__ = [
     "fill_two_ramps",
     "least_intervals",
     "sample_fold",
+    "sample_line",
     "sample_via",
     "sample_window",
 ]
@@ -59,6 +60,25 @@ def fill_two_ramps(
             row[k] = g
     row[0] = s
     row[len(row) - 1] = g
+
+
+@nb.njit(cache=True)
+def sample_line(
+    row: Floats, s: float, g: float, per_interval: float, whole: bool, rng: RngState
+) -> None:
+    """Sample a profile that goes straight from s to g from the start on, at some speed.
+
+    Args:
+        row: joint angles on the grid [rad], shape (k + 1,), written.
+        s, g: first and last angle [rad], g within reach of s in k intervals.
+        per_interval: largest change in one interval [rad].
+        whole: whether it takes all of the time.
+        rng: of the random numbers.
+    """
+    last = len(row) - 1
+    least = max(1, least_intervals(g - s, per_interval))
+    length = last if whole else _random_int(rng, min(least, last), last)
+    fill_two_ramps(row, s, g, g, 0, length, last, last)
 
 
 @nb.njit(cache=True)

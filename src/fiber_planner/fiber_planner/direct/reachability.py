@@ -11,16 +11,18 @@ from fiber_core import kinematics
 from fiber_core.array_types import Mask
 from fiber_core.clearance import bodies_of, levers_of, neighbours_of, pair_gap_below
 from fiber_core.problem import Problem
+from fiber_core.threads import share_out
 
 __all__ = ["reachable"]
 
-_CELL_RAD = math.radians(4.0)
+_BLOCK = 8  # cells on a side of the largest block that is decided at once
+_HALVINGS = 3  # of a block until it is a cell
+_CELL_RAD = math.radians(0.5)
+_LEAST_ROBOTS = 4  # of a thread: fewer are done sooner than it begins
 _ANY_MM = 1e-9  # the slack that matters if only its sign does
 
 
-def reachable(
-    problem: Problem, pairs: ArrayLike, margin_mm: float, finest_rad: float = _CELL_RAD
-) -> Mask:
+def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
     """Return which robots can reach their targets if only static bodies are around them.
 
     Static bodies are disabled robots and obstacles. A robot is reachable when one of its
@@ -28,14 +30,12 @@ def reachable(
     there alone between them. The second is decided on a grid over the joint ranges: a
     cell is open when some point of it may keep the margin. So a target that is reported as
     unreachable is proven to be; one that is reported as reachable may still be closed off by
-    a passage narrower than the grid (4 degrees, or the finest one where a coarse grid cannot tell).
+    a passage narrower than the grid (half a degree).
 
     Args:
         problem: the plane, the present joint angles and the targets.
         pairs: rows a < b that can collide, from neighbour_pairs, shape (p, 2).
         margin_mm: gap to keep from static bodies [mm].
-        finest_rad: cells are halved down to this size while no way leads through middles of cells
-            that keep the margin [rad].
 
     Returns:
         Flags, shape (n,); False for a robot that has no target or is disabled.
@@ -50,10 +50,16 @@ def reachable(
     near = neighbours_of(plane.n, pairs, by_row=True)
     robots = np.flatnonzero(result & (near.parts.counts > 0))
     standing = np.concatenate([problem.start, np.zeros((plane.fixtures, 2))])
-    result[robots] = _reachable(
-        bodies_of(plane), levers_of(plane), robots, near,
-        standing, plane.limits, angles, valid, margin_mm, finest_rad,
-    )  # fmt: skip
+    bodies, levers, found = bodies_of(plane), levers_of(plane), np.zeros(len(robots), dtype=bool)
+
+    def decide(first: int, last: int) -> None:
+        _reachable(
+            bodies, levers, robots[first:last], near,
+            standing, plane.limits, angles, valid, margin_mm, found[first:last],
+        )  # fmt: skip
+
+    share_out(decide, len(robots), _LEAST_ROBOTS)
+    result[robots] = found
     return result
 
 
@@ -117,78 +123,94 @@ def _leg_is_open(bodies, i, begin, end, others, standing, margin, size):
     return True
 
 
-@nb.njit(cache=True, error_model="numpy")
-def _reachable(bodies, levers, robots, near, standing, limits, angles, valid, margin, finest):
-    result = np.zeros(len(robots), dtype=np.bool_)
-    for r in range(len(robots)):
-        i = robots[r]
+@nb.njit(cache=True, error_model="numpy", nogil=True)
+def _reachable(bodies, levers, robots, near, standing, limits, angles, valid, margin, result):
+    for k in range(len(robots)):
+        i = robots[k]
         others = near.body[near.offsets[i] : near.offsets[i + 1]]
-        cell = _CELL_RAD
-        while True:
-            low, size, count = _grid(limits[i], standing[i], cell)
-            goals = np.zeros((count[0], count[1]), dtype=np.bool_)  # cells with a configuration
-            found = False
-            for option in range(angles.shape[1]):
-                if valid[i, option]:
-                    theta, phi = angles[i, option]
-                    if _slack(bodies, i, theta, phi, others, standing, margin, _ANY_MM) >= 0.0:
-                        goals[
-                            _cell(theta, low[0], size[0], count[0]),
-                            _cell(phi, low[1], size[1], count[1]),
-                        ] = True
-                        found = True
-            if not found:
-                break
-            result[r] = _simple_path_is_open(
+        low, size, count = _grid(limits[i], standing[i])
+        goals = np.zeros((count[0], count[1]), dtype=np.bool_)  # cells with a configuration
+        found = False
+        for option in range(angles.shape[1]):
+            if valid[i, option]:
+                theta, phi = angles[i, option]
+                if _slack(bodies, i, theta, phi, others, standing, margin, _ANY_MM) >= 0.0:
+                    goals[
+                        _cell(theta, low[0], size[0], count[0]),
+                        _cell(phi, low[1], size[1], count[1]),
+                    ] = True
+                    found = True
+        if found:
+            if _simple_path_is_open(
                 bodies, i, angles[i], valid[i], others, standing, limits[i], margin, size
-            )
-            if result[r]:
-                break
-            # from the middle of a cell to its corner no point of the robot moves farther
-            corner = 0.5 * (size[0] * levers[i, 0] + size[1] * levers[i, 1])
-            around = bodies, i, others, standing, low, size, count, goals, margin
-            result[r] = _flood(*around, -corner)
-            cell *= 0.5
-            if not result[r] or cell < finest or _flood(*around, 0.0):
-                break
-    return result
+            ):
+                result[k] = True
+                continue
+            is_open = _open_cells(bodies, i, levers[i], others, standing, low, size, count, margin)
+            u = _cell(standing[i, 0], low[0], size[0], count[0])
+            v = _cell(standing[i, 1], low[1], size[1], count[1])
+            result[k] = _flood(is_open, u, v, goals)
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _grid(limits, standing, cell):
+def _grid(limits, standing):
     # lowest angle, cell size [rad] and number of cells of both joints; the start is on the grid
     low, size, count = np.empty(2), np.empty(2), np.empty(2, dtype=np.int64)
     for joint in range(2):
         low[joint] = min(limits[joint, 0], standing[joint])
         span = max(limits[joint, 1], standing[joint]) - low[joint]
-        count[joint] = max(1, int(math.ceil(span / cell)))
+        count[joint] = _BLOCK * max(1, int(math.ceil(span / (_BLOCK * _CELL_RAD))))
         size[joint] = span / count[joint]
     return low, size, count
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _flood(bodies, i, others, standing, low, size, count, goals, margin, least):
-    # flood from the start the cells in the middle of which the gap exceeds the margin by `least`;
-    # whether a goal cell is met
-    visited = np.zeros((count[0], count[1]), dtype=np.bool_)
-    stack = np.empty((count[0] * count[1], 2), dtype=np.int64)
-    stack[0, 0] = _cell(standing[i, 0], low[0], size[0], count[0])
-    stack[0, 1] = _cell(standing[i, 1], low[1], size[1], count[1])
-    visited[stack[0, 0], stack[0, 1]] = True
-    top, enough = 1, max(least, _ANY_MM)
+def _open_cells(bodies, i, lever, others, standing, low, size, count, margin):
+    # Which cells may have a point that keeps the margin. A block of cells that is open or closed as
+    # a whole is decided at once, others are quartered.
+    is_open = np.zeros((count[0], count[1]), dtype=np.bool_)
+    stack = np.empty((4 * _HALVINGS + 1, 3), dtype=np.int64)
+    for u in range(0, count[0], _BLOCK):
+        for v in range(0, count[1], _BLOCK):
+            stack[0], top = (u, v, _BLOCK), 1
+            while top > 0:
+                top -= 1
+                x, y, width = stack[top]
+                theta, phi = (
+                    low[0] + (x + 0.5 * width) * size[0],
+                    low[1] + (y + 0.5 * width) * size[1],
+                )
+                # from the middle of a block to its corner no point of the robot moves farther
+                corner = 0.5 * width * (size[0] * lever[0] + size[1] * lever[1])
+                slack = _slack(bodies, i, theta, phi, others, standing, margin, corner + _ANY_MM)
+                if slack < -corner:
+                    continue
+                if slack >= corner or width == 1:
+                    is_open[x : x + width, y : y + width] = True
+                    continue
+                half = width // 2
+                for part in range(4):
+                    stack[top] = x + half * (part // 2), y + half * (part % 2), half
+                    top += 1
+    return is_open
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _flood(is_open, u, v, goals):
+    # flood the open cells from one of them; whether a goal cell is met
+    stack = np.empty((is_open.size, 2), dtype=np.int64)
+    stack[0] = u, v
+    is_open[u, v] = False  # visited
+    top = 1
     while top > 0:
         top -= 1
         u, v = stack[top]
         if goals[u, v]:
             return True
-        for du in range(-1, 2):
-            for dv in range(-1, 2):
-                x, y = u + du, v + dv
-                if 0 <= x < count[0] and 0 <= y < count[1] and not visited[x, y]:
-                    visited[x, y] = True
-                    theta = low[0] + (x + 0.5) * size[0]
-                    phi = low[1] + (y + 0.5) * size[1]
-                    if _slack(bodies, i, theta, phi, others, standing, margin, enough) >= least:
-                        stack[top] = x, y
-                        top += 1
+        for x in range(max(0, u - 1), min(is_open.shape[0], u + 2)):
+            for y in range(max(0, v - 1), min(is_open.shape[1], v + 2)):
+                if is_open[x, y]:
+                    is_open[x, y] = False
+                    stack[top] = x, y
+                    top += 1
     return False

@@ -14,19 +14,20 @@ from fiber_core.wire_units import WireUnits
 from fiber_planner.direct.best_effort import (
     at_borders,
     hold_at_start,
+    hold_idle,
     hold_one_of_tangled,
     near_static_arms,
     release_worst,
     worst_robots,
 )
+from fiber_planner.direct.blocks import blocks_of, shortcut_all, sweep_parts
 from fiber_planner.direct.certify_changed import MORE_MM, require_more, shortfall_mm
 from fiber_planner.direct.compression import compress_profiles
 from fiber_planner.direct.initial_plan import choose_ends, straight_plan
-from fiber_planner.direct.local_search import fold_arms, raise_weights, restore, straighten, sweep
+from fiber_planner.direct.local_search import fold_arms, raise_weights, restore, straighten
 from fiber_planner.direct.parameters import DirectParameters, effort_share
 from fiber_planner.direct.plan_state import count_conflicts, measure_all, measure_pairs
 from fiber_planner.direct.scene import scene_of
-from fiber_planner.direct.shortcut import shortcut_profiles
 from fiber_planner.direct.slowing import slow_close_starts
 from fiber_planner.direct.stretches import stretches_of
 from fiber_planner.direct.time_grid import time_grid
@@ -39,9 +40,10 @@ __all__ = ["Search", "SearchResult"]
 _CROWDED = 0.5
 _SHORTENED = 0.33  # with more conflicts than this share, shorter plans are sought
 _FOLD_FROM = (1.4, 1.2)  # stretch from which arms are folded on their way
-_RELEASE_FROM = (1.1, 1.5)  # stretch from which stuck robots near static arms are released
+_RELEASE_FROM = (1.02, 1.5)  # stretch from which stuck robots near static arms are released
 _FOLDING = 0.7  # share of moves that fold the arm, once arms are folded
 _DRAWS = (30, 100)  # moves of a robot in a sweep: not folding, folding
+_LINES = (20, 100)  # profiles of fewer segments, tried for each robot: the same two
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
 _IN_VAIN = 8  # sweeps; what is in the way of robots beside static bodies will not move
 _FEW = 5  # pairs in conflict beside static bodies that are searched deeper before all get more time
@@ -97,6 +99,7 @@ class Search:
         self._progress, self._clock = progress, clock
         self._end_s = clock() + parameters.budget_s
         self._scene = scene_of(problem, parameters)
+        self._blocks = blocks_of(problem.plane.n, self._scene.near)
         self._ends = choose_ends(problem, self._scene, parameters)
         self._reason, self._alone_s = self._ends.reason, self._ends.alone_s
         self._tick_s = WireUnits.for_plane(problem.plane).tick_s
@@ -134,7 +137,8 @@ class Search:
             for _ in range(_RELEASE_ROUNDS):
                 if conflicts == 0 or stretch < _RELEASE_FROM[crowded] or self._exhausted:
                     break
-                if not self._release_worst(self._releasable()):
+                released = self._release_worst(self._releasable())
+                if not (released or hold_idle(self._scene, self._plan)):
                     break
                 conflicts = self._certified_search()
             if conflicts == 0 or self._exhausted:
@@ -219,13 +223,13 @@ class Search:
             self._slow_close_starts(self._plan.cost > 0.0)
 
     def _slow_close_starts(self, among: Bools) -> None:
-        makespan_s = self._grid.makespan_s
-        slow_close_starts(self._problem.plane, self._scene, self._plan, among, makespan_s)
+        lasts_s, plane = self._grid.makespan_s, self._problem.plane
+        slow_close_starts(plane, self._scene, self._plan, among, lasts_s)
 
     def _report_progress(self, conflicts: int) -> None:
         if self._progress is not None:
-            makespan_s = self._grid.makespan_s
-            self._progress(self._done, f"{conflicts} conflicts in {makespan_s:.2f} s of motion")
+            lasts_s = f"{self._grid.makespan_s:.2f} s"
+            self._progress(self._done, f"{conflicts} conflicts in {lasts_s} of motion")
 
     @property
     def _exhausted(self) -> bool:
@@ -288,14 +292,15 @@ class Search:
                 break
             if deeper and in_vain >= patience // 2 and conflicts <= _FEW:
                 draws = _DRAWS_OF_FEW // conflicts
-            for first in range(0, n, visits):
-                self._report_progress(conflicts)
-                self._spent += sweep(
-                    self._scene, self._plan, self._grid.step_s, folding,
-                    self._sweep, first, min(first + visits, n), draws,
-                )  # fmt: skip
-                if self._late:
-                    break
+            for wave in self._blocks.waves(backwards=self._sweep % 2 == 1):
+                for first in range(0, max(map(len, wave)), visits):
+                    self._report_progress(conflicts)
+                    self._spent += sweep_parts(
+                        self._scene, self._plan, self._grid.step_s, folding, self._sweep,
+                        [rows[first : first + visits] for rows in wave], draws,
+                    )  # fmt: skip
+                    if self._late:
+                        break
             raise_weights(self._plan)
             self._sweep += 1
         return count_conflicts(self._plan)
@@ -308,7 +313,8 @@ class Search:
             conflicts = self._local_search()
             if conflicts:
                 return conflicts
-            shortcut_profiles(self._scene, self._plan, self._grid.step_s)
+            lines = _LINES[int(self._folding > 0.0)]
+            shortcut_all(self._scene, self._plan, self._grid.step_s, lines, self._blocks)
             short = self._unconfirmed_pairs()
             unconfirmed = int(np.count_nonzero(short))
             if not unconfirmed:
@@ -320,9 +326,8 @@ class Search:
     def _unconfirmed_pairs(self) -> Bools:
         # pairs that the certificate does not confirm, (p,); more is required of them now
         plane, scene, plan, at_most = self._problem.plane, self._scene, self._plan, self._at_most
-        missing = shortfall_mm(
-            plane, scene, self._parameters, plan, self._grid, self._tangled, at_most
-        )
+        asked = self._parameters
+        missing = shortfall_mm(plane, scene, asked, plan, self._grid, self._tangled, at_most)
         require_more(plane, scene, plan, missing, at_most)
         short = missing > 0.0
         self._slow_close_starts(short)

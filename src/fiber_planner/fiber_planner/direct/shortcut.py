@@ -1,19 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shortcuts: breakpoints that are not needed to avoid a collision leave the profiles."""
 
+import math
+
 import numba as nb
 import numpy as np
 
+from fiber_core.array_types import Rows
 from fiber_core.clearance import most_neighbours
 from fiber_planner.direct.coupled import motors_follow
 from fiber_planner.direct.plan_state import (
     PlanState,
     commit,
+    is_free,
     rank_neighbours,
-    weighted_cost,
 )
-from fiber_planner.direct.profile_sampling import copy_profile, fill_two_ramps
+from fiber_planner.direct.profile_sampling import (
+    copy_profile,
+    fill_two_ramps,
+    sample_line,
+    sample_via,
+)
 from fiber_planner.direct.scene import Scene
+from fiber_planner.direct.splitmix64 import next_uniform, seeded_rng
 
 __all__ = ["shortcut_profiles"]
 
@@ -21,19 +30,21 @@ _STRAIGHT_RAD = 1e-9
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
-def shortcut_profiles(scene: Scene, plan: PlanState, step_s: float) -> int:
+def shortcut_profiles(scene: Scene, plan: PlanState, step_s: float, lines: int, rows: Rows) -> int:
     """Remove breakpoints from the profiles of a plan without conflict while it stays free.
 
     A robot whose straight motion over the whole time is free of collisions uses it. Otherwise
-    breakpoints are removed one by one while the motion stays free. A line that joins two
-    pieces is never faster than the faster one of them, and stays between their ends; coupled motors
-    are tested. A robot
-    is tried again only after its profile or that of a neighbour has changed.
+    profiles of fewer lines are tried, and then breakpoints are removed one by one while the motion
+    stays free. A line that joins two pieces is never faster than the faster one of them, and stays
+    between their ends; coupled motors are tested. A robot is tried again only after its profile or
+    that of a neighbour has changed.
 
     Args:
         scene: the robots and their surroundings.
         plan: the plan; profiles, costs and folded times are written.
         step_s: length of a grid interval [s].
+        lines: how many profiles of fewer lines are tried for each robot with breakpoints.
+        rows: the robots to visit, in this order, shape (k,).
 
     Returns:
         Number of robots whose profiles became simpler.
@@ -44,7 +55,8 @@ def shortcut_profiles(scene: Scene, plan: PlanState, step_s: float) -> int:
     order = np.empty(len(costs), dtype=np.int64)
     breaks = np.empty(steps + 1, dtype=np.int64)
     changed = 0
-    for i in range(len(scene.start)):
+    for row in rows:
+        i = int(row)
         if not (scene.movable[i] and plan.shortcut_due[i]):
             continue
         plan.shortcut_due[i] = False
@@ -54,6 +66,8 @@ def shortcut_profiles(scene: Scene, plan: PlanState, step_s: float) -> int:
         simpler = False
         if _straight_is_free(scene, plan, i, step_s, profile, order, costs):
             commit(scene, plan, i, profile, costs)
+            simpler = True
+        elif _try_lines(scene, plan, i, step_s, lines, breaks, profile, order, costs):
             simpler = True
         for joint in range(2):
             count = _breaks(plan.q[i, joint], breaks)
@@ -91,6 +105,12 @@ def _breaks(row, out):
 
 
 @nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _lines(row, breaks):
+    # number of lines of a profile until its arrival
+    return max(0, _breaks(row, breaks) - 1)
+
+
+@nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _is_straight(plan, i):
     # whether both joints of a robot go on one line to its goal, or rest if it has none
     last = plan.q.shape[2] - 1
@@ -115,7 +135,36 @@ def _straight_is_free(scene, plan, i, step_s, profile, order, costs):
         fill_two_ramps(profile[joint], s, g, g, 0, last, last, last)
     if not motors_follow(scene, i, profile, step_s):
         return False
-    return weighted_cost(scene, plan, i, profile, 0.0, order, costs) == 0.0
+    return is_free(scene, plan, i, profile, order, costs)
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _try_lines(scene, plan, i, step_s, lines, breaks, profile, order, costs):
+    # Give joints profiles to the same end with fewer lines: one line for both joints or for one
+    # of them, the other as it is or by way of one more angle. Returns whether one was free.
+    last = profile.shape[1] - 1
+    rng, found = seeded_rng(scene.key[i], 0), False
+    of = _lines(plan.q[i, 0], breaks), _lines(plan.q[i, 1], breaks)
+    count = of[0] + of[1]
+    for draw in range(lines):
+        if count <= min(of[0], 1) + min(of[1], 1):  # one for each joint that moves
+            break
+        kind = draw % 5
+        copy_profile(plan.q[i], profile)
+        for joint in range(2):
+            s, g, step = profile[joint, 0], profile[joint, last], scene.speed[i, joint] * step_s
+            if kind == 0 or kind % 2 == joint:
+                sample_line(profile[joint], s, g, step, False, rng)
+            elif kind > 2:
+                spread = math.pi * next_uniform(rng)
+                low, high = scene.low[i, joint], scene.high[i, joint]
+                sample_via(profile[joint], s, g, low, high, step, spread, False, rng)
+        fewer = _lines(profile[0], breaks) + _lines(profile[1], breaks)
+        if fewer < count and motors_follow(scene, i, profile, step_s):
+            if is_free(scene, plan, i, profile, order, costs):
+                commit(scene, plan, i, profile, costs)
+                count, found = fewer, True
+    return found
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -129,4 +178,4 @@ def _free_without_break(scene, plan, i, joint, at, breaks, step_s, profile, orde
         row[k] = row[begin] + (row[end] - row[begin]) * ((k - begin) / (end - begin))
     if not motors_follow(scene, i, profile, step_s):
         return False
-    return weighted_cost(scene, plan, i, profile, 0.0, order, costs) == 0.0
+    return is_free(scene, plan, i, profile, order, costs)

@@ -28,7 +28,6 @@ from fiber_planner.scheduled.search import Search
 
 __all__ = ["ScheduledParameters", "ScheduledPlanner", "timed"]
 
-_FINEST_RAD = np.deg2rad(1.0)  # grid in which ways past static bodies are sought
 _LONG_S = 30.0  # a longer motion needs more than this gap, for the errors of clocks
 _SPARE_RAD = np.deg2rad(0.05)  # an approach is a few ticks of creep longer than it must be
 _ALLOWANCE_MM = 0.02  # for the rounding of goals to whole ticks
@@ -107,7 +106,7 @@ class ScheduledPlanner:
         problem, outside = _from_inside(problem)
         narrower = inside_approaches(problem, _SPARE_RAD)
         pairs = neighbour_pairs(problem.plane)
-        can = reachable(problem, pairs, self.parameters.margin_mm, _FINEST_RAD)
+        can = reachable(problem, pairs, self.parameters.margin_mm)
         goal, reason = _goals(narrower, self.parameters.safety)
         reason[problem.asked & problem.plane.enabled & ~can] = Reason.GOAL_BLOCKED
         reason[outside] = Reason.START_OUTSIDE_LIMITS

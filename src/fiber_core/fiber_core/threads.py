@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled loops on all cores: independent parts of the work, one thread each.
+
+A loop that is shared out must not hold the lock of the interpreter (`nogil`), and no part of it may
+read what another one writes. Then the result is the same on any number of threads.
+"""
+
+import itertools
+import os
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+
+__all__ = ["share_out", "thread_count", "threads"]
+
+_PARTS = 4  # of each thread: the longest part delays all others
+
+
+class _Pool:
+    # The helpers of this process, made when they are first needed: one less than the threads, as
+    # the caller works too.
+
+    def __init__(self, count: int):
+        self.count = count
+        self.executor: ThreadPoolExecutor | None = None
+
+    def submit(self, work: Callable[[], None]) -> Future[None]:
+        if self.executor is None:
+            self.executor = ThreadPoolExecutor(max(1, self.count - 1), "loops")
+        return self.executor.submit(work)
+
+    def forget(self) -> None:
+        # the threads of the executor are not in a process that was forked
+        self.executor = None
+
+
+_POOLS = [_Pool(len(os.sched_getaffinity(0)))]  # the last one is in use
+os.register_at_fork(after_in_child=lambda: [pool.forget() for pool in _POOLS])
+
+
+def thread_count() -> int:
+    """Return how many threads work at the same time."""
+    return _POOLS[-1].count
+
+
+@contextmanager
+def threads(count: int) -> Generator[None]:
+    """Work on another number of threads than there are cores, within a `with`.
+
+    Args:
+        count: number of threads, 1 or more.
+    """
+    pool = _Pool(count)
+    _POOLS.append(pool)
+    try:
+        yield
+    finally:
+        _POOLS.remove(pool)
+        if pool.executor is not None:
+            pool.executor.shutdown()
+
+
+def share_out(work: Callable[[int, int], None], count: int, least: int) -> None:
+    """Call a function on parts of some work, side by side on all cores, until all is done.
+
+    The caller works as well, so that calls from several threads at once, or from one part of
+    another call, cannot wait for each other.
+
+    Args:
+        work: called with the first and past the last item of a part.
+        count: number of items.
+        least: items of a part, at least: less is done sooner than a thread begins.
+    """
+    pool = _POOLS[-1]
+    number = min(count // max(least, 1), _PARTS * pool.count)
+    if number < 2 or pool.count < 2:
+        if count:
+            work(0, count)
+        return
+    bounds = [count * k // number for k in range(number + 1)]
+    left = iter(list(itertools.pairwise(bounds)))  # next() of a list's iterator is atomic
+
+    def help_out() -> None:
+        for first, last in left:
+            work(first, last)
+
+    helpers = [pool.submit(help_out) for _ in range(min(pool.count, number) - 1)]
+    try:
+        help_out()
+    finally:
+        begun = [helper for helper in helpers if not helper.cancel()]
+        wait(begun)
+    for helper in begun:
+        helper.result()

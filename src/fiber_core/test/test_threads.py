@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from fiber_core.threads import share_out, threads
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+@pytest.mark.parametrize("count, least", [(0, 1), (1, 1), (7, 3), (1000, 1), (1000, 400)])
+def test_all_of_the_work_is_done_once(number, count, least):
+    done, sizes = np.zeros(count, dtype=int), []
+
+    def work(first, last):
+        done[first:last] += 1
+        sizes.append(last - first)
+
+    with threads(number):
+        share_out(work, count, least)
+    assert (done == 1).all()
+    assert min(sizes, default=least) >= min(least, count)
+    assert len(sizes) <= 1 or number > 1
+
+
+def test_parts_go_on_side_by_side():
+    together = threading.Barrier(2, timeout=30.0)
+    with threads(2):
+        share_out(lambda first, last: together.wait() and None, 2, 1)  # each waits for the other
+
+
+def test_a_part_may_share_out_its_own_work():
+    done = np.zeros((8, 8), dtype=int)
+
+    def inner(row):
+        def work(first, last):
+            done[row, first:last] += 1
+
+        return work
+
+    def outer(first, last):
+        for row in range(first, last):
+            share_out(inner(row), 8, 1)
+
+    with threads(2):
+        share_out(outer, 8, 1)
+    assert (done == 1).all()
+
+
+@pytest.mark.parametrize("bad", ["caller", "helper"])
+def test_an_error_of_a_part_is_raised_when_no_part_goes_on(bad):
+    together, caller, done = threading.Barrier(2, timeout=30.0), threading.get_ident(), []
+
+    def work(first, last):
+        together.wait()
+        is_caller = threading.get_ident() == caller
+        if is_caller == (bad == "caller"):
+            raise ValueError(bad)
+        time.sleep(0.1)  # longer than the other part needs to fail
+        done.append(first)
+
+    with threads(2), pytest.raises(ValueError, match=bad):
+        share_out(work, 2, 1)
+    assert len(done) == 1
