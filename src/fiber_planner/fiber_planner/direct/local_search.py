@@ -40,7 +40,7 @@ _KEEP_HALF = 0.3  # share of the moves with odd numbers that change half of a pr
 # pair may resolve, and takes the best move for all its other pairs: two robots that pass
 # through each other are not always freed by moves of one robot at a time.
 _KICK = 0.1
-_LINES = 8  # moves of a visit that take one segment a joint
+_LINES = 8  # moves of a visit that take one segment a joint, where arms do not fold
 _BY_MOTORS = 0.7  # share of the moves of coupled joints that are made for them
 _FOLDING_OF_COUPLED = 0.3  # least share of their moves that fold the arm: time is short
 _IGNORED = 1e-9  # weight of the conflict that is ignored
@@ -151,11 +151,12 @@ def _best_move(scene, plan, i, step_s, folding, draws, best, rng, buffers):
     evaluated, best_choice = 0, INFEASIBLE
     profile, folded = buffers.profile, buffers.folded
     coupled = scene.coupling.shape[1] > 0
+    lines = _LINES if folding == 0.0 else 0
     if coupled:
         folding = max(folding, _FOLDING_OF_COUPLED)
     for draw in range(draws):
         folded[0] = folded[1] = 0
-        if draw < _LINES and plan.choice[i] >= 0:
+        if draw < lines and plan.choice[i] >= 0:
             choice = sample_lines(scene, plan, i, step_s, rng, profile)
         elif coupled and next_uniform(rng) < _BY_MOTORS:
             if next_uniform(rng) < 0.5:

@@ -228,8 +228,7 @@ class Search:
 
     def _report_progress(self, conflicts: int) -> None:
         if self._progress is not None:
-            lasts_s = f"{self._grid.makespan_s:.2f} s"
-            self._progress(self._done, f"{conflicts} conflicts in {lasts_s} of motion")
+            self._progress(self._done, f"{conflicts} conflicts, {self._grid.makespan_s:.2f} s")
 
     @property
     def _exhausted(self) -> bool:
@@ -242,15 +241,13 @@ class Search:
     # -- search
 
     def _fold_all(self) -> int:
-        # All robots that have far to go fold first and unfold last, at full speed.
         self._folding = _FOLDING
         self._plan.weight[:] = 1.0
         fold_arms(self._scene, self._plan, self._scene.movable, self._grid.step_s)
         return measure_all(self._scene, self._plan)
 
     def _fold_around(self, straight: bool) -> None:
-        # The robots in conflict and all their neighbours begin again, with equal weights: the
-        # weights of a long conflict have grown beyond all others. Two robots whose arms pass
+        # Robots in conflict and their neighbours begin again, with equal weights. Arms that pass
         # each other when both go straight may not be able to when both fold.
         pairs, movable = self._scene.pairs, self._scene.movable
         stuck = np.zeros(len(movable), dtype=bool)
@@ -324,7 +321,6 @@ class Search:
         return unconfirmed
 
     def _unconfirmed_pairs(self) -> Bools:
-        # pairs that the certificate does not confirm, (p,); more is required of them now
         plane, scene, plan, at_most = self._problem.plane, self._scene, self._plan, self._at_most
         asked = self._parameters
         missing = shortfall_mm(plane, scene, asked, plan, self._grid, self._tangled, at_most)
@@ -336,7 +332,6 @@ class Search:
     # -- best effort
 
     def _resolve_by_release(self) -> None:
-        # Release the worst robots until a plan is certified; failing that, hold them.
         for _ in range(_RELEASE_ROUNDS):
             if self._late:
                 break
@@ -372,7 +367,6 @@ class Search:
                 column[...] = old
 
     def _release_worst(self, among: Bools) -> int:
-        # The robots with most conflict lose their targets; returns their number.
         worst = release_worst(self._scene, self._plan, among)
         self._reason[worst] = Reason.NOT_CONVERGED
         return len(worst)
