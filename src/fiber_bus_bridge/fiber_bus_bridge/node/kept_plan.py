@@ -108,7 +108,7 @@ class KeptPlan:
         if not left.ended:
             robots = session.robots
             left = left.found(
-                session.plane, session.angles, robots["known"] & ~robots["lost"],
+                session.plane, session.angles, session.usable & ~robots["lost"],
                 robots["cause"], session.config.tolerance_mm,
             )  # fmt: skip
             self._save(left)
