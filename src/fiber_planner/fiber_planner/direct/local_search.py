@@ -151,7 +151,7 @@ def _best_move(scene, plan, i, step_s, folding, draws, best, rng, buffers):
     evaluated, best_choice = 0, INFEASIBLE
     profile, folded = buffers.profile, buffers.folded
     coupled = scene.coupling.shape[1] > 0
-    lines = _LINES if folding == 0.0 else 0
+    lines = _LINES if folding == 0.0 and not coupled else 0
     if coupled:
         folding = max(folding, _FOLDING_OF_COUPLED)
     for draw in range(draws):
