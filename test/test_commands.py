@@ -83,6 +83,8 @@ def plane(new_domain, tmp_path_factory):
     live = subprocess.Popen(
         command, cwd=ROOT, env=_environment(domain), stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # as a shell starts a job in the background: it must end at an interrupt all the same
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
     )  # fmt: skip
     for line in live.stdout:
         if line.startswith("console: http://127.0.0.1:"):

@@ -81,7 +81,8 @@ class _Run:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the demonstration from the command line; return the exit code."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the nodes with it
+    for each in (signal.SIGINT, signal.SIGTERM):  # a shell lets its background jobs ignore SIGINT
+        signal.signal(each, signal.default_int_handler)
     options = _parser().parse_args(argv)
     begin = time.monotonic()
     with ProgressDisplay() as display:

@@ -38,7 +38,8 @@ _RESTARTS, _WITHIN_S = 3, 60.0  # most restarts of the console, in the time befo
 def main(argv: Sequence[str] | None = None) -> int:
     """Run from the command line; return the exit code."""
     options = _parser().parse_args(argv)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for each in (signal.SIGINT, signal.SIGTERM):  # a shell lets its background jobs ignore SIGINT
+        signal.signal(each, signal.default_int_handler)
     use_loopback()
     try:
         options.out.mkdir(parents=True, exist_ok=True)

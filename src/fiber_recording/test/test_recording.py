@@ -85,7 +85,7 @@ def test_images_sectors_and_supplies_come_back(recording, tmp_path):
         ({"place_mm": np.zeros((2, 37))}, "image places"),
         ({"verdict": np.zeros((1, 37))}, "image verdict"),
         ({"true_mm": np.zeros((2, 36, 2))}, "image true_mm"),
-        ({"verdict": np.full((2, 37), 9)}, "verdict 9 of an image has no name"),
+        ({"verdict": np.full((2, 37), 99)}, "verdict 99 of an image has no name"),
     ],
 )
 def test_images_that_do_not_fit_are_refused(recording, changes, words):
