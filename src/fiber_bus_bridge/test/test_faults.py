@@ -280,6 +280,21 @@ def test_true_motion_is_independent_of_the_reports():
     assert moves.ended_s[:2] == pytest.approx([stopped, 1.5])
 
 
+def test_who_begins_to_observe_late_sees_the_end_of_a_movement_that_is_over():
+    buses = buses_with()
+    go_s = moving(buses)
+    robots = buses.positioners
+    stopped = buses.transfer(encode_command(Opcode.STOP, TO[:1]), 0, go_s + 0.3).end_s[0]
+    # robots that rest hear the heartbeats for the others
+    buses.transfer(encode_command(Opcode.HEARTBEAT, general_call([0])), 0, go_s + 0.4)
+    assert robots.memory["heartbeat_s"][0] > robots.memory["halted_s"][0]
+    truth = TrueMotion(robots, UNITS.quantum_rad)
+    truth.observe()
+    _, _, moves = truth.since()
+    assert moves.ended_s[moves.row == 0] == pytest.approx([stopped])
+    assert np.isnan(moves.ended_s[moves.row == 3]).all()
+
+
 def test_a_bus_that_stays_stuck_is_given_up_and_no_other_bus_waits_for_it():
     buses = buses_with([(LineFault.SDA_LOW, 0, 0.0, FOREVER, Recovery.POWER)])
     transactions = Transactions(buses, TO)

@@ -135,12 +135,14 @@ class TrueMotion:
         self._rest: list[Counts] = []  # encoders after each movement
         self._copies: list[Memory] = []
         moving = memory["state"] == RobotState.MOVING
+        self._has_ended = np.zeros(robots.n, dtype=bool)  # before it was observed
         if moving.any():
             # robots that moved together with those that move, and have ended
             with_them = memory["started_s"] > memory["started_s"][moving].min() - _TOGETHER_S
             for row in np.flatnonzero(with_them & ~moving):
                 self._start[row] -= _turned(memory[row])
             self._last_started_s[with_them] = -np.inf
+            self._has_ended = with_them & ~moving
 
     @property
     def count(self) -> int:
@@ -157,7 +159,9 @@ class TrueMotion:
         self._close_ended()
         for row in np.flatnonzero(memory["started_s"] != self._last_started_s):
             self._last_started_s[row] = memory["started_s"][row]
-            self._go_s[row] = memory["heartbeat_s"][row]
+            # heartbeats go on after the end of a movement that is over already
+            self._go_s[row] = -np.inf if self._has_ended[row] else memory["heartbeat_s"][row]
+            self._has_ended[row] = False
             self._open[row] = self.count
             self._rows.append(int(row))
             self._ended.append(np.nan)
