@@ -280,7 +280,7 @@ def test_true_motion_is_independent_of_the_reports():
     assert moves.ended_s[:2] == pytest.approx([stopped, 1.5])
 
 
-def test_who_begins_to_observe_late_sees_the_end_of_a_movement_that_is_over():
+def test_an_observation_that_begins_late_has_the_end_of_a_movement_that_is_over():
     buses = buses_with()
     go_s = moving(buses)
     robots = buses.positioners
