@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
-import time
+from concurrent.futures import wait
 
 import numpy as np
 import pytest
@@ -49,17 +49,27 @@ def test_a_part_may_share_out_its_own_work():
 
 
 @pytest.mark.parametrize("bad", ["caller", "helper"])
-def test_an_error_of_a_part_is_raised_when_no_part_goes_on(bad):
+def test_an_error_of_a_part_is_raised_when_no_part_goes_on(bad, monkeypatch):
+    # The part of the caller fails while the other one goes on until it is waited for; that of the
+    # helper fails while the caller goes on.
     together, caller, done = threading.Barrier(2, timeout=30.0), threading.get_ident(), []
+    failed, waited_for = threading.Event(), threading.Event()
+
+    def wait_for(futures):
+        waited_for.set()
+        return wait(futures)
 
     def work(first, last):
         together.wait()
         is_caller = threading.get_ident() == caller
         if is_caller == (bad == "caller"):
+            failed.set()
             raise ValueError(bad)
-        time.sleep(0.1)  # longer than the other part needs to fail
+        (failed if is_caller else waited_for).wait(30.0)
         done.append(first)
 
-    with threads(2), pytest.raises(ValueError, match=bad):
-        share_out(work, 2, 1)
-    assert len(done) == 1
+    monkeypatch.setattr("fiber_core.threads.wait", wait_for)
+    with threads(2):
+        with pytest.raises(ValueError, match=bad):
+            share_out(work, 2, 1)
+        assert len(done) == 1

@@ -11,7 +11,7 @@ from fiber_core.errors import MotionError
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireUnits
-from fiber_discretizer import DiscretizeOptions, UnknownOption, discretize, joint_shares
+from fiber_discretizer import DiscretizeOptions, discretize, joint_shares
 from fiber_discretizer.makarem2014 import seven_steps
 
 UNITS = WireUnits()
@@ -376,27 +376,6 @@ def test_a_trajectory_that_does_not_fit_raises(plane_at):
     early = SampledMotion([-1.0, 1.0], np.zeros((7, 2, 2)))
     with pytest.raises(MotionError, match="-1.0 s, before time zero"):
         discretize(plane, early, UNITS, SAFETY)
-
-
-@pytest.mark.parametrize(
-    "option", [{"sharing": "x"}, {"method": "x"}, {"rule": "x"}, {"first_joint": 2}]
-)
-def test_unknown_options_are_refused_by_name(option):
-    with pytest.raises(UnknownOption, match=next(iter(option))):
-        DiscretizeOptions(**option)
-
-
-@pytest.mark.parametrize(
-    ("option", "old", "new"),
-    [
-        ("sharing", "turns", "sequential"),
-        ("sharing", "halves", "makarem2014"),
-        ("method", "paper", "douglas_peucker"),
-    ],
-)
-def test_a_renamed_option_value_is_refused_with_its_new_name(option, old, new):
-    with pytest.raises(UnknownOption, match=f"{option} '{old}' .*is now called '{new}'"):
-        DiscretizeOptions(**{option: old})
 
 
 def test_progress_rises_to_one(dense_field):
