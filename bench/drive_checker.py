@@ -26,6 +26,7 @@ class Verdict:
         violations: joints that break the speed, the acceleration or the range of their motor.
         curve_error_rad: largest difference between the curves of the plan and ours [rad].
         contacts: pairs of bodies that touch at any instant, with joints as they report.
+        near: pairs that come nearer than the margin and do not touch.
         true_contacts: pairs that touch with some errors of the joints inside their intervals.
         least_gap_mm: smallest gap found [mm].
         least_true_gap_mm: smallest gap with errors of the joints [mm].
@@ -36,6 +37,7 @@ class Verdict:
     violations: int
     curve_error_rad: float
     contacts: int
+    near: int
     true_contacts: int
     least_gap_mm: float
     least_true_gap_mm: float
@@ -120,6 +122,7 @@ def check(problem_file, plan_file, step_s=2e-3, errors=0, seed=0) -> Verdict:
         int(_violations(problem, ordered, ramp_s, angles).sum()),
         _curve_error(ordered, plan, ramp_s),
         reported.contacts,
+        reported.near,
         max(reported.contacts, int((true_gaps <= 0.0).sum())),
         reported.least_mm,
         float(true_gaps.min(initial=reported.least_mm)),

@@ -23,10 +23,10 @@ class Gaps(NamedTuple):
 
     Args:
         contacts: pairs that touch at some instant.
-        near: pairs that come nearer than the margin at some instant.
+        near: pairs that come nearer than the margin at some instant and do not touch.
         least_mm: smallest gap found [mm]; exact where it is less than the margin.
         pair: rows of the bodies with the smallest gap; discs and walls follow the robots.
-        resting: pairs nearer than the margin of which neither robot moves; they are also in `near`.
+        resting: the pairs in `near` of which neither robot moves.
         wall_contacts: pairs of a robot and a wall that touch while the robot moves.
         wall_mm: smallest gap between a wall and a robot that moves [mm].
         arm_mm: smallest gap of two robots of which one moves [mm].
@@ -82,7 +82,8 @@ def judge_gaps(problem, plan, margin_mm: float = 0.05) -> Gaps:
     if not len(pairs):
         return Gaps(0, 0, np.inf, (-1, -1))
     first = int(np.argmin(least))
-    contacts, near = int((least <= 0.0).sum()), int((least < margin_mm - _FINE_MM).sum())
+    touching = least <= 0.0
+    near = (least < margin_mm - _FINE_MM) & ~touching
     a, b = pairs[first].tolist()
     turns = np.diff(curves.offsets[::2]) > 0
     fixed = np.zeros(len(bodies.arm) - len(turns), dtype=bool)
@@ -90,12 +91,12 @@ def judge_gaps(problem, plan, margin_mm: float = 0.05) -> Gaps:
     walls = pairs[:, 1] >= len(bodies.arm) - len(problem.get("wall_mm", ()))
     arms = pairs[:, 1] < len(turns)
     return Gaps(
-        contacts,
-        near,
+        int(touching.sum()),
+        int(near.sum()),
         float(least[first]),
         (a, b),
-        int((~moving & (least < margin_mm - _FINE_MM)).sum()),
-        int((moving & walls & (least <= 0.0)).sum()),
+        int((~moving & near).sum()),
+        int((moving & walls & touching).sum()),
         float(least[moving & walls].min(initial=np.inf)),
         float(least[moving & arms].min(initial=np.inf)),
     )

@@ -49,7 +49,10 @@ _ERRORS = 50  # random errors of all joints of each field of SDSS-V; 20 fields m
 _NOTE = """`python3 bench/motors.py --layout FILE --fields N --out bench/results/motors.md`, FILE
 the table of DESI's calibration of March 2026, which is no part of this project; without it the
 preset `desi_petals`. What ends allow: robots that can reach their targets at once, with their
-approach, past bodies that rest. Rules, supplies, contacts and gaps are judged from the files.
+approach, past bodies that rest. Bounds: one robot alone with its motors, approach included; the
+motor time of a supply over the number of motors that it may feed; goals are of the larger one, for
+motors of any speed of the first. Near: pairs nearer than 0.05 mm that do not touch. Rules,
+supplies, contacts and gaps are judged from the files.
 Blind errors of linear robots are of simulated arms, drawn for 54 um rms with arms of 3 mm.
 """
 _LINEAR = 0.9  # a joint that turns by less than this share of what is ordered
@@ -155,6 +158,7 @@ def _checked(result: Reconfiguration, seed: int, step_s: float = 2e-3, errors: i
         "makespan_s": verdict.makespan_s,
         "violations": verdict.violations,
         "contacts": verdict.contacts,
+        "near": verdict.near,
         "true_contacts": verdict.true_contacts,
         "least_gap_mm": verdict.least_gap_mm,
         "least_true_gap_mm": verdict.least_true_gap_mm,
@@ -172,8 +176,8 @@ def _judged(result: Reconfiguration, judge: Callable[..., Any], **options: objec
 def _figures(result: Reconfiguration) -> Figures:
     report = result.report
     names = (
-        "asked", "reached", "reachable_at_once", "lower_bound_s", "power_bound_s", "certified",
-        "drive_violations", "segments_mean", "bytes_mean",
+        "asked", "reached", "reachable_at_once", "lower_bound_s", "supply_bound_s",
+        "power_bound_s", "certified", "drive_violations", "segments_mean", "bytes_mean",
     )  # fmt: skip
     seconds = {"cpu_s": round(sum(result.orders.cpu_seconds.values()), 3)}
     return {name: report[name] for name in names} | seconds

@@ -19,8 +19,9 @@ WORK = {
 }  # fmt: skip
 COLUMNS = (
     "work", "fields", "reached of what ends allow, all (least field)",
-    "makespan / bound, median (most)", "makespan [s], median (most)", "bound [s], median",
-    "motors on, most", "segments", "bytes an order", "broken rules", "contacts",
+    "makespan / bound, median (most)", "makespan [s], median (most)",
+    "bounds [s], median: alone, motor time over cap", "motors on, most", "segments",
+    "bytes an order", "broken rules", "contacts", "near",
     "contacts of true arms in simulated moves", "least gap [mm]", "end error, most [um]",
     "plan + discretize, processor time [s], median (most)", "goals",
 )  # fmt: skip
@@ -66,12 +67,13 @@ def _row(name: str, fields: list[dict]) -> list | None:
         f"{column['reached'].sum()} of {column['reachable_at_once'].sum()} ({reached.min():.2f} %)",
         f"{np.median(ratio):.4f} ({ratio.max():.4f})",
         f"{np.median(makespan):.3f} ({makespan.max():.3f})",
-        f"{np.median(bounds):.3f}",
+        f"{np.median(column['lower_bound_s']):.3f}, {np.median(column['supply_bound_s']):.3f}",
         "" if peak is None else f"{peak.max():.1%}",
         f"{segments.mean():.2f}",
         f"{column['bytes_mean'].astype(float).mean():.1f}",
         broken,
         contacts,
+        int(column["near"].sum()),
         "" if true is None else f"{true.sum()} in {column['simulated_moves'].sum()}",
         f"{column['least_gap_mm'].min():.4f}",
         f"{column['end_error_um'].max():.2f}",

@@ -11,9 +11,10 @@ from motors_table import table_of  # noqa: E402
 
 LINE = {
     "row": "blind", "seed": 0, "asked": 1000, "reached": 996, "reachable_at_once": 1000,
-    "lower_bound_s": 5.0, "power_bound_s": 5.5, "certified": True, "drive_violations": 0,
+    "lower_bound_s": 5.0, "supply_bound_s": 5.5, "power_bound_s": 5.5, "certified": True,
+    "drive_violations": 0,
     "segments_mean": 5.0, "bytes_mean": 34.0, "cpu_s": 5.0, "makespan_s": 6.0, "peak": 0.55,
-    "violations": 0, "contacts": 0, "least_gap_mm": 0.05, "end_error_um": 0.8,
+    "violations": 0, "contacts": 0, "near": 0, "least_gap_mm": 0.05, "end_error_um": 0.8,
 }  # fmt: skip
 
 
@@ -49,3 +50,10 @@ def test_the_shortest_time_of_corrections_and_segments_are_goals():
     assert goals(ramps) == "hold"
     assert goals(ramps | {"segments_mean": 1.2}) == "missed: segments"
     assert goals(ramps | {"true_contacts": 1}) == "missed: rules and contacts"
+
+
+def test_pairs_that_are_near_are_told_apart_from_contacts():
+    lines = table_of([LINE | {"near": 3}, LINE | {"seed": 1, "near": 4}]).splitlines()
+    cells = dict(zip(lines[0].split(" | "), lines[2].split(" | ")))
+    assert (cells["contacts"], cells["near"]) == ("0", "7")
+    assert cells["bounds [s], median: alone, motor time over cap"] == "5.000, 5.500"

@@ -2,9 +2,10 @@
 """Metrics: the figures of a plan, with lower bounds for comparison."""
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_core import kinematics
 from fiber_core.array_types import Codes, Floats
@@ -17,54 +18,81 @@ from fiber_core.motors import alone_s
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.problem import Problem
 
-__all__ = ["ORDER_BYTES_BOUND", "lower_bound_s", "plan_metrics", "power_bound_s"]
+__all__ = [
+    "ORDER_BYTES_BOUND",
+    "Bounds",
+    "bounds_of",
+    "lower_bound_s",
+    "plan_metrics",
+    "power_bound_s",
+]
 
 # Information in the orders of a robot with one segment per motor: about 35 bits.
 ORDER_BYTES_BOUND = 35 / 8
+
+
+class Bounds(NamedTuple):
+    """Times below which no motion of a plane can be [s].
+
+    Args:
+        alone_s: time that the slowest robot would need if it were alone.
+        supplies_s: least time in which the supplies can feed all motors.
+    """
+
+    alone_s: float
+    supplies_s: float
 
 
 def lower_bound_s(problem: Problem) -> float:
     """Return the time that the slowest robot would need if it were alone [s].
 
     Each robot takes the elbow and turn that is fastest for it, its slowest joint or motor at full
-    speed and acceleration; collisions are ignored. Disabled robots and robots without a
-    reachable target do not count.
+    speed and acceleration, with its approach inside the range of the joint; collisions are
+    ignored. Disabled robots and robots without a reachable target do not count.
 
     Args:
         problem: the problem.
     """
-    return _bounds_s(problem)[0]
+    return bounds_of(problem).alone_s
 
 
 def power_bound_s(problem: Problem) -> float:
     """Return the least time in which the power supplies can feed all moves [s].
 
-    The time that the motors of a supply are on, each robot with the elbow and turn for which that
-    is least, divided by how many of them may be on at once; or the lower bound, if that is longer.
+    It is the larger one of both bounds of `bounds_of`.
 
     Args:
         problem: the problem.
     """
-    return _bounds_s(problem)[1]
+    return max(bounds_of(problem))
 
 
-def _bounds_s(problem: Problem) -> tuple[float, float]:
-    # lower_bound_s and power_bound_s
+def bounds_of(problem: Problem, limits: ArrayLike | None = None) -> Bounds:
+    """Return the bound of one robot alone with its motors, and that of motor time over cap.
+
+    Of a supply, it is the time that its motors are on, each robot with the elbow and turn for which
+    that is least, approaches included, divided by how many of them may be on at once.
+
+    Args:
+        problem: the problem.
+        limits: ranges of the joints in which robots move [rad], shape (n, 2, 2), where those of
+            the plane are narrower because goals must be inside them; by default those.
+    """
     plane = problem.plane
     movable = np.where(plane.enabled[:, None], problem.targets, np.nan)
     angles, valid = kinematics.inverse(plane, movable)
-    turns = angles - problem.start[:, None]
-    motor_s = least_time_s(plane.drive, plane.speeds, np.where(valid[..., None], turns, np.nan))
+    turns = np.where(valid[..., None], angles - problem.start[:, None], np.nan)
+    span = (plane.limits if limits is None else np.asarray(limits)) - problem.start[:, :, None]
+    motor_s = least_time_s(plane.drive, plane.speeds, turns, span)
     travel_s = np.maximum(motor_s.max(axis=2), alone_s(plane, problem.start, angles))
     alone = np.where(valid, travel_s, np.inf).min(axis=1, initial=np.inf)
     moves = np.isfinite(alone)
-    bound = float(alone[moves].max(initial=0.0))
     least_s = np.where(moves, motor_s.sum(axis=2).min(axis=1, initial=np.inf), 0.0)
     _, group = np.unique(plane.supply, return_inverse=True)
     allowed = motors_allowed(plane.supply, plane.drive.motors_on)
     of_group = np.bincount(group, least_s)
     fed = of_group[group[moves]] / np.maximum(allowed[moves], 1)
-    return bound, max(bound, float(fed.max(initial=0.0)))
+    return Bounds(float(alone[moves].max(initial=0.0)), float(fed.max(initial=0.0)))
 
 
 def plan_metrics(
@@ -96,7 +124,8 @@ def plan_metrics(
     error_mm = kinematics.on_target(plane, motion.end, problem.targets).error_mm
     error_um: Floats = 1e3 * error_mm[reached]
     segments = motion.counts[motion.counts > 0]
-    bound, power_bound = _bounds_s(problem)
+    bounds = bounds_of(problem)
+    bound = bounds.alone_s
     true_motion = carried_out(plane.drive, motion)
     makespan_s = true_motion.makespan_s
     codes, counts = np.unique(reason[asked], return_counts=True)
@@ -116,7 +145,8 @@ def plan_metrics(
         "makespan_s": makespan_s,
         "lower_bound_s": bound,
         "makespan_ratio": makespan_s / bound if bound else None,
-        "power_bound_s": power_bound,
+        "supply_bound_s": bounds.supplies_s,
+        "power_bound_s": max(bounds),
         "motors_on": plane.drive.motors_on,
         "motors_on_peak": float(most_motors_on(true_motion, plane.supply).max(initial=0.0)),
         "drive_violations": int(certificate.limits_broken.sum()),

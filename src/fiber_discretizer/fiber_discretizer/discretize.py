@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from fiber_core.array_types import Codes, Mask
 from fiber_core.clearance import Certificate, Safety, hold_until_safe
 from fiber_core.drive import carried_out, overloading
+from fiber_core.drive.told import accelerations_told, overloads_told
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
@@ -43,7 +44,8 @@ class Discretization:
         certificate: certificate of wire.decoded() over the whole plane. It is not ok
             only where robots at rest are too close already, one of which could move.
         rounds: how often robots without a safe motion were tried again.
-        rules_told: rules of motors with listed speeds that a profile breaks, with the values.
+        rules_told: rules of motors and supplies that robots would break, with the values; a
+            sentence begins with "robot" and its id.
     """
 
     wire: WireMotion
@@ -107,14 +109,26 @@ def discretize(
     _, held, certificate = hold_until_safe(plane, wire.decoded(), safety)
     held_here = held & (reason == Reason.OK)
     reason[held_here] = Reason.UNSAFE
-    if plane.drive.motors_on < 1.0:
-        curves = carried_out(plane.drive, wire.decoded())
-        reason[held_here & overloading(curves, plane.supply, plane.drive.motors_on)] = (
-            Reason.OVERLOAD
-        )
+    if not plane.drive.is_ideal:
+        told = (*told, *_held_by_drive(plane, wire, held_here, reason))
     report(1.0, "certified" if certificate.ok else "robots at rest are too close")
     reason.setflags(write=False)
     return Discretization(wire.without(held), reason, certificate, rounds, told)
+
+
+def _held_by_drive(
+    plane: FocalPlane, wire: WireMotion, held: Mask, reason: Codes
+) -> tuple[str, ...]:
+    # The motions of held robots that their motors or supplies do not allow, with the values.
+    # Robots that are too many for their supply get the Reason OVERLOAD.
+    curves = carried_out(plane.drive, wire.decoded())
+    told = accelerations_told(plane.drive, curves, plane.ids)
+    share = plane.drive.motors_on
+    if share < 1.0:
+        too_many = held & overloading(curves, plane.supply, share)
+        reason[too_many] = Reason.OVERLOAD
+        told += overloads_told(plane.supply, share, too_many, plane.ids)
+    return tuple(told)
 
 
 def _no_report(fraction: float, text: str) -> None:

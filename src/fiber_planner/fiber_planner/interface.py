@@ -42,7 +42,8 @@ class PlannedMotion:
         goal: joint angles that each robot aims at [rad], shape (n, 2); the start of a robot
             that has no target or cannot be moved.
         reason: fiber_core.outcomes.Reason of each robot, shape (n,): OK (it arrives),
-            NO_TARGET, GOAL_BLOCKED, NOT_CONVERGED, TANGLED, DISABLED or START_OUTSIDE_LIMITS.
+            NO_TARGET, GOAL_BLOCKED, NOT_CONVERGED, TANGLED, DISABLED, START_OUTSIDE_LIMITS or
+            OUTSIDE_JOINT_RANGE (of the approach of a motor).
         tangled: pairs that start closer than the margin, rows a < b, robots first and
             obstacles after them, shape (k, 2); the motion must not bring them closer.
 

@@ -8,13 +8,14 @@ import numpy as np
 
 from fiber_core import kinematics
 from fiber_core.clearance import neighbour_pairs
+from fiber_core.metrics import bounds_of
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
 from fiber_planner.approach import inside_approaches
 from fiber_planner.direct.reachability import reachable
 from fiber_planner.goal_program import goal_program, least_makespan_s, most_goals, robots_with_goals
-from fiber_planner.goal_selection import choose_goals, lower_bound_s, travel_s
+from fiber_planner.goal_selection import choose_goals, travel_s
 
 __all__ = ["PairBound", "pair_bound"]
 
@@ -53,7 +54,7 @@ def pair_bound(problem: Problem, margin_mm: float = 0.05) -> PairBound:
     """
     # on its way an arm may go where no approach can end
     can = reachable(problem, neighbour_pairs(problem.plane), margin_mm)
-    problem = inside_approaches(problem)
+    limits, problem = problem.plane.limits, inside_approaches(problem)
     plane = problem.plane
     _, valid, fibre, _ = kinematics.solutions(plane, problem.targets)
     lowest = np.where(valid, fibre, np.iinfo(fibre.dtype).max).min(axis=1)
@@ -63,7 +64,7 @@ def pair_bound(problem: Problem, margin_mm: float = 0.05) -> PairBound:
         return PairBound(0, 0.0, True)
     left = replace(problem, targets=np.where(can[:, None], problem.targets, np.nan))
     goal, reason = choose_goals(left, margin_mm)
-    alone_s = lower_bound_s(left)
+    alone_s = bounds_of(left, limits).alone_s
     if (reason[can] == Reason.OK).all() and travel_s(left, goal)[can].max() <= alone_s:
         return PairBound(int(can.sum()), alone_s, one_fibre)  # nothing is in the way
     rounding_mm = 2.0 * WireUnits.for_plane(plane).quantum_rad * float(plane.reach_mm.max())

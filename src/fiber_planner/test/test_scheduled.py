@@ -246,7 +246,7 @@ def test_a_robot_without_a_way_makes_way_for_its_neighbour():
     start = np.deg2rad([[0.0, 0.0], [90.0, 5.0]])
     goal = np.deg2rad([[169.0, 0.0], [260.0, 5.0]])
     found = ScheduledPlanner().plan(Problem(plane, start, forward(plane, goal)[1]))
-    assert found.reason.tolist() == [Reason.GOAL_BLOCKED, Reason.OK]
+    assert found.reason.tolist() == [Reason.OUTSIDE_JOINT_RANGE, Reason.OK]
     assert np.ptp(found.motion.angles[0], axis=1).max() > np.deg2rad(10.0)
 
 

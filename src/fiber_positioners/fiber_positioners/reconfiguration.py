@@ -18,6 +18,7 @@ from fiber_core.problem import Problem, save_plan, save_problem
 from fiber_discretizer import DiscretizeOptions, joint_corridors
 from fiber_formats import write_results
 from fiber_planner import Planner, pair_bound
+from fiber_positioners.held_by_drive import held_by_drive
 from fiber_positioners.orders import Orders, ProgressCallback, make_orders, part_of
 from fiber_positioners.report import save_report
 from fiber_positioners.simulated_run import SimulatedRun, run_on_simulated_buses
@@ -93,6 +94,7 @@ class Reconfiguration:
             "planner": self.orders.planner,
             "seed": self.seed,
             **figures,
+            "held_by_drive": held_by_drive(self.orders),
             "reachable_at_once": bound.robots,
             "pair_bound_s": bound.time_s,
             "pair_bound_proven": bound.proven,

@@ -112,7 +112,10 @@ class ScheduledPlanner:
         reason[outside] = Reason.START_OUTSIDE_LIMITS
         angles, valid = kinematics.inverse(narrower.plane, narrower.targets)
         others = np.where(valid[..., None], angles, goal[:, None])
-        return timed(problem, goal, others, reason, self.parameters, progress, far=True)
+        planned = timed(problem, goal, others, reason, self.parameters, progress, far=True)
+        # robots that would have an end, if their approach could come to it
+        none = (planned.reason == Reason.GOAL_BLOCKED) & ~valid.any(axis=1)
+        return replace(planned, reason=np.where(none, Reason.OUTSIDE_JOINT_RANGE, planned.reason))
 
 
 def timed(
