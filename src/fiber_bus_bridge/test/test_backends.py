@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,7 +82,19 @@ def test_the_linux_backend_passes_these_tests():
         command, capture_output=True, text=True, timeout=500, cwd=Path(__file__).parents[3]
     )
     assert run.returncode == 0, run.stdout + run.stderr
-    assert re.search(r"\b10 passed, 1 deselected\b", run.stdout), run.stdout
+    assert re.search(r"\b11 passed, 1 deselected\b", run.stdout), run.stdout
+
+
+def test_a_stop_is_sent_where_no_thread_can_be_started(backend, monkeypatch):
+    buses, robots = backend()
+    robots.memory["state"] = RobotState.IDLE
+
+    def refuse(_):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    buses.transfer(encode_command(Opcode.STOP, TO), 0, 0.0)
+    assert (robots.states(1.0) == RobotState.STOPPED).all()
 
 
 def test_messages_reach_the_robots_they_are_for(backend):

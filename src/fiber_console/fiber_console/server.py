@@ -18,6 +18,7 @@ from tornado.websocket import WebSocketHandler
 
 from fiber_console.errors import ConsoleError
 from fiber_console.plane_feed import PlaneFeed
+from fiber_core.threads import started_pool
 from fiber_viewer.page import console_page, write_player
 
 __all__ = ["ConsoleServer", "Order", "kept_token"]
@@ -99,7 +100,7 @@ class ConsoleServer:
         self._motion: bytes | None = None
         self._told = asyncio.Event()
         # a stop is carried out whatever other orders, and earlier stops, wait for
-        self._stops, self._orders = ThreadPoolExecutor(_STOPS), ThreadPoolExecutor(_ORDERS)
+        self._stops, self._orders = started_pool(_STOPS), ThreadPoolExecutor(_ORDERS)
         application = Application(
             [
                 ("/", _Page),

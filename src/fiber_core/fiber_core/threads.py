@@ -7,11 +7,12 @@ read what another one writes. Then the result is the same on any number of threa
 
 import itertools
 import os
+import threading
 from collections.abc import Callable, Generator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 
-__all__ = ["share_out", "thread_count", "threads"]
+__all__ = ["share_out", "started_pool", "thread_count", "threads"]
 
 _PARTS = 4  # of each thread: the longest part delays all others
 
@@ -24,10 +25,14 @@ class _Pool:
         self.count = count
         self.executor: ThreadPoolExecutor | None = None
 
-    def submit(self, work: Callable[[], None]) -> Future[None]:
+    def begin(self) -> ThreadPoolExecutor | None:
+        # all at once: where no thread can be started there is none, and the caller works alone
         if self.executor is None:
-            self.executor = ThreadPoolExecutor(max(1, self.count - 1), "loops")
-        return self.executor.submit(work)
+            try:
+                self.executor = started_pool(max(1, self.count - 1), "loops")
+            except RuntimeError:
+                return None
+        return self.executor
 
     def forget(self) -> None:
         # the threads of the executor are not in a process that was forked
@@ -60,11 +65,34 @@ def threads(count: int) -> Generator[None]:
             pool.executor.shutdown()
 
 
+def started_pool(count: int, name: str = "") -> ThreadPoolExecutor:
+    """Return an executor whose threads run already, so that no later work has to start one.
+
+    Args:
+        count: number of threads, 1 or more.
+        name: what the names of the threads begin with.
+
+    Raises:
+        RuntimeError: the system has no place for another thread.
+    """
+    pool, begun = ThreadPoolExecutor(count, name), threading.Barrier(count + 1)
+    try:
+        for _ in range(count):  # each waits until all have begun, so that none takes two
+            pool.submit(begun.wait)
+    except RuntimeError:
+        begun.abort()
+        pool.shutdown(cancel_futures=True)
+        raise
+    begun.wait()
+    return pool
+
+
 def share_out(work: Callable[[int, int], None], count: int, least: int) -> None:
     """Call a function on parts of some work, side by side on all cores, until all is done.
 
     The caller works as well, so that calls from several threads at once, or from one part of
-    another call, cannot wait for each other.
+    another call, cannot wait for each other, and so that all is done where no thread can be
+    started.
 
     Args:
         work: called with the first and past the last item of a part.
@@ -73,7 +101,8 @@ def share_out(work: Callable[[int, int], None], count: int, least: int) -> None:
     """
     pool = _POOLS[-1]
     number = min(count // max(least, 1), _PARTS * pool.count)
-    if number < 2 or pool.count < 2:
+    executor = pool.begin() if number > 1 and pool.count > 1 else None
+    if executor is None:
         if count:
             work(0, count)
         return
@@ -84,7 +113,7 @@ def share_out(work: Callable[[int, int], None], count: int, least: int) -> None:
         for first, last in left:
             work(first, last)
 
-    helpers = [pool.submit(help_out) for _ in range(min(pool.count, number) - 1)]
+    helpers = [executor.submit(help_out) for _ in range(min(pool.count, number) - 1)]
     try:
         help_out()
     finally:

@@ -5,7 +5,7 @@ from concurrent.futures import wait
 import numpy as np
 import pytest
 
-from fiber_core.threads import share_out, threads
+from fiber_core.threads import share_out, started_pool, threads
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
@@ -73,3 +73,49 @@ def test_an_error_of_a_part_is_raised_when_no_part_goes_on(bad, monkeypatch):
         with pytest.raises(ValueError, match=bad):
             share_out(work, 2, 1)
         assert len(done) == 1
+
+
+@pytest.fixture
+def full(monkeypatch):
+    """Function after which the system has no place for another thread."""
+
+    def refuse(_):
+        raise RuntimeError("can't start new thread")
+
+    return lambda: monkeypatch.setattr(threading.Thread, "start", refuse)
+
+
+def test_the_caller_works_alone_where_no_thread_can_be_started(full):
+    done = np.zeros(100, dtype=int)
+
+    def work(first, last):
+        done[first:last] += 1
+
+    full()
+    with threads(3):
+        share_out(work, 100, 1)
+    assert (done == 1).all()
+
+
+def test_work_of_a_pool_that_has_begun_starts_no_thread(full):
+    pool = started_pool(3)
+    full()
+    together = threading.Barrier(3, timeout=30.0)
+    for each in [pool.submit(together.wait) for _ in range(3)]:
+        each.result()
+    pool.shutdown()
+
+
+def test_a_pool_that_cannot_begin_says_so_and_leaves_no_thread(monkeypatch):
+    before, start, begun = threading.active_count(), threading.Thread.start, []
+
+    def once(thread):
+        if begun:
+            raise RuntimeError("can't start new thread")
+        begun.append(thread)
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", once)
+    with pytest.raises(RuntimeError, match="can't start new thread"):
+        started_pool(2)
+    assert threading.active_count() == before

@@ -3,7 +3,6 @@
 
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 from rclpy.context import Context
 from rclpy.executors import (
@@ -15,6 +14,8 @@ from rclpy.executors import (
     TimeoutObject,
 )
 from rclpy.task import Future, Task
+
+from fiber_core.threads import started_pool
 
 __all__ = ["ThreadExecutor"]
 
@@ -28,7 +29,8 @@ class ThreadExecutor(Executor):
 
     A node must not be destroyed while one of its callbacks is at work. rclpy's own
     MultiThreadedExecutor does not tell when that is: its shutdown returns at once. An exception
-    that escapes a callback ends the loop, which raises it.
+    that escapes a callback ends the loop, which raises it. All threads begin with the executor: a
+    stop is served also where the system has no place for another thread.
 
     Args:
         threads: number of threads; the loop has one more, that of its caller.
@@ -37,7 +39,7 @@ class ThreadExecutor(Executor):
 
     def __init__(self, threads: int, context: Context | None = None):
         super().__init__(context=context)
-        self._threads = ThreadPoolExecutor(threads)
+        self._threads = started_pool(threads)
         self._free = threading.Semaphore(threads)  # threads without a callback
         self._stopping = threading.Event()
         self._errors: list[BaseException] = []

@@ -129,3 +129,23 @@ def test_a_context_that_is_shut_down_without_a_wake_ends_the_loop(running):
     executor.context.handle.shutdown()
     thread.join(WAIT_S)
     assert not thread.is_alive() and not errors
+
+
+def test_callbacks_are_served_where_no_thread_can_be_started(running, monkeypatch):
+    node, executor, thread, errors = running(threads=2)
+
+    def refuse(_):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    together, group = threading.Barrier(2), ReentrantCallbackGroup()
+    served = threading.Event()
+
+    def serve():
+        together.wait(WAIT_S)  # in both threads at once
+        served.set()
+
+    for _ in range(2):
+        node.create_timer(0.01, serve, callback_group=group)
+    executor.wake()
+    assert served.wait(WAIT_S) and thread.is_alive() and not errors

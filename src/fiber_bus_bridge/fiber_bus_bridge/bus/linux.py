@@ -5,7 +5,6 @@ import errno
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +16,7 @@ from fiber_bus_bridge.errors import TopologyError
 from fiber_bus_bridge.wire import CALL_PREFIX, Frames, Opcode
 from fiber_core.array_types import Floats, Ints
 from fiber_core.ragged import Parts
+from fiber_core.threads import started_pool
 
 if TYPE_CHECKING:
     from smbus2 import i2c_msg
@@ -43,7 +43,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class LinuxBuses:
-    """A set of I2C adapters of this machine, each served by a thread of its own.
+    """A set of I2C adapters of this machine, each served by a thread of its own from the begin.
 
     The kernel takes up to 42 messages at a time, joined by repeated START. When one of them
     fails, the kernel does not report which: all messages of that batch are sent again one by
@@ -76,7 +76,7 @@ class LinuxBuses:
 
         self._devices = {bus: SMBus(path) for bus, path in devices.items()}
         self._power, self._clock, self._wait = power, clock, wait
-        self._threads = ThreadPoolExecutor(max(len(self._devices), 1))
+        self._threads = started_pool(max(len(self._devices), 1))
 
     def close(self) -> None:
         """Close every device."""

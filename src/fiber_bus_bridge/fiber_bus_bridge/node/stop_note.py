@@ -2,8 +2,11 @@
 """The note that a stop was asked for, which outlives a bridge that dies before it can save."""
 
 import threading
+import weakref
 from collections.abc import Callable
 from pathlib import Path
+from queue import SimpleQueue
+from typing import TypeAlias
 
 __all__ = ["StopNote"]
 
@@ -15,12 +18,33 @@ _LEFT = (
     "own, and clears it"
 )
 
+_Job: TypeAlias = "tuple[Path, _Writing] | None"
+
+
+class _Writing:
+    # one note that is written
+
+    def __init__(self) -> None:
+        self.ended = threading.Event()
+        self.error: OSError | None = None
+
+
+def _write_all(jobs: "SimpleQueue[_Job]") -> None:
+    while (job := jobs.get()) is not None:
+        path, writing = job
+        try:
+            path.touch(0o600)
+        except OSError as error:
+            writing.error = error
+        writing.ended.set()
+
 
 class StopNote:
     """An empty file beside the memory of the robots, from a stop until the memory tells of it.
 
     It takes some 0.05 ms to make, and outlives this process, but not a loss of power of the
     computer. A disk may be slow, so that a thread makes it: STOP goes out after 5 ms at the latest.
+    The thread begins with this object, as the system may have no place for one when a stop comes.
 
     Args:
         memory: file of the memory; None for no memory and no note.
@@ -30,8 +54,13 @@ class StopNote:
     def __init__(self, memory: Path | None, warn: Callable[[str], None]):
         self._path = None if memory is None else memory.with_name(memory.name + ".stop")
         self._warn = warn
-        self._writing: threading.Thread | None = None
-        self._error: OSError | None = None
+        self._writing: _Writing | None = None
+        self._jobs: SimpleQueue[_Job] = SimpleQueue()
+        if memory is not None:
+            threading.Thread(
+                target=_write_all, args=[self._jobs], name="stop note", daemon=True
+            ).start()
+            weakref.finalize(self, self._jobs.put, None)
 
     @property
     def found(self) -> bool:
@@ -42,26 +71,17 @@ class StopNote:
         """Begin to write the note, before STOP is sent; return within 5 ms."""
         if self._path is None:
             return
-        if self._writing is None or not self._writing.is_alive():
-            self._error = None
-            self._writing = threading.Thread(
-                target=self._write, args=[self._path], name="stop note", daemon=True
-            )
-            self._writing.start()
-        self._writing.join(_FIRST_S)
-
-    def _write(self, path: Path) -> None:
-        try:
-            path.touch(0o600)
-        except OSError as error:
-            self._error = error
+        if self._writing is None or self._writing.ended.is_set():
+            self._writing = _Writing()
+            self._jobs.put((self._path, self._writing))
+        self._writing.ended.wait(_FIRST_S)
 
     def finish(self) -> None:
         """Tell what is left if the note is not written, after STOP is sent."""
         if self._is_slow():
             self._warn(f"{_NOT_NOTED} after {_LAST_S:g} s: {_LEFT}")
-        elif self._error is not None:
-            self._warn(f"{_NOT_NOTED}: {self._error}: {_LEFT}")
+        elif self._writing is not None and self._writing.error is not None:
+            self._warn(f"{_NOT_NOTED}: {self._writing.error}: {_LEFT}")
 
     def remove(self) -> None:
         """Remove the note: the memory tells of the stop, or the robots were cleared since."""
@@ -75,6 +95,4 @@ class StopNote:
             self._warn(f"the note of a stop beside the memory of the robots stays: {error}")
 
     def _is_slow(self) -> bool:
-        if self._writing is not None:
-            self._writing.join(_LAST_S)
-        return self._writing is not None and self._writing.is_alive()
+        return self._writing is not None and not self._writing.ended.wait(_LAST_S)
