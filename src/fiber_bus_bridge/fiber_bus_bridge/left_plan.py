@@ -34,7 +34,7 @@ class LeftPlan:
         stamp_ns: names the plan [ns].
         goals: target of each fibre [mm], shape (n, 2), nan = no target.
         fibre: number of the fibre that each target is for, -1 for any, shape (n,).
-        started: robots that are sent a GO, shape (n,).
+        started: robots that were sent a GO, and whose result is not known, shape (n,).
         result: the result, of started robots only once the plan has ended.
         ended: whether the plan has ended.
     """
@@ -76,6 +76,29 @@ class LeftPlan:
         outcome = np.where(now, np.where(failed, Outcome.FAILED, Outcome.HELD), before.outcome)
         outcome[reached], reason[reached] = Outcome.REACHED, Reason.OK
         return replace(self, result=PlanResult(outcome, reason, error), ended=True)
+
+    def noted(
+        self, plane: FocalPlane, angles: Angles, at_rest: Mask, cause: Codes, tolerance_mm: float
+    ) -> "LeftPlan":
+        """Return the plan, not ended, with the result of the robots that were read at rest.
+
+        It is no news any more when such a robot forgets why it rests.
+
+        Args:
+            plane: the focal plane.
+            angles: joint angles by the encoders [rad], shape (n, 2).
+            at_rest: robots that were read at rest, where their encoders say, shape (n,).
+            cause: as for `found`.
+            tolerance_mm: as for `found`.
+        """
+        told = self.found(plane, angles, at_rest, cause, tolerance_mm)
+        known, before, after = self.started & at_rest, self.result, told.result
+        result = PlanResult(
+            np.where(known, after.outcome, before.outcome),
+            np.where(known, after.reason, before.reason),
+            np.where(known, after.error_mm, before.error_mm),
+        )
+        return replace(self, started=self.started & ~known, result=result)
 
 
 def save_left_plan(path: Path, plan: LeftPlan, plane: FocalPlane) -> None:

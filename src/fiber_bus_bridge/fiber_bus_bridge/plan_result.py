@@ -163,6 +163,13 @@ class PlanResult:
     reason: Codes
     error_mm: Floats
 
+    @property
+    def summary(self) -> str:
+        """How many robots have which outcome; those without a target count if they failed."""
+        concerned = (self.reason != Reason.NO_TARGET) | (self.outcome != Outcome.HELD)
+        counts = np.bincount(self.outcome[concerned], minlength=len(Outcome))
+        return ", ".join(f"{counts[each]} {each.name.lower()}" for each in Outcome)
+
     def explained_by(self, reason: ArrayLike) -> "PlanResult":
         """Return the same result with the reasons of earlier stages where they are the cause.
 

@@ -200,12 +200,16 @@ class Session:
         """
         return so_far(self.protocol)
 
-    def look_back(self, wanted: bool) -> None:
+    def look_back(self, note_ends: Callable[[Mask], None] | None) -> None:
         """Let `configure` find out why each robot rests, for a plan that an earlier session left.
 
         The Reasons are in the column `cause`, OK for a robot that carried out its orders.
+
+        Args:
+            note_ends: called with the robots that were read at rest, shape (n,), before the first
+                message that lets a robot forget why it rests; None for no such plan.
         """
-        self.protocol.left_plan = wanted
+        self.protocol.note_ends = note_ends
 
     def look(self, t: float) -> Mask:
         """Read the robots that moved when they were read last; return those that move still, (n,).

@@ -84,6 +84,12 @@ class Night(Rest):
             messages.clear()
         super().__init__(self.peer, given.pop("problem"), **given)
 
+    def jam(self, robot):
+        """Jam a robot that moves."""
+        memory, bus = self.robots.memory, self.bridge._session.transactions
+        self.until(lambda: bus.now_s > memory["started_s"][robot])
+        memory["jam_s"][robot] = bus.now_s
+
     def left_out(self):
         statuses = diagnostics.decode(self.received[topics.DIAGNOSTICS.name][-1])
         return next((s.values for s in statuses if s.name == "bridge: left out"), {})
@@ -172,6 +178,21 @@ def test_stop_does_not_wait_for_a_slow_disk(night, monkeypatch):
     assert written.wait(disk_s)
 
 
+def test_stop_is_sent_and_noted_where_no_thread_can_be_started(night, monkeypatch):
+    night.ready(9, turning(ticks=1000))
+    assert night.call(topics.START).success
+
+    def refuse(_):
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", refuse)
+        patch.setattr("fiber_bus_bridge.node.remembered.Remembered.save", lambda *_, **__: None)
+        assert night.call(topics.STOP).success
+    assert night.bridge._session.state is SessionState.STOPPED
+    assert night.path.with_name("robots.json.stop").exists()
+
+
 def test_a_stop_that_cannot_be_noted_is_sent_and_says_what_is_left(night, monkeypatch):
     night.ready(9, turning(ticks=1000))
     assert night.call(topics.START).success
@@ -215,6 +236,54 @@ def test_the_next_bridge_tells_how_a_plan_ended_whose_bridge_died(night, monkeyp
     night.restart()
     night.ask(30, PLANE.ids, PLANE.centers + 3.0)
     assert not outcomes_of(night, 9) and not outcomes_of(night, 20), "each was told in its time"
+
+
+def test_a_bridge_that_dies_before_it_tells_has_noted_what_its_configuration_deleted(
+    night, monkeypatch
+):
+    night.ready(9, unfolding(ticks=300))
+    assert night.call(topics.START).success
+    night.jam(5)
+    with monkeypatch.context() as patch:  # it configures and clears the robots, and dies
+        patch.setattr("fiber_bus_bridge.node.kept_plan.KeptPlan.tell", lambda _: None)
+        night.restart()
+    assert (night.robots.memory["fault"] == 0).all() and not outcomes_of(night, 9)
+    night.restart()
+    result, reason, _ = night.end(9)
+    assert result[5] == Outcome.FAILED and reason[5] == Reason.STALLED
+    assert set(reason[PLANE.ids != 5].tolist()) == {Reason.NO_HEARTBEAT}
+
+
+def test_a_bridge_that_dies_once_it_has_cleared_for_another_attempt_has_noted_the_first(
+    night, monkeypatch
+):
+    night.given |= {"attempts": 2, "session__resumes": 0}
+    night.restart()
+    night.ready(9, unfolding(ticks=300))
+    assert night.call(topics.START).success
+    night.jam(5)
+    night.until(lambda: [m for m in night.received[topics.TARGETS.name] if PlanStamp.of(m).ns > 9])
+    assert (night.robots.memory["fault"] == 0).all(), "they are cleared"
+    night.restart()
+    result, reason, _ = night.end(9)
+    assert result[5] == Outcome.FAILED and reason[5] == Reason.STALLED
+    assert set(reason[PLANE.ids != 5].tolist()) == {Reason.OTHER_FAILED}
+
+
+def test_without_a_note_of_the_first_attempt_there_is_no_other(night, monkeypatch):
+    night.given |= {"attempts": 2, "session__resumes": 0}
+    night.restart()
+    night.ready(9, unfolding(ticks=300))
+    assert night.call(topics.START).success
+
+    def full(*_):
+        raise BridgeError("no space left on device")
+
+    monkeypatch.setattr("fiber_bus_bridge.node.kept_plan.save_left_plan", full)
+    night.jam(5)
+    result, reason, _ = night.end(9)
+    assert result[5] == Outcome.FAILED and reason[5] == Reason.STALLED
+    assert all(PlanStamp.of(m).ns == 9 for m in night.received[topics.TARGETS.name])
 
 
 def test_what_was_known_before_the_go_and_what_the_robots_say_are_told(night):

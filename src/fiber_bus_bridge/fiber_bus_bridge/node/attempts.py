@@ -251,11 +251,21 @@ class Attempts:
         self._reporter.debug(
             f"plan {attempt}: ended; {int(robots.sum())} robots could be tried again"
         )
-        if last or self._stopping.is_set() or not robots.any() or stamp is None:
+        last = last or self._stopping.is_set() or not robots.any()
+        if last or stamp is None or not self._is_noted(combined):
             self._outgoing.publish_layout()
             self._publish_outcome(attempt.plan, combined)
         else:
             self._replan(attempt, stamp, robots, combined)
+
+    def _is_noted(self, result: PlanResult) -> bool:
+        """Note the result of an attempt before its robots are cleared; return whether it is."""
+        try:
+            self._kept.note_result(result)
+        except BridgeError as error:
+            self._reporter.refuse(f"the plan ends without another attempt: {error}")
+            return False
+        return True
 
     def _combined(self, before: Replanning, attempt: Attempt, result: PlanResult) -> PlanResult:
         xy_mm = self.inputs.targets(attempt.stamp)
@@ -332,10 +342,7 @@ class Attempts:
         self._widen_at_rest()
         self._kept.publish_outcome(result, plan)
         self._ended = True
-        # robots without a target are no part of the plan, unless they failed
-        concerned = (result.reason != Reason.NO_TARGET) | (result.outcome != Outcome.HELD)
-        counts = np.bincount(result.outcome[concerned], minlength=len(Outcome))
-        summary = ", ".join(f"{counts[o]} {o.name.lower()}" for o in Outcome)
+        summary = result.summary
         self._reporter.counters |= {"plan": plan, "outcome": summary, "attempts": attempts}
         text = summary if attempts == 1 else f"{summary}, in {attempts} attempts"
         self._reporter.done(Attempt.first(plan), text)

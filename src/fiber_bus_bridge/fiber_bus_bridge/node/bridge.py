@@ -314,6 +314,7 @@ class BridgeNode(ManagedNode):
         return f"stopped: {SessionState.STOPPED.value}"
 
     def _clear(self) -> str:
+        self._kept_plan.tell()  # cleared robots do not
         self._session.clear(self._time.now_s())
         self._availability.restore()
         self._motion.publish_changes(last=True)

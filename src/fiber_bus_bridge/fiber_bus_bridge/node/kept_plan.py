@@ -12,8 +12,8 @@ from fiber_bus_bridge.left_plan import LeftPlan, load_left_plan, save_left_plan
 from fiber_bus_bridge.node.publishers import Publishers
 from fiber_bus_bridge.plan_result import PlanResult
 from fiber_bus_bridge.session import Session
+from fiber_core.array_types import Mask
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.outcomes import Outcome
 from fiber_msgs_py import PlanStamp
 from fiber_node import Reporter
 
@@ -50,7 +50,8 @@ class KeptPlan:
         self._path = None if memory is None else memory.with_name(memory.name + ".plan")
         self._own: LeftPlan | None = None
         self._left = self._load()  # of an earlier bridge, until it is told
-        session.look_back(self._left is not None and not self._left.ended)
+        is_open = self._left is not None and not self._left.ended
+        session.look_back(self._note_ends if is_open else None)
 
     def _load(self) -> LeftPlan | None:
         if self._path is None:
@@ -73,6 +74,17 @@ class KeptPlan:
         save_left_plan(self._path, plan, self._plane)
         self._own = plan
 
+    def note_result(self, result: PlanResult) -> None:
+        """Keep the result of an attempt, before its robots are cleared and forget it.
+
+        Raises:
+            BridgeError: the file cannot be written.
+        """
+        if self._path is None or self._own is None:
+            return
+        self._own = replace(self._own, started=np.zeros(self._plane.n, dtype=bool), result=result)
+        save_left_plan(self._path, self._own, self._plane)
+
     def publish_outcome(self, result: PlanResult, stamp: PlanStamp) -> None:
         """Publish the outcome of a plan; the file then has nothing to tell of it."""
         own = self._own
@@ -86,6 +98,16 @@ class KeptPlan:
             self._path.unlink(missing_ok=True)
         except OSError as error:
             self._reporter.refuse(f"plan under way {self._path} stays: {error}")
+
+    def _note_ends(self, at_rest: Mask) -> None:
+        # as `configure` has read the robots, before it deletes why they rest
+        session, left = self._session, self._left
+        if left is not None and not left.ended:
+            self._left = left.noted(
+                session.plane, session.angles, at_rest, session.robots["cause"],
+                session.config.tolerance_mm,
+            )  # fmt: skip
+            self._save(self._left)
 
     def tell(self) -> None:
         """Publish the outcome of the plan of an earlier bridge, once its robots rest."""
@@ -103,7 +125,7 @@ class KeptPlan:
         left, self._left = self._left, None
         if left is None:
             return
-        self._session.look_back(False)
+        self._session.look_back(None)
         session = self._session
         if not left.ended:
             robots = session.robots
@@ -114,9 +136,7 @@ class KeptPlan:
             self._save(left)
         stamp, result = PlanStamp(left.stamp_ns), left.result
         self._outgoing.publish_outcome(result, stamp)
-        counts = np.bincount(result.outcome[left.started], minlength=len(Outcome))
-        summary = ", ".join(f"{counts[each]} {each.name.lower()}" for each in Outcome)
-        self._reporter.info(f"plan {stamp}, whose bridge died, has ended: {summary} of those sent")
+        self._reporter.info(f"plan {stamp}, whose bridge died, has ended: {result.summary}")
 
     def _save(self, plan: LeftPlan) -> None:
         assert self._path is not None  # a plan was kept

@@ -138,7 +138,8 @@ class Context:
     state: State = State.UNCONFIGURED
     was_stopped: bool = False  # an earlier session left the robots stopped; nothing cleared them
     was_moving: bool = False  # an earlier session moved robots; a STOP since then was its own
-    left_plan: bool = False  # an earlier session left a plan, of which the robots tell the end
+    # called with the robots that were read at rest, before they forget how an earlier plan ended
+    note_ends: Callable[[Mask], None] | None = None
     log: list[Transition] = field(default_factory=list)
     t: float = -np.inf  # earliest time of the next message [s]
     now_s: float = -np.inf  # time of the last transition [s]

@@ -22,6 +22,7 @@ from fiber_core.outcomes import Reason
 
 __all__ = ["clear", "configure", "end", "end_plan", "look", "so_far"]
 
+_PATIENCE = 2.0  # in durations without a heartbeat: in which a robot stops without one
 _CONFIGS = 2  # attempts to configure a robot that reports a fault afterwards
 
 
@@ -32,8 +33,9 @@ def configure(c: Context) -> Event:
     identity = transactions.identities(np.arange(c.plane.n), t)
     rows = np.flatnonzero(identity.ok & (identity.serial == c.plane.ids))
     robots["known"] = False
-    if c.left_plan:
+    if c.note_ends is not None:
         _find_causes(c, rows)
+        c.note_ends(_rests(c))
     read_rows: list[Rows] = []
     sequences: list[Ints] = []
     for _ in range(_CONFIGS):
@@ -56,17 +58,32 @@ def configure(c: Context) -> Event:
     # where a robot is that was never read, and that nothing vouches for, is not known
     robots["lost"] |= ~robots["placed"]
     begin_sequences(c.buses, c.bus[np.concatenate(read_rows)], np.concatenate(sequences))
+    if c.note_ends is not None:  # some may have stopped meanwhile, and may be cleared now
+        c.note_ends(_rests(c))
     return _found(c)
 
 
 def _find_causes(c: Context, rows: Rows) -> None:
-    """Read why robots rest, before their configuration deletes it."""
+    """Read why robots rest, before their configuration deletes it.
+
+    Robots that move hear no heartbeat: they are waited for as long as they go on without one.
+    """
     robots = c.robots
     robots["state"] = 0
     status = c.read(rows, c.t)
+    moving = np.flatnonzero(robots["state"] == RobotState.MOVING)
+    if len(moving):
+        c.read(moving, c.transactions.now_s + _PATIENCE * c.silence_s)
     booted, before = np.zeros(len(robots), dtype=bool), robots["boot"][rows]
     booted[rows] = status.ok & (before >= 0) & (status.boot != before)
     robots["cause"] = resting_cause(robots, booted, c.cut_off)
+
+
+def _rests(c: Context) -> Mask:
+    """Robots that answered when they were read last, and rest where their encoders say, (n,)."""
+    state = c.robots["state"]
+    at_rest = (state != 0) & (state != RobotState.MOVING)
+    return at_rest & ~c.robots["lost"] & ~c.robots["unplaced"]
 
 
 def look(c: Context) -> Mask:
