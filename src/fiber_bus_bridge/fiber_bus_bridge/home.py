@@ -2,6 +2,7 @@
 """Motions of one segment a joint: home, and a test turn of robots at unknown places."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Counts, Ints, Mask
 from fiber_core.clearance import Certificate, Safety, hold_until_safe, levers_of
@@ -62,7 +63,7 @@ def _one_segment(
 
 
 def hold_beyond(
-    plane: FocalPlane, motion: SegmentMotion, safety: Safety, within_mm: float
+    plane: FocalPlane, motion: SegmentMotion, safety: Safety, within_mm: ArrayLike
 ) -> tuple[SegmentMotion, Mask, Certificate]:
     """Hold robots of which a point could move farther than a distance, wherever their arms are.
 
@@ -72,13 +73,13 @@ def hold_beyond(
         plane: the focal plane.
         motion: joint profiles of all robots, as ordered.
         safety: the timing errors.
-        within_mm: the distance [mm].
+        within_mm: the distance of each robot [mm], shape (n,) or one number.
 
     Returns:
         As of hold_until_safe, with a certificate without pairs.
     """
     travel = np.maximum(motion.highest - motion.start, motion.start - motion.lowest)
-    far = (travel * levers_of(plane)).sum(axis=1) > within_mm + _ROUNDING_MM
+    far = (travel * levers_of(plane)).sum(axis=1) > np.asarray(within_mm) + _ROUNDING_MM
     none = np.zeros((0, 2), dtype=np.int64)
     rest, held, certificate = hold_until_safe(plane, motion.without(far), safety, none)
     return rest, held | far, certificate

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.protocol import State
+from fiber_bus_bridge.protocol.turn_limits import learn_turn_limits
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.wire import encode_place
 from fiber_core.array_types import Mask
@@ -59,6 +60,8 @@ def place_robots(
     # of a robot that was seen before, an image alone does not tell the turn
     robots["unplaced"] &= ~(placed & turn_known & ~robots["seen"])
     robots["seen"] = robots["unplaced"] & (robots["seen"] | placed)
+    robots["guessed"] &= robots["unplaced"]
+    learn_turn_limits(session.protocol)
     return there
 
 
@@ -92,6 +95,7 @@ def widen_outlines(
         phi_radius=exact.phi_radius + wider[1],
     )
     context.pairs = neighbour_pairs(context.plane)
+    learn_turn_limits(context)
 
 
 def require_rest(session: Session, what: str) -> None:

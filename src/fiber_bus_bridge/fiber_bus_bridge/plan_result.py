@@ -31,14 +31,15 @@ class Plan:
         motion: orders of every robot, from the positions of the encoders.
         goals: target of each fibre [mm], shape (n, 2), nan = no target.
         fibre: number of the fibre that each target is for, -1 for any, shape (n,).
-        within_mm: distance beyond which no point of a robot moves, wherever its arms are [mm], so
-            that robots at unknown places may move; None for a plan of robots at known places.
+        within_mm: distance beyond which no point of a robot moves, wherever its arms are [mm],
+            shape (n,), so that robots at unknown places may move; None for a plan of robots at
+            known places.
     """
 
     motion: WireMotion
     goals: Points
     fibre: Ints
-    within_mm: float | None = None
+    within_mm: Floats | None = None
 
     @classmethod
     def of(

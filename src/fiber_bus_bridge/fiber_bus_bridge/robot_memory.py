@@ -27,6 +27,7 @@ __all__ = ["RobotMemory", "fingerprint", "load_memory", "save_memory"]
 _NAME = "memory of the robots"
 _FORMAT = "robot memory of fiber_bus_bridge, 1"
 _COLUMNS = ("theta", "phi", "placed", "lost", "boot", "failed")
+_TURNS = ("turn_down", "turn_up")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +44,8 @@ class RobotMemory:
         stopped: whether all robots were stopped and nothing has cleared them since.
         moving: whether robots move by orders of the controller, so that a STOP found later is its
             own, after a failure, if no other was asked for.
+        turn_limit: how far theta may turn down and up while the place of a robot is unknown
+            [quanta], shape (n, 2); None in files of earlier versions.
     """
 
     counts: Counts
@@ -53,6 +56,7 @@ class RobotMemory:
     sequence: Ints
     stopped: bool = False
     moving: bool = False
+    turn_limit: Counts | None = None
 
     def same(self, other: "RobotMemory") -> bool:
         """Return whether another memory has the same content."""
@@ -97,6 +101,9 @@ def save_memory(path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad
         "stopped": int(memory.stopped),
         "moving": int(memory.moving),
     }
+    if memory.turn_limit is not None:
+        for name, column in zip(_TURNS, memory.turn_limit.T, strict=True):
+            content[name] = column.tolist()
     write_checked(path, content, _NAME)
 
 
@@ -143,7 +150,17 @@ def _memory(
         int_column(content, "sequence", buses),
         _flag(content, "stopped"),
         _flag(content, "moving"),
+        _turn_limit(content, plane.n),
     )
+
+
+def _turn_limit(content: dict[str, object], n: int) -> Counts | None:
+    if not any(name in content for name in _TURNS):
+        return None
+    limit = np.stack([int_column(content, name, n) for name in _TURNS], axis=1)
+    if (limit < 0).any():
+        raise BridgeError("turn_down or turn_up holds a number below 0")
+    return limit
 
 
 def _flag(content: dict[str, object], name: str) -> bool:

@@ -25,8 +25,10 @@ from fiber_bus_bridge.protocol import (
 )
 from fiber_bus_bridge.protocol.ending import end_plan, look, so_far
 from fiber_bus_bridge.protocol.loading import begin_plan
+from fiber_bus_bridge.protocol.turn_limits import full_turn, learn_turn_limits
 from fiber_bus_bridge.robot_memory import RobotMemory
 from fiber_bus_bridge.session_config import SessionConfig
+from fiber_bus_bridge.session_memory import recall, remember
 from fiber_bus_bridge.session_state import SessionState, session_state
 from fiber_bus_bridge.transactions import Transactions
 from fiber_core.array_types import Angles, Codes, Counts, Mask, Velocities
@@ -84,6 +86,7 @@ class Session:
             plane, units, safety, self.config, self.transactions, certify,
             units.encoder_counts(plane, assumed),
         )  # fmt: skip
+        self.robots["turn_limit"] = full_turn(self.protocol)[:, None]
 
     has_buses: ClassVar[bool] = True  # of its own; else others drive the robots for it
 
@@ -182,16 +185,7 @@ class Session:
             starting: whether the verified robots are about to be sent a GO, or the robots that were
                 stopped after a failure are about to resume.
         """
-        robots = self.robots
-        # a robot that rested when it lost its power is where it was, as far as nothing moved it
-        lost = robots["lost"] & ~robots["recalled"] | (robots["verified"] if starting else False)
-        boot = np.where(robots["unplaced"], -1, robots["boot"])  # and its next boot is another one
-        return RobotMemory(
-            robots["counts"].copy(), robots["placed"].copy(), lost, boot,
-            failed.copy(), self.buses["sequence"].copy(),
-            self.state is SessionState.STOPPED,
-            starting or self.state is SessionState.MOVING,
-        )  # fmt: skip
+        return remember(self.protocol, failed, starting)
 
     def so_far(self) -> PlanResult:
         """Return the result of the plan if its controller dies after the GO that is about to go.
@@ -231,14 +225,11 @@ class Session:
         """
         if self.protocol.state is not State.UNCONFIGURED:
             raise self._refusal("recall a memory")
-        robots = self.robots
-        placed = memory.placed
-        robots["counts"][placed] = memory.counts[placed]
-        robots["placed"], robots["lost"] = placed, memory.lost
-        robots["boot"] = memory.boot
-        self.buses["sequence"] = memory.sequence
-        self.protocol.was_stopped = memory.stopped
-        self.protocol.was_moving = memory.moving
+        recall(self.protocol, memory)
+
+    def forget_turns(self) -> None:
+        """Let robots at unknown places not turn: earlier turns are not known."""
+        self.robots["turn_limit"] = 0
 
     def vouch(self, ids: ArrayLike) -> None:
         """Believe that robots rest where they were read last, or assumed.
@@ -247,7 +238,8 @@ class Session:
             ids: ids of the robots, shape (k,).
 
         Raises:
-            SessionError: a robot does not exist, its place is known, or robots are moving.
+            SessionError: a robot does not exist, its place is known, the bridge has set its
+                counters without knowing its place, or robots are moving.
         """
         self._require(Event.ENABLE, "vouch for robots")
         ids = np.asarray(ids, dtype=np.int64)
@@ -259,9 +251,16 @@ class Session:
         known = ~(self.robots["lost"] | self.robots["unplaced"])[rows]
         if known.any():
             raise SessionError(f"robot {ids[known][0]} cannot be vouched for: its place is known")
+        guessed = (self.robots["guessed"] & ~self.robots["seen"])[rows]
+        if guessed.any():
+            raise SessionError(
+                f"robot {ids[guessed][0]} cannot be vouched for: the bridge has set its counters, "
+                "and nothing tells where it rests; a camera tells (ros2 run fiber_client recover)"
+            )
         self.robots["placed"][rows], self.robots["lost"][rows] = True, False
-        for column in ("unplaced", "recalled", "seen"):
+        for column in ("unplaced", "recalled", "seen", "guessed"):
             self.robots[column][rows] = False
+        learn_turn_limits(self.protocol)
 
     def configure(self, t: float) -> float:
         """Identify the robots, and send units, limits and speeds to them.
@@ -375,7 +374,7 @@ class Session:
         c = self.protocol
         if c.state is not State.IDLE:
             raise self._refusal("home")
-        chosen = self.plane.enabled & self.known
+        chosen = self.plane.enabled & self.usable
         alone = np.floor(speeds_alone(self.plane)[:, 1] / self.units.velocity_rad_s)
         speed = np.minimum(c.speed[:, 1], alone.astype(np.int64))
         self.submit(home_motion(self.units, self.counts, c.limits[:, 1, 1], speed, chosen))

@@ -9,45 +9,87 @@ import numpy as np
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.home import turn_motion
 from fiber_bus_bridge.measured_places import require_rest
+from fiber_bus_bridge.protocol.turn_limits import full_turn
 from fiber_bus_bridge.session import Session
-from fiber_core.arm_bounds import turn_within
+from fiber_core.array_types import Ints, Mask
+from fiber_core.clearance import levers_of
 
-__all__ = ["turn_unplaced"]
+__all__ = ["refused_text", "turn_unplaced", "turns_of"]
 
 _SLOW = 5  # a test turn is so many times slower than theta can
+_LEAST = 2  # a camera tells little of a turn that is shorter than a full one over this number
 
 
-def turn_unplaced(
-    session: Session, t: float, up: bool, may_go: Callable[[], bool] = lambda: True
-) -> float:
+def turn_unplaced(session: Session, t: float, may_go: Callable[[], bool] = lambda: True) -> float:
     """Turn theta of the robots at unknown places, so little that nothing can touch.
 
     All of them stopped under a certificate, which left its margin between outlines. No point of
-    an arm moves by more than half of that, wherever the arms are.
+    an arm moves by more than half of that from there, wherever the arms are, in all turns together
+    (`protocol.turn_limits`). Each robot turns the way that it may turn farther.
 
     Args:
         session: the session with the robots.
         t: earliest time [s].
-        up: whether theta turns towards higher angles.
         may_go: as in Session.start.
 
     Returns:
         The time at which the buses are free [s].
 
     Raises:
-        SessionError: no robot that can be commanded is at an unknown place, robots move, are
-            stopped or have orders, or the session has no buses of its own.
+        SessionError: no robot that can be commanded is at an unknown place and may turn, robots
+            move, are stopped or have orders, or the session has no buses of its own.
     """
     require_rest(session, "turn at unknown places")
+    c = session.protocol
+    turn, refused = turns_of(session)
+    if not turn.any():
+        raise SessionError(
+            refused_text(session, refused)
+            if refused.any()
+            else "no robot that can be commanded is at an unknown place"
+        )
+    slow = c.speed[:, 0] // _SLOW
+    session.submit(turn_motion(session.units, session.counts, turn, slow, turn != 0))
+    assert c.plan is not None  # just submitted
+    within_mm = np.abs(turn) * session.units.quantum_rad * levers_of(session.plane)[:, 0]
+    c.plan = replace(c.plan, within_mm=within_mm)
+    return session.start(t, may_go)
+
+
+def turns_of(session: Session) -> tuple[Ints, Mask]:
+    """Return the test turn of each robot, and the robots that may not turn far enough.
+
+    Args:
+        session: the session with the robots.
+
+    Returns:
+        The turns of theta [quanta], 0 for none, and the robots at unknown places that rest as turns
+        before have used up half of their gaps, or their ranges end, shape (n,) each.
+    """
     c, robots = session.protocol, session.robots
     chosen = robots["unplaced"] & ~robots["seen"] & robots["known"] & session.plane.enabled
-    if not chosen.any():
-        raise SessionError("no robot that can be commanded is at an unknown place")
-    gap_mm = c.safety.margin_mm
-    turn = np.floor(turn_within(session.plane, gap_mm) / session.units.quantum_rad)
-    turn = (1 if up else -1) * turn.astype(np.int64)
-    slow = c.speed[:, 0] // _SLOW
-    session.submit(turn_motion(session.units, session.counts, turn, slow, chosen))
-    assert c.plan is not None  # just submitted
-    c.plan = replace(c.plan, within_mm=0.5 * gap_mm)
-    return session.start(t, may_go)
+    full = full_turn(c)
+    low, high = c.limits[:, 0].T
+    theta = robots["counts"][:, 0]
+    to_stop = np.maximum(np.stack([theta - low, high - theta], axis=1), 0)
+    down, up = np.minimum(np.minimum(robots["turn_limit"], to_stop), full[:, None]).T
+    turn = np.where(up >= down, up, -down)
+    far = np.abs(turn) * _LEAST >= full
+    return np.where(chosen & far, turn, 0), chosen & ~far
+
+
+def refused_text(session: Session, refused: Mask) -> str:
+    """Return the line that names robots at unknown places that rest in a test turn.
+
+    Args:
+        session: the session with the robots.
+        refused: these robots, shape (n,), at least one.
+    """
+    at = int(np.argmax(refused))
+    degrees = np.degrees(session.units.quantum_rad)
+    down, up = session.robots["turn_limit"][at] * degrees
+    return (
+        f"{refused.sum()} robots at unknown places rest, as turns before have used up half of "
+        f"their gaps: robot {session.plane.ids[at]} may turn by {down:.3f} deg down and "
+        f"{up:.3f} deg up of {full_turn(session.protocol)[at] * degrees:.3f} deg"
+    )

@@ -26,6 +26,7 @@ class Rig:
         faults=None,
         on_bus=10,
         certify=hold_until_safe,
+        robots=None,
         **positioners,
     ):
         rows = np.arange(n)
@@ -34,7 +35,8 @@ class Rig:
         self.units = WireUnits.for_plane(self.plane)
         folded = np.stack([np.linspace(-1, 1, n), np.full(n, 2.6)], axis=1)
         start = self.units.to_counts(folded if start is None else start)
-        self.robots = Positioners(
+        # robots of an earlier rig outlive its session
+        self.robots = robots or Positioners(
             addresses_of(self.plane), self.plane.ids, self.units.quantum_prad, start, **positioners
         )
         self.session = Session(

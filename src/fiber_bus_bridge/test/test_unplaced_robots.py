@@ -60,7 +60,7 @@ def test_counters_that_outlive_power_are_believed():
 def test_robots_at_unknown_places_turn_by_half_the_margin_and_no_other_moves():
     rig = with_lost_power(config=CONFIG)
     before = rig.where()
-    rig.t = turn_unplaced(rig.session, rig.t, up=True)
+    rig.t = turn_unplaced(rig.session, rig.t)
     rig.run()
     moved_rad = np.abs(rig.where() - before) * rig.units.quantum_rad
     moved_mm = (moved_rad * levers_of(rig.plane)).sum(axis=1)
@@ -73,7 +73,7 @@ def test_robots_at_unknown_places_turn_by_half_the_margin_and_no_other_moves():
     place_robots(rig.session, counts, np.ones(rig.plane.n, dtype=bool), rig.t)
     assert rig.session.usable.all() and not rig.session.robots["lost"].any()
     with pytest.raises(SessionError, match="no robot that can be commanded is at an unknown"):
-        turn_unplaced(rig.session, rig.t, up=False)
+        turn_unplaced(rig.session, rig.t)
 
 
 def test_a_robot_that_was_seen_rests_until_its_turn_is_vouched_for():

@@ -11,6 +11,7 @@ from rclpy.utilities import remove_ros_args
 
 from fiber_client.client import PlaneClient
 from fiber_client.closed_loop import CameraLoop
+from fiber_client.errors import PlaneRefusal
 from fiber_core.array_types import Ids, Mask
 from fiber_core.errors import FiberError
 from fiber_msgs_py import layout, topics
@@ -75,8 +76,14 @@ def recover(
     if lost.any():
         _take_image(client, loop)
     while _lost(client).any() and made < turns:
-        with client.stops_on_error(timeout_s):
-            client.end_of(client.call_service(topics.TURN, timeout_s), timeout_s)
+        try:
+            with client.stops_on_error(timeout_s):
+                client.end_of(client.call_service(topics.TURN, timeout_s), timeout_s)
+        except PlaneRefusal as refusal:
+            if made == 0:
+                raise
+            say(str(refusal))  # what was found stays found
+            break
         made += 1
         _take_image(client, loop)
         say(f"after test turn {made}: {_lost(client).sum()} robots at unknown places")

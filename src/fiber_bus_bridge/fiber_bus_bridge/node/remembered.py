@@ -92,8 +92,10 @@ class Remembered:
         except (BridgeError, OSError) as error:
             warn(
                 f"{error}; no robot that does not answer is believed to be where it was, and its "
-                "neighbours rest until it is read or vouched for"
+                "neighbours rest until it is read or vouched for; robots at unknown places do not "
+                "turn, as earlier turns may have used up half of their gaps"
             )
+            session.forget_turns()
             return None
 
     def save_or_warn(self) -> None:

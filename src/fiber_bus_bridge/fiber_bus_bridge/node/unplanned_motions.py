@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from fiber_bus_bridge.node.attempts import Attempts
 from fiber_bus_bridge.session import Session
-from fiber_bus_bridge.unplaced_robots import turn_unplaced
+from fiber_bus_bridge.unplaced_robots import refused_text, turn_unplaced, turns_of
 from fiber_core.outcomes import Reason
 
 __all__ = ["UnplannedMotions"]
@@ -35,19 +35,20 @@ class UnplannedMotions:
         self._session, self._attempts, self._now_s = session, attempts, now_s
         self._check_role, self._may_go = check_role, may_go
         self._report_started = report_started
-        self._up = False  # direction of the last test turn
 
     def home(self) -> str:
         """Fold robots; return how many were started."""
         return self._move("the robots go home", self._session.home)
 
     def turn(self) -> str:
-        """Turn robots at unknown places, to and fro; return how many were started."""
-        self._up = not self._up
-        return self._move(
+        """Turn robots at unknown places; return how many were started, and which rest."""
+        _, refused = turns_of(self._session)
+        rest = f"; {refused_text(self._session, refused)}" if refused.any() else ""
+        started = self._move(
             "robots at unknown places turn",
-            lambda t, may_go: turn_unplaced(self._session, t, self._up, may_go),
+            lambda t, may_go: turn_unplaced(self._session, t, may_go),
         )
+        return started + rest
 
     def _move(self, why: str, move: Callable[[float, Callable[[], bool]], float]) -> str:
         self._check_role()

@@ -9,6 +9,7 @@ from fiber_bus_bridge.protocol.decisions import own_fault, resting_cause
 from fiber_bus_bridge.protocol.loading import not_started
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import begin_sequences
+from fiber_bus_bridge.protocol.turn_limits import end_turn, learn_turn_limits
 from fiber_bus_bridge.wire import (
     Configuration,
     Opcode,
@@ -57,6 +58,7 @@ def configure(c: Context) -> Event:
     _place_unplaced(c, t)
     # where a robot is that was never read, and that nothing vouches for, is not known
     robots["lost"] |= ~robots["placed"]
+    learn_turn_limits(c)
     begin_sequences(c.buses, c.bus[np.concatenate(read_rows)], np.concatenate(sequences))
     if c.note_ends is not None:  # some may have stopped meanwhile, and may be cleared now
         c.note_ends(_rests(c))
@@ -109,6 +111,7 @@ def _place_unplaced(c: Context, t: float) -> None:
         place = encode_place(c.transactions.addresses[rows], counts[rows])
         c.transactions.send(rows, place, t)
         c.read(rows, t)
+    robots["guessed"][rows] = ~robots["recalled"][rows]
 
 
 def _found(c: Context) -> Event:
@@ -154,6 +157,9 @@ def end_plan(c: Context) -> PlanResult | None:
     c.plan = c.phase = c.watch = None
     if plan is None:
         return None
+    if plan.within_mm is not None:
+        end_turn(c)
+    learn_turn_limits(c)
     if loaded_plan is not None:
         # the robot's own fault, as just read, says more than that it was late
         fault = own_fault(robots, c.cut_off)

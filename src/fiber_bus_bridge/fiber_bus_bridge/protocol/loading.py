@@ -19,6 +19,7 @@ from fiber_bus_bridge.protocol.context import Context, Phase
 from fiber_bus_bridge.protocol.decisions import neighbours_of, not_loaded
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import SEQUENCES, Robots, begin_phase
+from fiber_bus_bridge.protocol.turn_limits import use_up_turn
 from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_load, encode_load
 from fiber_core.array_types import Bools, Codes, Mask, Rows
 from fiber_core.clearance import Certificate
@@ -70,16 +71,19 @@ def begin_plan(c: Context, t: float, may_go: Callable[[], bool]) -> None:
 def prepare(c: Context, motion: WireMotion, wanted: Mask, t: float) -> Phase:
     """Begin a phase: the wanted robots shall move, unless a lost robot is beside them.
 
+    A robot at an unknown place moves in a test turn alone, also if a camera has told all but its
+    turn of theta.
+
     Args:
         c: the controller.
         motion: orders of every robot, from the positions of the encoders.
         wanted: robots that shall move, shape (n,).
         t: earliest time of the first message [s].
     """
-    lost = c.robots["lost"]
+    lost, unplaced = c.robots["lost"], c.robots["unplaced"]
     if c.plan is not None and c.plan.within_mm is not None:
-        lost = np.zeros_like(lost)
-    blocked = wanted & (neighbours_of(lost, c.pairs) | lost)
+        lost = unplaced = np.zeros_like(lost)
+    blocked = wanted & (neighbours_of(lost, c.pairs) | lost | unplaced)
     begin_phase(c.robots, c.buses, wanted, blocked)
     c.phase = Phase(motion.only(wanted & ~blocked), t)
     return c.phase
@@ -172,6 +176,8 @@ def commit(c: Context, phase: Phase) -> LoadedPlan:
         started, not_started(robots, phase), c.buses["sequence"][c.bus], frames[rows], loaded,
         certificate, phase.go_s, phase.start_s,
     )  # fmt: skip
+    if c.plan is not None and c.plan.within_mm is not None:
+        use_up_turn(c)
     c.loaded_plan = loaded_plan
     c.loaded_plans.append(loaded_plan)
     robots["lost"] |= started

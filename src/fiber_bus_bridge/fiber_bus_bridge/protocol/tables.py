@@ -38,6 +38,8 @@ ROBOT = np.dtype(
         ("unplaced", "?"),  # its counters tell nothing: its place is unknown until it is told
         ("recalled", "?"),  # unplaced, and its counts are those at which it rested before
         ("seen", "?"),  # unplaced, and a camera has told all but the turn of theta
+        ("guessed", "?"),  # unplaced, and its counts are those to which the bridge has set them
+        ("turn_limit", "i8", (2,)),  # how far theta may turn down and up while unplaced [quanta]
         ("lost", "?"),  # moved at its last status, was started since, or is unplaced and not seen
         ("placed", "?"),  # its place was read, or is vouched for
         ("state", "i8"),  # RobotState, 0 without a reply
@@ -164,7 +166,7 @@ def observe(
         counters_kept: as of SessionConfig. Else a robot of another boot keeps the counts that it
             had, and is unplaced.
     """
-    fresh = np.zeros(len(rows), dtype=bool)
+    fresh, before = np.zeros(len(rows), dtype=bool), robots["unplaced"][rows].copy()
     if not counters_kept:
         fresh = status.boot != robots["boot"][rows]
         robots["unplaced"][rows] |= fresh | (status.alerts & Alert.STALLED != 0)
@@ -174,7 +176,8 @@ def observe(
     robots["velocity"][rows] = np.where(moves[:, None], distance / elapsed_s, 0.0)
     robots["read_s"][rows] = t
     kept = fresh & robots["placed"][rows]
-    robots["recalled"][rows] |= kept & ~robots["lost"][rows]
+    # a turn of theta that was guessed for a robot at an unknown place is no memory
+    robots["recalled"][rows] |= kept & ~robots["lost"][rows] & ~before
     robots["counts"][rows] = np.where(kept[:, None], robots["counts"][rows], status.position)
     robots["state"][rows] = status.state
     robots["fault"][rows] = status.fault
