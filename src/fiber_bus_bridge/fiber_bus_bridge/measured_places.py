@@ -8,14 +8,14 @@ from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.protocol import State
-from fiber_bus_bridge.protocol.turn_limits import learn_turn_limits
+from fiber_bus_bridge.protocol.turn_limits import known_again, learn_gaps
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.wire import encode_place
 from fiber_core.array_types import Mask
 from fiber_core.clearance import neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 
-__all__ = ["place_robots", "require_rest", "widen_outlines"]
+__all__ = ["learn_intervals", "place_robots", "require_rest", "widen_outlines"]
 
 
 def place_robots(
@@ -61,7 +61,7 @@ def place_robots(
     robots["unplaced"] &= ~(placed & turn_known & ~robots["seen"])
     robots["seen"] = robots["unplaced"] & (robots["seen"] | placed)
     robots["guessed"] &= robots["unplaced"]
-    learn_turn_limits(session.protocol)
+    known_again(session.protocol, placed)
     return there
 
 
@@ -95,7 +95,22 @@ def widen_outlines(
         phi_radius=exact.phi_radius + wider[1],
     )
     context.pairs = neighbour_pairs(context.plane)
-    learn_turn_limits(context)
+
+
+def learn_intervals(
+    session: Session, exact: FocalPlane, theta_mm: ArrayLike, phi_mm: ArrayLike
+) -> None:
+    """Take over how far robots at known places are apart, for test turns after a loss of power.
+
+    Args:
+        session: the session with the robots.
+        exact: the plane with outlines as they are.
+        theta_mm, phi_mm: as for widen_outlines, as known by the last image alone.
+    """
+    wide = replace(
+        exact, theta_radius=exact.theta_radius + theta_mm, phi_radius=exact.phi_radius + phi_mm
+    )
+    learn_gaps(session.protocol, wide)
 
 
 def require_rest(session: Session, what: str) -> None:

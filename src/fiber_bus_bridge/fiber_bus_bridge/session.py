@@ -25,7 +25,7 @@ from fiber_bus_bridge.protocol import (
 )
 from fiber_bus_bridge.protocol.ending import end_plan, look, so_far
 from fiber_bus_bridge.protocol.loading import begin_plan
-from fiber_bus_bridge.protocol.turn_limits import full_turn, learn_turn_limits
+from fiber_bus_bridge.protocol.turn_limits import full_turn, known_again
 from fiber_bus_bridge.robot_memory import RobotMemory
 from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.session_memory import recall, remember
@@ -260,7 +260,7 @@ class Session:
         self.robots["placed"][rows], self.robots["lost"][rows] = True, False
         for column in ("unplaced", "recalled", "seen", "guessed"):
             self.robots[column][rows] = False
-        learn_turn_limits(self.protocol)
+        known_again(self.protocol, self.robots["placed"] & ~self.robots["unplaced"])
 
     def configure(self, t: float) -> float:
         """Identify the robots, and send units, limits and speeds to them.

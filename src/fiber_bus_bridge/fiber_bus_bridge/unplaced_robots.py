@@ -25,7 +25,8 @@ def turn_unplaced(session: Session, t: float, may_go: Callable[[], bool] = lambd
 
     All of them stopped under a certificate, which left its margin between outlines. No point of
     an arm moves by more than half of that from there, wherever the arms are, in all turns together
-    (`protocol.turn_limits`). Each robot turns the way that it may turn farther.
+    (`protocol.turn_limits`). All turn one way, that in which more robots may turn: lights
+    that two robots reach then move in different directions. A robot that may not, rests.
 
     Args:
         session: the session with the robots.
@@ -72,10 +73,11 @@ def turns_of(session: Session) -> tuple[Ints, Mask]:
     low, high = c.limits[:, 0].T
     theta = robots["counts"][:, 0]
     to_stop = np.maximum(np.stack([theta - low, high - theta], axis=1), 0)
-    down, up = np.minimum(np.minimum(robots["turn_limit"], to_stop), full[:, None]).T
-    turn = np.where(up >= down, up, -down)
-    far = np.abs(turn) * _LEAST >= full
-    return np.where(chosen & far, turn, 0), chosen & ~far
+    may = np.minimum(np.minimum(robots["turn_limit"], to_stop), full[:, None])
+    far = (may * _LEAST >= full[:, None]) & chosen[:, None]
+    way = int(np.argmax(far.sum(axis=0)[::-1]))  # up where as many robots may
+    turn = np.where(far[:, 1 - way], may[:, 1 - way], 0)
+    return turn if way == 0 else -turn, chosen & ~far.any(axis=1)
 
 
 def refused_text(session: Session, refused: Mask) -> str:

@@ -8,7 +8,7 @@ from session_rig import Rig
 from fiber_bus_bridge import SessionConfig
 from fiber_bus_bridge.checked_file import read_checked, write_checked
 from fiber_bus_bridge.errors import SessionError
-from fiber_bus_bridge.measured_places import place_robots
+from fiber_bus_bridge.measured_places import learn_intervals, place_robots
 from fiber_bus_bridge.robot_memory import load_memory, save_memory
 from fiber_bus_bridge.unplaced_robots import turn_unplaced
 from fiber_core.clearance import Safety, gaps, levers_of, neighbour_pairs
@@ -35,6 +35,12 @@ def cut_power(rig, rows):
     rig.robots.power(np.asarray(rows), True, rig.t)
     rig.t += 0.1
     rig.call("configure")
+
+
+def place(rig, counts, chosen, turn_known=True):
+    """Tell robots where a camera has seen them, without an error."""
+    place_robots(rig.session, counts, chosen, rig.t, turn_known)
+    learn_intervals(rig.session, rig.plane, 0.0, 0.0)
 
 
 def remembered(rig, path, starting=False):
@@ -143,7 +149,7 @@ def close_pair(rig, gap_mm):
 def test_a_pair_that_a_camera_saw_closer_than_the_margin_does_not_turn_together(tmp_path):
     rig = new_rig()
     counts, pair = close_pair(rig, 0.01)
-    place_robots(rig.session, counts, ALL, rig.t)
+    place(rig, counts, ALL)
     assert rig.session.usable.all()
     cut_power(rig, np.arange(N))
     later = new_rig(rig, remembered(rig, tmp_path / "robots.json"))
@@ -162,7 +168,7 @@ def test_robots_that_are_placed_again_turn_as_far_as_their_gaps_allow():
         rig.t = turn_unplaced(rig.session, rig.t)
         rig.run()
         arms.look()
-        place_robots(rig.session, rig.where(), ALL, rig.t)
+        place(rig, rig.where(), ALL)
         cut_power(rig, np.arange(N))
         arms.forget()
     at = rig.units.to_angles(rig.where())
@@ -178,7 +184,7 @@ def test_a_robot_beside_one_that_is_not_found_keeps_its_limit_when_it_is_found()
         rig.t = turn_unplaced(rig.session, rig.t)
         rig.run()
         arms.look()
-        place_robots(rig.session, rig.where(), found, rig.t)
+        place(rig, rig.where(), found)
         cut_power(rig, np.flatnonzero(found))
         arms.forget()
     beside = neighbour_pairs(rig.plane)
@@ -189,10 +195,10 @@ def test_a_robot_beside_one_that_is_not_found_keeps_its_limit_when_it_is_found()
 def seen_rig():
     """A rig with robots of which a camera has told all but the turn of theta."""
     rig = new_rig()
-    place_robots(rig.session, rig.where(), ALL, rig.t)
+    place(rig, rig.where(), ALL)
     rows = np.array([0, 7])
     cut_power(rig, rows)
-    place_robots(rig.session, rig.where(), ALL, rig.t, turn_known=~ALL)
+    place(rig, rig.where(), ALL, turn_known=~ALL)
     assert rig.session.robots["seen"][rows].all()
     return rig, rows
 

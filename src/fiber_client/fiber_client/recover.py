@@ -93,7 +93,10 @@ def recover(
 
 def _take_image(client: PlaneClient, loop: CameraLoop) -> None:
     """Take an image, and wait until the layout tells which robots it has found."""
-    image = loop.take_image()
+    try:
+        image = loop.take_image()
+    except PlaneRefusal:  # counters that were set just before may have come late: once more
+        image = loop.take_image()
     found = image.ids[np.isfinite(image.places[:, 0])]
     rows = client.plane.index_of(found)
     client.wait_for(

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from fiber_bus_bridge.errors import BridgeError
-from fiber_bus_bridge.measured_places import widen_outlines
+from fiber_bus_bridge.measured_places import learn_intervals, widen_outlines
 from fiber_bus_bridge.node.publishers import Publishers
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.session_state import SessionState
@@ -103,6 +103,7 @@ class Outlines:
         """
         self._grow(known_mm, straight=False)
         self.known_mm, self._seen = known_mm, True
+        learn_intervals(self._session, self._exact, *known_mm.T)
 
     def _wear(self, straight: bool) -> None:
         if self._grow(self.known_mm, straight and self._seen):

@@ -9,7 +9,7 @@ from fiber_bus_bridge.protocol.decisions import own_fault, resting_cause
 from fiber_bus_bridge.protocol.loading import not_started
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import begin_sequences
-from fiber_bus_bridge.protocol.turn_limits import end_turn, learn_turn_limits
+from fiber_bus_bridge.protocol.turn_limits import end_turn, restore_turns
 from fiber_bus_bridge.wire import (
     Configuration,
     Opcode,
@@ -58,7 +58,7 @@ def configure(c: Context) -> Event:
     _place_unplaced(c, t)
     # where a robot is that was never read, and that nothing vouches for, is not known
     robots["lost"] |= ~robots["placed"]
-    learn_turn_limits(c)
+    restore_turns(c)
     begin_sequences(c.buses, c.bus[np.concatenate(read_rows)], np.concatenate(sequences))
     if c.note_ends is not None:  # some may have stopped meanwhile, and may be cleared now
         c.note_ends(_rests(c))
@@ -159,7 +159,7 @@ def end_plan(c: Context) -> PlanResult | None:
         return None
     if plan.within_mm is not None:
         end_turn(c)
-    learn_turn_limits(c)
+    restore_turns(c)
     if loaded_plan is not None:
         # the robot's own fault, as just read, says more than that it was late
         fault = own_fault(robots, c.cut_off)

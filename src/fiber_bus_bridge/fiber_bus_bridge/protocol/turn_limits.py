@@ -16,10 +16,19 @@ import numpy as np
 
 from fiber_bus_bridge.protocol.context import Context
 from fiber_core.arm_bounds import turn_within
-from fiber_core.array_types import Ints, Mask
+from fiber_core.array_types import Floats, Ints, Mask
 from fiber_core.clearance import gaps
+from fiber_core.focal_plane import FocalPlane
 
-__all__ = ["end_turn", "full_turn", "learn_turn_limits", "turn_used_up", "use_up_turn"]
+__all__ = [
+    "end_turn",
+    "full_turn",
+    "known_again",
+    "learn_gaps",
+    "restore_turns",
+    "turn_used_up",
+    "use_up_turn",
+]
 
 
 def full_turn(c: Context) -> Ints:
@@ -27,24 +36,52 @@ def full_turn(c: Context) -> Ints:
     return np.floor(turn_within(c.plane, c.safety.margin_mm) / c.units.quantum_rad).astype(np.int64)
 
 
-def learn_turn_limits(c: Context) -> None:
-    """Take over the gaps between robots whose places are known now; places may be intervals."""
+def learn_gaps(c: Context, plane: FocalPlane) -> None:
+    """Take over the gaps between robots at known places after an image.
+
+    Args:
+        c: the controller.
+        plane: the plane with outlines that hold the arms wherever they may be.
+    """
     if c.config.counters_kept:
         return
-    robots, n = c.robots, c.plane.n
+    known, beside, gap_mm = _gaps(c, plane)
+    turn = turn_within(c.plane, gap_mm) / c.units.quantum_rad
+    limit = np.repeat(np.floor(turn).astype(np.int64)[:, None], 2, axis=1)
+    before = c.robots["turn_limit"]
+    limit = np.where(beside[:, None], np.minimum(before, limit), limit)
+    c.robots["turn_limit"] = np.where(known[:, None], limit, before)
+
+
+def restore_turns(c: Context) -> None:
+    """Let robots that keep the margin to all neighbours, at known places, turn as far as it allows.
+
+    A certified motion brings no pair closer than the margin, or than it was: other limits hold on.
+    """
+    if c.config.counters_kept:
+        return
+    known, beside, gap_mm = _gaps(c, c.plane)
+    apart = known & ~beside & (gap_mm >= c.safety.margin_mm)
+    c.robots["turn_limit"][apart] = full_turn(c)[apart, None]
+
+
+def known_again(c: Context, chosen: Mask) -> None:
+    """Let robots whose places become known turn no farther than half of the margin either way."""
+    limit = c.robots["turn_limit"]
+    limit[chosen] = np.minimum(limit, full_turn(c)[:, None])[chosen]
+
+
+def _gaps(c: Context, plane: FocalPlane) -> tuple[Mask, Mask, Floats]:
+    """Robots at known places, those beside unknown places, and gaps up to the margin, (n,) each."""
+    robots, n, all_bodies = c.robots, c.plane.n, c.plane.n + c.plane.fixtures
     known = robots["placed"] & ~robots["lost"] & (~robots["unplaced"] | robots["seen"])
     there = np.append(known, np.ones(c.plane.fixtures, dtype=bool))[c.pairs]
     both = there.all(axis=1)
-    gap_mm = np.full(n + c.plane.fixtures, c.safety.margin_mm)
-    apart = gaps(c.plane, c.pairs[both], c.units.to_angles(robots["counts"]))
+    apart = gaps(plane, c.pairs[both], c.units.to_angles(robots["counts"]))
+    gap_mm, beside = np.full(all_bodies, c.safety.margin_mm), np.zeros(all_bodies, dtype=bool)
     np.minimum.at(gap_mm, c.pairs[both], np.maximum(apart, 0.0)[:, None])
-    beside = np.zeros(n + c.plane.fixtures, dtype=bool)
     beside[c.pairs[~both]] = True
-    turn = turn_within(c.plane, gap_mm[:n]) / c.units.quantum_rad
-    limit = np.repeat(np.floor(turn).astype(np.int64)[:, None], 2, axis=1)
-    before = robots["turn_limit"]
-    limit = np.where(beside[:n, None], np.minimum(before, limit), limit)
-    robots["turn_limit"] = np.where(known[:, None], limit, before)
+    return known, beside[:n], gap_mm[:n]
 
 
 def turn_used_up(limit: Ints, turn: Ints, chosen: Mask) -> Ints:
