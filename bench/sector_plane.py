@@ -137,7 +137,7 @@ def run_sector(path: Path, k: int, setting: Setting) -> None:
         SessionConfig(resumes=0), certified_elsewhere,
     )  # fmt: skip
     link = setting.socket(spaces.address(k), spaces.address(k, ours=True), k)
-    sector = Sector(k, session, Terms(), time.time_ns(), link.send, clock)
+    sector = Sector(k, session, Terms(), time.time_ns(), link.send, clock, scale=setting.scale)
     link.listen(sector.inbox.put)
     sector.serve(lambda: False)
 
@@ -169,7 +169,8 @@ def coordinate(pipe: Connection, orders: Orders | None, setting: Setting) -> Non
     problem, clock = setting.problem, setting.clock(COORDINATOR)
     session = SectoredSession(
         problem.plane, WireUnits.for_plane(problem.plane), Safety(), problem.start,
-        SessionConfig(), Terms(), _Links(setting), Pace(clock, 5.0, _CALL_S / setting.scale),
+        SessionConfig(), Terms(), _Links(setting),
+        Pace(clock, 5.0, _CALL_S / setting.scale, setting.scale),
     )  # fmt: skip
     conductor, go = session.sectors.conductor, session.sectors.conductor.go
 

@@ -89,6 +89,7 @@ class Session:
         self.robots["turn_limit"] = full_turn(self.protocol)[:, None]
 
     has_buses: ClassVar[bool] = True  # of its own; else others drive the robots for it
+    border_skews_s: tuple[float, float] | None = None  # that robots of two sectors need [s]
 
     @property
     def plane(self) -> FocalPlane:

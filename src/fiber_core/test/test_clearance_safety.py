@@ -15,6 +15,7 @@ from fiber_core.clearance import (
     point_speeds,
     sampled_gaps,
 )
+from fiber_core.errors import MotionError
 from fiber_core.motion import SegmentMotion
 from fiber_core.presets import PRESETS, plane_from, preset
 
@@ -162,3 +163,12 @@ def test_obstacles_belong_to_no_sector():
     speeds = point_speeds(levers_of(plane), plane.speeds)
     required = Safety().required_at(speeds, 1.0, pairs, sector=plane.sector)
     np.testing.assert_array_equal(required, Safety().required_at(speeds, 1.0, pairs))
+
+
+@pytest.mark.parametrize("name", ["border_start_skew_s", "border_stop_skew_s"])
+def test_skews_of_borders_smaller_than_sectors_need_are_refused_with_both_values(name):
+    safety = Safety()
+    needs_s = (safety.border_start_skew_s, safety.border_stop_skew_s)
+    safety.check_borders(*needs_s)
+    with pytest.raises(MotionError, match=rf"direct.{name} is 0\.001 s, .* need 0\.0"):
+        replace(safety, **{name: 1e-3}).check_borders(*needs_s, "direct")

@@ -126,6 +126,7 @@ class DiscretizerNode(ManagedNode):
         try:
             ids, motion, velocities = trajectory.decode(message)
             safety, state = self._safety.value, self._plane_cache.state
+            safety.check_borders(*state.border_skews_s)
             text = f"plan {attempt}: profiles of {len(ids)} robots, {self._options.value.sharing}"
             self.reporter.debug(text)
             result = discretize_trajectory(

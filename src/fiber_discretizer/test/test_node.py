@@ -64,9 +64,11 @@ class Rest:
             lambda: self.diagnostics and self.progress.get_subscription_count() > 1, WAIT_S
         )
 
-    def show_plane(self):
+    def show_plane(self, border_skews_s=None):
         still = np.zeros((7, 2))
-        self.layout.publish(layout.encode(PLANE, UNITS, PlanStamp(1), self.session))
+        self.layout.publish(
+            layout.encode(PLANE, UNITS, PlanStamp(1), self.session, border_skews_s=border_skews_s)
+        )
         self.states.publish(joint_states.encode(PLANE.ids, START, still, 1, self.session))
         self.peer.wait_for(lambda: self.status().values.get("robots") == "7", WAIT_S)
 
@@ -166,6 +168,12 @@ def test_a_trajectory_of_another_plane_is_refused(rest):
     rest.show_plane()
     rest.send(9, PLANE.ids + 90)
     rest.wait_refusal("robot 90 of the trajectory is not in the layout")
+
+
+def test_a_trajectory_is_refused_where_sectors_need_larger_skews_than_are_certified(rest):
+    rest.show_plane((2e-3, 30e-3))
+    rest.send(9)
+    rest.wait_refusal("safety.border_stop_skew_s is 0.027 s, the terms of the sectors need 0.03 s")
 
 
 def test_a_value_that_is_not_finite_is_refused_by_robot(rest):

@@ -14,7 +14,7 @@ from fiber_msgs_py.ids import checked_ids, refuse
 from fiber_msgs_py.stamps import PlanStamp
 from fiber_msgs_py.table import column_names, decode_table, encode_table
 
-__all__ = ["RECALLED", "SEEN", "decode", "decode_unplaced", "encode"]
+__all__ = ["RECALLED", "SEEN", "decode", "decode_border_skews", "decode_unplaced", "encode"]
 
 # of a robot whose counters do not tell its place: they read where it rested before; a camera has
 # told all but the turn of theta
@@ -43,6 +43,9 @@ _DRIVE = {"drive": "<f8"}
 _DRIVE_NUMBERS = 13
 # a plane of one sector has no such column
 _SECTOR = {"sector": "<u2"}
+# the skews of start and stop that robots of two sectors need [s], the same in every row; a plane
+# of one sector has no such column
+_BORDER = {"border_skews": "<f8"}
 # 1 of a robot at an unknown place, RECALLED or SEEN, else 0; a plane of robots at known places has
 # no such column
 _UNPLACED = {"unplaced": "<u1"}
@@ -51,7 +54,7 @@ _NAMES = {"fibre_names": "<u1"}
 # of robots with coupled joints: the rows of the matrix, the speeds [rad/s], and low, high [rad]
 _MOTORS = {"coupling": "<f8", "motor_speed": "<f8", "motor_range": "<f8"}
 
-_LISTS = _OUTLINES | _DRIVE | _MOTORS | _NAMES | _SECTOR | _UNPLACED
+_LISTS = _OUTLINES | _DRIVE | _MOTORS | _NAMES | _SECTOR | _BORDER | _UNPLACED
 
 
 def encode(
@@ -60,6 +63,7 @@ def encode(
     stamp: PlanStamp,
     session: str | None = None,
     unplaced: Ints | None = None,
+    border_skews_s: tuple[float, float] | None = None,
 ) -> PointCloud2:
     """Return a focal plane and its wire units as a message, without the name of the
     plane.
@@ -71,6 +75,8 @@ def encode(
         session: id of the session that the bridge has opened.
         unplaced: 0 for robots at known places, else 1, RECALLED or SEEN, shape (n,); None for no
             robot at an unknown place.
+        border_skews_s: skews of start and stop that robots of two sectors need [s]; None for a
+            plane of one sector.
 
     Raises:
         MessageError: no robot, or an id, bus, address or unit does not fit its column.
@@ -91,6 +97,8 @@ def encode(
     gears = [(name, "<f8", (v[0].size,)) for name, v in motors.items() if v.shape[1]]
     names = np.frombuffer("\n".join(plane.fibre_names).encode(), np.uint8)
     named = [("fibre_names", "<u1", (len(names),))] if len(names) else []
+    if border_skews_s is not None:
+        named.append(("border_skews", "<f8", (2,)))
     numbers = {"id": ids, "bus": plane.bus, "address": plane.address}
     if plane.sector.any():
         numbers["sector"], named = plane.sector, [*named, *_SECTOR.items()]
@@ -116,6 +124,8 @@ def encode(
         robots[name] = vertices[name].reshape(n, width) / 1e3
     if len(names):
         rows["fibre_names"] = names
+    if border_skews_s is not None:
+        rows["border_skews"] = border_skews_s
     for name, _, (width,) in gears:
         robots[name] = motors[name].reshape(n, width)
     robots["theta_min"], robots["theta_max"] = plane.limits[:, 0].T
@@ -129,12 +139,16 @@ def encode(
     if len(walls):
         walls["wall"] = plane.walls.reshape(len(walls), -1) / 1e3
     rows["spacing"], rows["envelope"] = plane.spacing_mm / 1e3, plane.envelope_mm / 1e3
+    _fill_units(rows, units)
+    return encode_table(rows, stamp, session)
+
+
+def _fill_units(rows: np.ndarray, units: WireUnits) -> None:
     for name in _UNITS:
         value = getattr(units, name)
         if not 0 < value <= np.iinfo(rows[name].dtype).max:
             raise MessageError("layout", "does not fit its column", field=name, value=value)
         rows[name] = value
-    return encode_table(rows, stamp, session)
 
 
 def decode_unplaced(message: PointCloud2) -> Ints:
@@ -158,6 +172,29 @@ def decode_unplaced(message: PointCloud2) -> Ints:
     bad = values[:, 0] > SEEN
     refuse(bad, "layout", "unplaced", robots["id"], values[:, 0], "is none of 0 to 3")
     return values[:, 0].astype(np.int64)
+
+
+def decode_border_skews(message: PointCloud2) -> tuple[float, float]:
+    """Return the skews of start and stop that robots of two sectors need [s], 0 without sectors.
+
+    Raises:
+        MessageError: the table is malformed, or a skew is negative, not finite or not the same in
+            all rows.
+    """
+    rows = decode_table(message, "layout", {"id": "<u4", "kind": "<u1"}, lists=_BORDER)
+    if "border_skews" not in column_names(rows) or len(rows) == 0:
+        return 0.0, 0.0
+    skews_s = rows["border_skews"]
+    if skews_s.shape[1] != 2:
+        raise MessageError(
+            "layout", "numbers, expected 2", field="border_skews has", value=skews_s.shape[1]
+        )
+    for k in range(2):
+        values = skews_s[:, k]
+        bad = ~(np.isfinite(values) & (values >= 0.0) & (values == values[0]))
+        why = f"is no time, or not the {values[0]:g} s of the other rows"
+        refuse(bad, "layout", "border_skews", rows["id"], values, why)
+    return float(skews_s[0, 0]), float(skews_s[0, 1])
 
 
 def _vertices_of(plane: FocalPlane) -> dict[str, Floats]:

@@ -14,7 +14,7 @@ from fiber_msgs_py.table import encode_table
 
 LISTS = (
     *("phi_outline", "theta_outline", "wall", "fibres", "fibre_names", "drive"),
-    *("coupling", "motor_speed", "motor_range"),
+    *("coupling", "motor_speed", "motor_range", "border_skews"),
 )
 UNITS = WireUnits(tick_us=60_000, quantum_prad=4_000_000_000, velocity_bits=16, duration_bits=12)
 
@@ -275,3 +275,18 @@ def test_robots_at_unknown_places_travel_with_the_layout(plane, stamp):
     wrong = layout.encode(plane, UNITS, stamp, unplaced=told)
     with pytest.raises(MessageError, match=f"robot {plane.ids[1]}.*unplaced"):
         layout.decode_unplaced(wrong)
+
+
+def test_the_skews_that_sectors_need_travel_with_the_layout(plane, stamp):
+    assert layout.decode_border_skews(layout.encode(plane, UNITS, stamp)) == (0.0, 0.0)
+    message = layout.encode(plane, UNITS, stamp, border_skews_s=(2.2e-3, 27e-3))
+    assert layout.decode_border_skews(message) == (2.2e-3, 27e-3)
+    np.testing.assert_array_equal(layout.decode(message)[0].ids, plane.ids)
+
+
+@pytest.mark.parametrize("wrong", [-1e-3, np.nan, np.inf, 20e-3])
+def test_skews_of_sectors_that_are_no_times_or_differ_are_refused_by_robot(plane, stamp, wrong):
+    rows = raw_rows(layout.encode(plane, UNITS, stamp, border_skews_s=(2.2e-3, 27e-3))).copy()
+    rows["border_skews"][1, 1] = wrong
+    with pytest.raises(MessageError, match=f"robot {plane.ids[1]}.*border_skews"):
+        layout.decode_border_skews(encode_table(rows, stamp))

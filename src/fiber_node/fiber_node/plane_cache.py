@@ -27,12 +27,14 @@ class PlaneState(NamedTuple):
         units: tick, quantum and field widths of its hardware.
         angles: joint angles by the robots' encoders [rad], shape (n, 2).
         moving: whether any robot moves.
+        border_skews_s: skews of start and stop that robots of two sectors need [s].
     """
 
     plane: FocalPlane
     units: WireUnits
     angles: Angles
     moving: bool
+    border_skews_s: tuple[float, float]
 
 
 class PlaneCache:
@@ -49,7 +51,7 @@ class PlaneCache:
 
     def __init__(self, gate: SessionGate, report: Reporter):
         self._report = report
-        self._layout: tuple[FocalPlane, WireUnits] | None = None
+        self._layout: tuple[FocalPlane, WireUnits, tuple[float, float]] | None = None
         self._states: tuple[Ids, Angles, Velocities] | None = None
         self._layout_ns = self._states_ns = -1
         self._states_session: str | None = None
@@ -91,8 +93,8 @@ class PlaneCache:
         if pair is None:
             missing = "layout" if self._layout is None else "joint states of this layout"
             raise MessageError(missing, "not received yet")
-        (plane, units), (_, angles, velocities) = pair
-        return PlaneState(plane, units, angles, bool(np.any(velocities)))
+        (plane, units, border_skews_s), (_, angles, velocities) = pair
+        return PlaneState(plane, units, angles, bool(np.any(velocities)), border_skews_s)
 
     def _pair(self):
         layout, states = self._layout, self._states  # a worker reads while callbacks replace
@@ -113,7 +115,8 @@ class PlaneCache:
 
     def _on_layout(self, message: PointCloud2) -> None:
         try:
-            self._layout, ns = layout.decode(message), PlanStamp.of(message).ns
+            found = *layout.decode(message), layout.decode_border_skews(message)
+            self._layout, ns = found, PlanStamp.of(message).ns
         except FiberError as error:
             self._report.refuse(f"layout refused: {error}", "layout")
         else:

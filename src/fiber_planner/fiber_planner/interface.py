@@ -20,12 +20,14 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 
 from fiber_core.array_types import Angles, Codes, Pairs
+from fiber_core.clearance import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.problem import Problem
 from fiber_planner.errors import PlannerError
 
-__all__ = ["PlannedMotion", "Planner", "ProgressCallback", "SpacedPlanner", "spacing_of"]
+__all__ = ["PlannedMotion", "Planner", "ProgressCallback", "SpacedPlanner", "check_borders",
+           "spacing_of"]  # fmt: skip
 
 # Called from time to time with the fraction of the work that is done, 0..1, and a short text. It
 # ends the planning by raising an exception, which the planner lets pass.
@@ -110,6 +112,23 @@ class SpacedPlanner(Planner, Protocol):
             PlannerError: the parameters of the planner do not suit the plane.
         """
         ...
+
+
+def check_borders(planner: Planner, skews_s: tuple[float, float]) -> None:
+    """Check that a planner leaves the gaps that the sectors of a plane need at their borders.
+
+    A planner without a certificate of its own leaves no such gaps; the discretizer does.
+
+    Args:
+        planner: the planner.
+        skews_s: skews of start and stop that robots of two sectors need [s].
+
+    Raises:
+        MotionError: a skew of its parameters is smaller; names it and both values.
+    """
+    safety = getattr(getattr(planner, "parameters", None), "safety", None)
+    if isinstance(safety, Safety):
+        safety.check_borders(*skews_s, planner.name)
 
 
 def spacing_of(planner: Planner, plane: FocalPlane) -> float:

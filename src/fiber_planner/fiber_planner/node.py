@@ -32,7 +32,7 @@ from fiber_node import (
     run,
 )
 from fiber_planner.errors import PlannerError
-from fiber_planner.interface import Planner, spacing_of
+from fiber_planner.interface import Planner, check_borders, spacing_of
 from fiber_planner.plan_stage import PlanStageResult, plan_assignment
 from fiber_planner.registry import (
     DEFAULT_PLANNER,
@@ -169,7 +169,7 @@ class PlannerNode(ManagedNode):
             return  # deactivated while the attempt waited for the plane
         try:
             ids, xy_mm = targets.decode(message)
-            plane, _, start, moving = self._plane_cache.state
+            plane, _, start, moving, border_skews_s = self._plane_cache.state
             if moving:
                 self.reporter.refuse(
                     f"targets {attempt} refused: robots are moving", "targets", attempt
@@ -178,6 +178,7 @@ class PlannerNode(ManagedNode):
             plane = targets.plane_for(plane, message)
             straight = targets.decode_straight(message)
             planner = self._straight() if straight else self._moving(plane, attempt)
+            check_borders(planner, border_skews_s)
             self.reporter.debug(f"plan {attempt}: {len(ids)} targets, planner {planner.name}")
             spacing_mm = spacing_of(planner, plane)
             assignment = assign(plane, start, ids, xy_mm, spacing_mm=spacing_mm)

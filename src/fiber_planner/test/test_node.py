@@ -62,9 +62,11 @@ class Rest:
             WAIT_S,
         )
 
-    def show_plane(self, velocity=0.0, ns=1):
+    def show_plane(self, velocity=0.0, ns=1, border_skews_s=None):
         speeds = np.full_like(PROBLEM.start, velocity)
-        self.layout.publish(layout.encode(PLANE, UNITS, PlanStamp(ns), self.session))
+        self.layout.publish(
+            layout.encode(PLANE, UNITS, PlanStamp(ns), self.session, border_skews_s=border_skews_s)
+        )
         self.states.publish(joint_states.encode(PLANE.ids, PROBLEM.start, speeds, ns, self.session))
         self.peer.wait_for(lambda: self.status().values.get("robots") == "7", WAIT_S)
 
@@ -137,6 +139,12 @@ def test_targets_while_robots_move_are_refused(rest):
     rest.show_plane(velocity=0.1)
     rest.ask(9)
     rest.wait_refusal("robots are moving", 9)
+
+
+def test_targets_are_refused_where_sectors_need_larger_skews_than_the_planner_keeps(rest):
+    rest.show_plane(border_skews_s=(2e-3, 30e-3))
+    rest.ask(9)
+    rest.wait_refusal("direct.border_stop_skew_s is 0.027 s, the terms of the sectors need 0.03", 9)
 
 
 def test_a_robot_the_plane_does_not_have_is_refused_by_name(rest):

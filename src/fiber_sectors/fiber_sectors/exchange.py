@@ -47,6 +47,7 @@ class Pace:
         clock: time of this host [s]; None for simulated buses, whose time goes on with beats.
         patience_s: longest wait for a sector while simulated time stands still [s].
         call_s: longest wait for the answer of a call [s].
+        scale: seconds of the clock in one of this machine.
         wall: time of the machine [s].
         number: a number that rises, also from one process to the next.
     """
@@ -54,6 +55,7 @@ class Pace:
     clock: Callable[[], float] | None = None
     patience_s: float = 5.0
     call_s: float = 120.0
+    scale: float = 1.0
     wall: Callable[[], float] = time.monotonic
     number: Callable[[], int] = time.time_ns
 
@@ -277,7 +279,7 @@ class Sectors:
         data, begin_s = encode_beat(beat), self._wall()
         if self._clock is not None:
             self._send_all(data)
-            until_s = begin_s + self._terms.period_s
+            until_s = begin_s + self._terms.period_s / self._pace.scale
             while (left_s := until_s - self._wall()) > 0.0:
                 for message in self._links.receive(left_s):
                     self._hear(message)

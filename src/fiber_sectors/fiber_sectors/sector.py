@@ -35,6 +35,7 @@ from fiber_sectors.calls import (
 )
 from fiber_sectors.errors import SectorError
 from fiber_sectors.inbox import Inbox
+from fiber_sectors.leased import LeasedBuses
 from fiber_sectors.member import Decision, Member
 from fiber_sectors.messages import decode_beat, encode_report
 from fiber_sectors.tables import motion_of, table_of, take_places
@@ -70,7 +71,11 @@ class Sector:
         send: sends bytes to the coordinator.
         clock: time of the buses [s]; None for simulated ones, whose time goes on with beats.
         patience_s: longest wait for a beat while the time of simulated buses stands still [s].
+        scale: seconds of the clock in one of this machine.
         wall: time of the machine [s].
+
+    Raises:
+        SectorError: the settings of the session do not keep to the terms.
     """
 
     def __init__(
@@ -82,18 +87,23 @@ class Sector:
         send: Callable[[bytes], None],
         clock: Callable[[], float] | None = None,
         patience_s: float = 5.0,
+        scale: float = 1.0,
         wall: Callable[[], float] = time.monotonic,
     ):
+        terms.check_session(session.config)
         self._number, self._session, self._terms = number, session, terms
+        self._leased = LeasedBuses(session.transactions.backend, clock) if clock else None
+        if self._leased is not None:
+            session.transactions.backend = self._leased
         self._send, self._clock, self._wall = send, clock, wall
-        self._patience_s = patience_s
+        self._patience_s, self._scale = patience_s, scale
         self.member = Member(number, boot, terms)
         self.inbox = Inbox()
         self._at_s = 0.0
         self._call: Call | None = None  # that is answered, or was last
         self._answered: bytes | None = None
         self._later: list[bytes] = []  # calls that came during a run
-        self._asked = self._alone = self._ends = False
+        self._asked = self._alone = self._ends = self._owes = False
         self._tabled_s = self._sent_s = 0.0
 
     def serve(self, ended: Callable[[], bool]) -> None:
@@ -155,7 +165,20 @@ class Sector:
 
     def _hear(self, data: bytes) -> None:
         self._take_beat(data)
-        self._report()
+        if self._in_time():
+            self._report()
+        else:
+            self._owes = True
+
+    def _in_time(self) -> bool:
+        """Whether the robots have had heartbeats lately enough to move.
+
+        After a pause they may rest already: an answer would tell that they move.
+        """
+        watch = self._session.protocol.watch
+        if self._clock is None or watch is None:
+            return True
+        return self._clock() <= watch.now_s + self._terms.step_s
 
     def _take_beat(self, data: bytes) -> None:
         try:
@@ -270,6 +293,7 @@ class Sector:
         if not self._session.robots["verified"].any():
             return True  # nothing to start
         self.member.ready()
+        period_s = self._terms.period_s / self._scale
         while True:
             decision = self.member.decide(self._now_s())
             if decision is Decision.GO:
@@ -281,7 +305,7 @@ class Sector:
                 return True
             if decision is Decision.STOP:
                 return False
-            self._listen(self._terms.ready_s if self._clock is None else self._terms.period_s)
+            self._listen(self._terms.ready_s if self._clock is None else period_s)
 
     def _listen(self, wait_s: float) -> None:
         """Hear the beats that have come, or wait for one; keep calls for later."""
@@ -328,7 +352,11 @@ class Sector:
                 return
             limit_s = member.lease_s if decision is Decision.MOVE else deadline_s
             until_s = min(now_s + (period_s if self._clock is None else 0.0), limit_s)
-            session.advance(until_s)
+            if self._leased is None:
+                session.advance(until_s)
+            elif not self._leased.advance_one_step(session, until_s, limit_s):
+                member.why = member.why or "the lease has ended: a step came late"
+                continue  # to the decision, which is STOP
             if self._clock is None:
                 self._at_s = max(self._at_s, until_s)
             if session.state is not SessionState.MOVING:
@@ -336,9 +364,12 @@ class Sector:
             if self._clock is not None:
                 # to the next step of the supervision; a beat is heard in between
                 due_s = period_s / 4 if c.watch is None else c.watch.now_s - self._now_s()
-                self._listen(min(max(due_s, 0.0), period_s / 4))
+                self._listen(min(max(due_s, 0.0), period_s / 4) / self._scale)
             self._tell_table(now_s)
-            if self._clock is None or member.stage is not told:  # beats are answered as they come
+            # beats are answered as they come
+            owes = self._clock is None or member.stage is not told or self._owes
+            if owes and self._in_time():
+                self._owes = False
                 self._report()
                 told = member.stage
 

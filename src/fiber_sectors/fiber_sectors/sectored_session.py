@@ -68,7 +68,8 @@ class SectoredSession(Session):
         pace: how time goes on.
 
     Raises:
-        SectorError: the safety contains less than the terms allow.
+        MotionError: the safety contains less than the terms allow.
+        SectorError: the settings do not keep to the terms.
     """
 
     has_buses: ClassVar[bool] = False
@@ -84,7 +85,9 @@ class SectoredSession(Session):
         links: Links,
         pace: Pace,
     ):
-        _check_skews(safety, terms)
+        self.border_skews_s = terms.border_skews_s(safety)
+        safety.check_borders(*self.border_skews_s)
+        terms.check_session(config)
         super().__init__(plane, units, safety, _NoBuses(), assumed, config)
         self._terms = terms
         self.sectors = Sectors(self.protocol, terms, links, pace)
@@ -345,16 +348,3 @@ class SectoredSession(Session):
 
 def _crc(frames: Frames, rows: Rows) -> int:
     return zlib.crc32(frames[rows].data.tobytes())
-
-
-def _check_skews(safety: Safety, terms: Terms) -> None:
-    start_s = safety.start_skew_s + terms.start_skew_s
-    stop_s = safety.stop_skew_s + terms.stop_skew_s
-    for name, has_s, needs_s in (
-        ("border_start_skew_s", safety.border_start_skew_s, start_s),
-        ("border_stop_skew_s", safety.border_stop_skew_s, stop_s),
-    ):
-        if has_s < needs_s - 1e-9:
-            raise SectorError(
-                f"safety.{name} is {has_s:g} s, the terms of the sectors need {needs_s:g} s"
-            )

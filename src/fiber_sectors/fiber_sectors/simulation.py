@@ -47,6 +47,7 @@ class Host:
         jump_s: by how much [s].
         killed_at_s: when its process is killed.
         fails_at_s: when a robot of this sector fails.
+        wakes_at_s: when it decides for the first time, after the others in the order of hosts [s].
     """
 
     ahead_s: float = 0.0
@@ -55,6 +56,7 @@ class Host:
     jump_s: float = 0.0
     killed_at_s: float = math.inf
     fails_at_s: float = math.inf
+    wakes_at_s: float = 0.0
 
     def clock(self, t: float) -> float:
         """Return the time of its clock at a true time [s]."""
@@ -203,7 +205,7 @@ class _World:
         self._push(0.0, COORDINATOR)
         for k, each in enumerate(self.sectors):
             each.member.begin(1, each.host.clock(0.0))
-            self._push(1e-4 * (k + 1), k)
+            self._push(each.host.wakes_at_s + 1e-4 * (k + 1), k)
 
     def _push(self, t: float, to: int, data: bytes = b"") -> None:
         self._pushed += 1

@@ -4,7 +4,9 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+from fiber_bus_bridge import SessionConfig
 from fiber_core.bounds import MAX_SKEW_S, Range, check_ranges
+from fiber_core.clearance import Safety
 from fiber_sectors.errors import SectorError
 
 __all__ = ["Terms"]
@@ -20,6 +22,8 @@ class Terms:
             [s].
         fresh_s: age of the newest beat that each sector has answered, up to which the coordinator
             lets the others move on [s].
+        step_s: longest step of the supervision of a sector [s]: a lease that ends in a step is seen
+            to have ended after it.
         notice_s: longest time from the decision of a sector to stop until its robots rest [s]: that
             for which they move without heartbeats, as its process may be paused in that moment.
         start_error_s: largest error of the instant at which a sector starts, with the error bound
@@ -37,6 +41,7 @@ class Terms:
         "period_s": Range(1e-4, MAX_SKEW_S),
         "lease_s": Range(1e-4, MAX_SKEW_S),
         "fresh_s": Range(1e-4, MAX_SKEW_S),
+        "step_s": Range(0.0, MAX_SKEW_S),
         "notice_s": Range(0.0, MAX_SKEW_S),
         "start_error_s": Range(0.0, MAX_SKEW_S),
         "drift_ppm": Range(0.0, 1e5),
@@ -48,6 +53,7 @@ class Terms:
     period_s: float = 2.5e-3
     lease_s: float = 8.75e-3
     fresh_s: float = 6.25e-3
+    step_s: float = 2.5e-3
     notice_s: float = 5e-3
     start_error_s: float = 1e-3
     drift_ppm: float = 100.0
@@ -76,7 +82,41 @@ class Terms:
 
         A sector that stops at t has answered no beat that was sent after t. So no beat sent after
         t + fresh_s lets another sector move, and a lease ends lease_s after the report that its
-        beat answers, which was sent before the beat.
+        beat answers, which was sent before the beat. The sector sees that after the step of its
+        supervision in which the lease has ended, and its robots rest notice_s later.
         """
         drift = 1.0 + 1e-6 * self.drift_ppm
-        return self.fresh_s + drift * self.lease_s + self.notice_s
+        return self.fresh_s + drift * self.lease_s + self.step_s + self.notice_s
+
+    def border_skews_s(self, safety: Safety) -> tuple[float, float]:
+        """Return the skews of start and stop that two robots of different sectors need [s].
+
+        Each sector has the skews of its own buses as well.
+
+        Args:
+            safety: has these.
+        """
+        return safety.start_skew_s + self.start_skew_s, safety.stop_skew_s + self.stop_skew_s
+
+    def check_session(self, config: SessionConfig) -> None:
+        """Check that the robots of a sector keep to these terms.
+
+        Args:
+            config: settings of its session.
+
+        Raises:
+            SectorError: robots move for longer than `notice_s` without heartbeats, or without end,
+                or a step lasts longer than `step_s`; names both values.
+        """
+        silence_s = 1e-3 * config.silence_ms
+        if not 0.0 < silence_s <= self.notice_s:
+            raise SectorError(
+                f"session.silence_ms is {config.silence_ms}, terms.notice_s {self.notice_s:g} s: "
+                f"robots must stop by themselves after {1e3 * self.notice_s:g} ms or sooner, and 0 "
+                "is never"
+            )
+        if config.heartbeat_period_s > self.step_s:
+            raise SectorError(
+                f"session.heartbeat_period_s is {config.heartbeat_period_s:g} s, terms.step_s "
+                f"{self.step_s:g} s: a step lasts as long as that period"
+            )

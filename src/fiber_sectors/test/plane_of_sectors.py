@@ -77,7 +77,9 @@ class PlaneOfSectors:
             session = Session(
                 part, self.units, Safety(), backend, start, config, certified_elsewhere
             )
-            sector = Sector(k, session, Terms(), k + 1, self._sender(k), clock, PATIENCE_S)
+            sector = Sector(
+                k, session, Terms(), k + 1, self._sender(k), clock, PATIENCE_S, slowly or 1.0
+            )
             thread = threading.Thread(target=sector.serve, args=(self._gone(k),), daemon=True)
             self.buses.append(buses)
             self.sectors.append(sector)
@@ -92,7 +94,7 @@ class PlaneOfSectors:
             own,
             Terms(),
             self,
-            Pace(self._clock(0.0) if slowly else None, PATIENCE_S),
+            Pace(self._clock(0.0) if slowly else None, PATIENCE_S, scale=slowly or 1.0),
         )
 
     def _clock(self, ahead_s):

@@ -96,6 +96,37 @@ def test_a_sector_that_is_cut_off_stops_by_itself_within_its_lease():
     assert plane.why == "sector 1 is silent"
 
 
+TIGHT = Terms(gone_s=0.3, fresh_s=2 * Terms.period_s, lease_s=3 * Terms.period_s)
+
+
+def lost_just_after_a_step(wakes_at_s, fails_at_s):
+    """A robot fails and its host is cut off; the other host is cut off after its last lease.
+
+    Its reports answer beats that came late, so that each lease begins just before its beat.
+    """
+    last_s = fails_at_s + TIGHT.fresh_s + 1e-4
+    late_s = Terms.period_s - 3e-4
+
+    def delays_s(sender, receiver, _, t):
+        if (0 in (sender, receiver) and t >= fails_at_s) or (receiver == 1 and t > last_s):
+            return []
+        return [late_s if receiver == 1 and t > 0.14 else 2e-4]
+
+    hosts = [Host(fails_at_s=fails_at_s), Host(wakes_at_s=wakes_at_s)]
+    return run(TIGHT, hosts, Network(delays_s))
+
+
+def test_a_sector_that_loses_the_network_just_after_a_step_is_within_the_bound():
+    late_s = []
+    for fails_at_s in 0.15 + np.arange(0.0, TIGHT.period_s, 1e-4):
+        for wakes_at_s in np.arange(0.0, 2.5e-3, 2e-4):
+            plane = lost_just_after_a_step(wakes_at_s, fails_at_s)
+            assert not violations(plane), (wakes_at_s, fails_at_s)
+            late_s.append(plane.rests_s[1] - plane.rests_s[0])
+    # the bound is no larger than it must be: without the step it is broken
+    assert max(late_s) > TIGHT.fresh_s + TIGHT.lease_s + TIGHT.notice_s
+
+
 def test_a_clock_that_jumps_before_the_start_lets_no_sector_move():
     hosts = [Host(jump_at_s=26e-3, jump_s=5e-3), *APART[1:]]
     plane = run(TERMS, hosts, Network())

@@ -5,11 +5,14 @@ A second of the clocks takes several of this machine, so that steps come on time
 is late and what is measured is as at full speed.
 """
 
+import time
+
 import numpy as np
 import pytest
 from plane_of_sectors import PlaneOfSectors, turning
 
 from fiber_bus_bridge import SessionState
+from fiber_bus_bridge.wire import Opcode, encode_command, general_call
 from fiber_core.outcomes import Outcome, Reason
 from fiber_sectors import Stage, Terms, decode_report
 from fiber_sectors.calls import CALL
@@ -90,3 +93,67 @@ def test_a_sector_at_rest_answers_no_beat_as_if_it_moved(plane_of, monkeypatch):
     plane.until_rest()
     stages = {report.stage for report in told if report.run in run}
     assert stages == {Stage.STOPPED}
+
+
+def pause(clock_s):
+    time.sleep(clock_s / SLOWLY)
+
+
+def test_a_sector_that_was_paused_in_a_step_sends_no_heartbeat_after_its_lease(
+    plane_of, monkeypatch
+):
+    plane = plane_of()
+    sector, sent, paused = plane.sectors[1], [], []
+    session, leased = sector._session, sector._leased
+    advance, transfer = session.advance, leased._buses.transfer
+
+    def late(t):
+        if sector.member.stage is Stage.MOVING and not paused:
+            paused.append(sector.member.lease_s)
+            pause(2 * Terms.lease_s)
+        return advance(t)
+
+    def listening(frames, *more):
+        if paused and len(frames.data):
+            sent.append((sector._clock(), frames.data.tobytes()))
+        return transfer(frames, *more)
+
+    monkeypatch.setattr(session, "advance", late)
+    monkeypatch.setattr(leased._buses, "transfer", listening)
+    begin(plane, 100)
+    plane.until_rest()
+    buses = general_call(sector._session.transactions.buses)
+    stop = encode_command(Opcode.STOP, buses).data.tobytes()
+    assert sent[0][0] > paused[0] and sent[0][1].startswith(stop[: len(stop) // len(buses)])
+
+
+def test_a_sector_whose_heartbeats_are_overdue_answers_no_beat_before_them(plane_of, monkeypatch):
+    plane = plane_of()
+    sector, events, paused = plane.sectors[1], [], []
+    take, send = sector.inbox.take, sector._send
+    step = sector._leased.advance_one_step
+
+    def late(wait_s):
+        if sector.member.stage is Stage.MOVING and not paused:
+            pause(2.5 * Terms.step_s)
+            paused.append(True)
+        return take(wait_s)
+
+    def listening(data):
+        if paused and data[:4] != CALL:
+            events.append(decode_report(data).stage)
+        send(data)
+
+    def stepping(*given):
+        if paused:
+            events.append("step")
+        return step(*given)
+
+    monkeypatch.setattr(sector.inbox, "take", late)
+    monkeypatch.setattr(sector, "_send", listening)
+    monkeypatch.setattr(sector._leased, "advance_one_step", stepping)
+    begin(plane, 100)
+    plane.until_rest()
+    # a machine so late that the lease has ended takes no step
+    before = events[: events.index("step")] if "step" in events else events
+    assert events and Stage.MOVING not in before

@@ -2,6 +2,7 @@
 """A session with a plane of three sectors: one start, one stop, one outcome for each robot."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,10 +17,12 @@ from fiber_bus_bridge import (
 )
 from fiber_bus_bridge.simulation import EVENT, Event, Faults
 from fiber_core.clearance import Safety
+from fiber_core.errors import MotionError
 from fiber_core.outcomes import Outcome, Reason
 from fiber_sectors import SectorError, Terms
 from fiber_sectors.calls import CALL, Kind, decode_call, encode_call
 from fiber_sectors.exchange import Pace
+from fiber_sectors.sector import Sector
 from fiber_sectors.sectored_session import SectoredSession
 
 pytestmark = pytest.mark.timeout(600)  # the first motion compiles
@@ -195,10 +198,32 @@ def test_a_stop_by_an_operator_stops_all_sectors(plane_of):
 def test_a_certificate_that_does_not_contain_the_terms_is_refused(plane_of):
     plane = plane_of()
     safety = Safety(border_stop_skew_s=20e-3)
-    with pytest.raises(SectorError, match=r"border_stop_skew_s is 0\.02 s"):
+    needs = r"safety.border_stop_skew_s is 0\.02 s, the terms of the sectors need 0\.0265"
+    with pytest.raises(MotionError, match=needs):
         SectoredSession(
             plane.plane, plane.units, safety, plane.start, SessionConfig(), Terms(), plane, Pace()
         )
+
+
+@pytest.mark.parametrize(
+    ("config", "text"),
+    [
+        ({"silence_ms": 6}, r"session.silence_ms is 6, terms.notice_s 0.005 s"),
+        ({"silence_ms": 0}, r"session.silence_ms is 0, .* 0 is never"),
+        ({"heartbeat_period_s": 3e-3}, r"heartbeat_period_s is 0.003 s, terms.step_s 0.0025 s"),
+    ],
+)
+def test_robots_that_do_not_keep_to_the_terms_are_refused(plane_of, config, text):
+    plane = plane_of()
+    coordinator = SessionConfig(**config)
+    with pytest.raises(SectorError, match=text):
+        SectoredSession(
+            plane.plane, plane.units, Safety(), plane.start, coordinator, Terms(), plane, Pace()
+        )
+    session = plane.sectors[0]._session
+    session.config = replace(session.config, **config)
+    with pytest.raises(SectorError, match=text):
+        Sector(0, session, Terms(), 1, lambda _: None)
 
 
 def silent(rows):

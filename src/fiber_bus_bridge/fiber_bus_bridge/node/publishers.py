@@ -74,7 +74,12 @@ class Publishers:
         now_ns = self.now_ns() if now_ns is None else now_ns
         plane = self._session.plane.with_enabled(enabled)
         message = layout.encode(
-            plane, self._session.units, PlanStamp(now_ns), self._session_id, unplaced
+            plane,
+            self._session.units,
+            PlanStamp(now_ns),
+            self._session_id,
+            unplaced,
+            self._session.border_skews_s,
         )
         self._layout.publish(message)
         self._last_layout = message

@@ -18,6 +18,7 @@ from fiber_core.motion import SegmentMotion
 __all__ = ["Safety", "levers_of", "point_speeds"]
 
 _MOST_MARGIN_MM = 1e3  # beyond the pitch of any instrument
+_ROUNDING_S = 1e-9  # sums of times in another order
 _MEASURED_MM = 1e-3  # more than the tolerance with which a certificate resolves a gap
 
 
@@ -54,7 +55,7 @@ class Safety:
     start_skew_s: float = 200e-6
     stop_skew_s: float = 4e-3
     border_start_skew_s: float = 2.2e-3
-    border_stop_skew_s: float = 24.5e-3
+    border_stop_skew_s: float = 27e-3
 
     def __post_init__(self) -> None:
         bounds.check_ranges(self, self.RANGES, MotionError)
@@ -151,6 +152,23 @@ class Safety:
         border = (a < n) & (b < n) & (of[np.minimum(a, n - 1)] != of[np.minimum(b, n - 1)])
         start_s = np.where(border, self.border_start_skew_s, self.start_skew_s)
         return start_s, np.where(border, self.border_stop_skew_s, self.stop_skew_s)
+
+    def check_borders(self, start_s: float, stop_s: float, of: str = "safety") -> None:
+        """Check that the skews of borders contain what the sectors of a plane need.
+
+        Args:
+            start_s, stop_s: what they need, 0 on a plane of one sector [s].
+            of: the parameters that hold these skews, for the error.
+
+        Raises:
+            MotionError: a skew is smaller; names it and both values.
+        """
+        for name, needs_s in (("border_start_skew_s", start_s), ("border_stop_skew_s", stop_s)):
+            if getattr(self, name) < needs_s - _ROUNDING_S:
+                raise MotionError(
+                    f"{of}.{name} is {getattr(self, name):g} s, the terms of the sectors need "
+                    f"{needs_s:g} s"
+                )
 
     def anywhere(self, plane: FocalPlane) -> "Safety":
         """Return the safety that asks of every pair what it asks of the pair that needs most.

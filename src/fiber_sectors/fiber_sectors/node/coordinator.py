@@ -45,7 +45,8 @@ class _SectoredHardware(Hardware):
         assert self.links is not None  # made with the hardware
         return SectoredSession(
             self.plane, self.units, safety, self.start, config, self.terms, self.links,
-            Pace(self.sectors.clock, self.sectors.patience_s, self.sectors.call_s),
+            Pace(self.sectors.clock, self.sectors.patience_s, self.sectors.call_s,
+                 self.sectors.clock_scale or 1.0),
         )  # fmt: skip
 
     def close(self) -> None:

@@ -78,7 +78,7 @@ class SectorNode(PlaneNode):
         self._publisher = topics.FROM_SECTOR.publisher(self)
         self.sector = Sector(
             own.number, session, terms, time.time_ns(), self._send,
-            own.clock, own.patience_s,
+            own.clock, own.patience_s, own.clock_scale or 1.0,
         )  # fmt: skip
         topics.TO_SECTOR.subscription(self, self._hear)
         self._ended, self._error = threading.Event(), None
