@@ -18,7 +18,7 @@ from fiber_sectors import Stage, Terms, decode_report
 from fiber_sectors.calls import CALL
 
 pytestmark = pytest.mark.timeout(600)
-SLOWLY = 0.05
+SLOWLY = 0.025
 APART_S = (0.0, 5000.0, -300.0)  # how far the clocks of the hosts are ahead
 
 
