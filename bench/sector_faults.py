@@ -9,7 +9,8 @@ jams, messages are lost, doubled and late. Then the next reconfiguration must co
 tell what the robots really did. Needs the rights to make network namespaces.
 
 The clocks run in slow motion, --scale seconds in one of this machine. With --lines the lines of all
-runs are added to a file, and a campaign goes on where it ended.
+runs are added to a file, and a campaign goes on where it ended. A line has the commit of the
+sources, and what the processes of the run have said about errors.
 """
 
 import argparse
@@ -20,12 +21,14 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 from kill_jobs import first_left, run_jobs
+from kill_table import commit_of_sources
 from sector_hosts import Namespaces, Trouble
 from sector_judge import Moved, Start, broken, judge
 from sector_plane import (
@@ -33,6 +36,7 @@ from sector_plane import (
     COORDINATOR,
     Setting,
     coordinate,
+    logged,
     near_problem,
     run_plant,
     run_sector,
@@ -55,6 +59,7 @@ KINDS = (
 STAGES = ("configuring", "loading", "counting", "moving")
 _LASTS_S = {"configuring": 0.02, "loading": 0.015, "counting": 0.02, "moving": 0.2}  # of the clocks
 _HEAR_S, _BOUND_S = 150.0, 0.3
+_LINES = 40  # of errors that are kept of a run
 _FEWEST = 0.9  # share of the robots that arrive in the next reconfiguration
 _COUNTED = "others_asked", "others_reached", "next_asked", "next_reached"
 _LARGEST = "start_skew_ms_max", "stop_ms_max"
@@ -82,6 +87,7 @@ class Campaign:
         self._orders = make_orders(self._problem)
         rehearse()
         self._spaces = Namespaces(sectors, net)
+        self._commit = commit_of_sources()
 
     def close(self) -> None:
         """Remove the hosts."""
@@ -93,7 +99,8 @@ class Campaign:
         of_coordinator = "clock" in kind and rng.random() < 0.25
         victim = COORDINATOR if of_coordinator else int(rng.integers(self._sectors))
         return {
-            "number": number, "seed": self._seed, "scale": self._scale, "kind": kind,
+            "number": number, "seed": self._seed, "scale": self._scale, "commit": self._commit,
+            "kind": kind,
             "stage": stage, "victim": victim,
             "moment": float(rng.random()), "pause_s": float(10 ** rng.uniform(-2.0, 0.0)),
             "ahead_s": rng.uniform(-1000.0, 1000.0, hosts).tolist(),
@@ -114,15 +121,35 @@ class Campaign:
         self._told: list[Start] = []
         self._stage = "before"
         self._paths = [self._folder / f"p{number}_{k}" for k in range(self._sectors)]
+        self._log = self._folder / f"log{number}"
         plants = [self._begin(run_plant, p, k) for k, p in enumerate(self._paths)]
         self._hosts = {k: self._new_sector(k) for k in range(self._sectors)}
         try:
             self._conduct(line)
             found = [self._moved(k) for k in range(self._sectors)]
+        except Exception as error:  # of the campaign itself: the next run begins anew
+            found = None
+            line["error"] = repr(error)
         finally:
             for process in [*self._hosts.values(), *plants]:
                 process.kill()
                 process.join()
+        line["errors"] = self._errors()
+        line |= {
+            "wall_s": round(time.monotonic() - begin_s, 2),
+            "load": round(os.getloadavg()[0], 1),
+        }
+        if found is not None:
+            self._judge(line, found)
+        line["broken"] = broken_in(line)
+        return line
+
+    def _errors(self) -> list[str]:
+        """What the processes of the run have written as they failed; the last lines."""
+        texts = self._log.read_text("utf-8", "replace").splitlines() if self._log.exists() else []
+        return texts[-_LINES:]
+
+    def _judge(self, line: _Line, found: list[Moved]) -> None:
         units = WireUnits.for_plane(self._problem.plane)
         verdict = judge(self._problem.plane, units, found, sorted(self._told))
         line |= {
@@ -131,11 +158,8 @@ class Campaign:
             "start_skew_bound_ms": 1e3 * Safety().border_start_skew_s,
             "stop_ms_max": round(verdict.stop_ms, 3),
             "stop_bound_ms": 1e3 * Safety().border_stop_skew_s,
-            "starts": len(self._told), "wall_s": round(time.monotonic() - begin_s, 2),
-            "load": round(os.getloadavg()[0], 1),
+            "starts": len(self._told),
         }  # fmt: skip
-        line["broken"] = broken_in(line)
-        return line
 
     def _moved(self, k: int) -> Moved:
         rows = np.flatnonzero(self._problem.plane.sector == k)
@@ -144,7 +168,8 @@ class Campaign:
         return Moved(rows, truth.start, truth.moves, truth.verified, truth.now_s)
 
     def _begin(self, target: Any, *given: Any) -> Any:
-        process = CONTEXT.Process(target=target, args=(*given, self._setting), daemon=True)
+        given = (target, self._log, *given, self._setting)
+        process = CONTEXT.Process(target=logged, args=given, daemon=True)
         process.start()
         return process
 
@@ -206,7 +231,7 @@ class Campaign:
                 break
             self._stage = stage
             if stage == "counting":
-                self._told.append(Start(*content))
+                self._told.append(content)
             if strike is not None and stage == self._line["stage"] and strike.ident is None:
                 strike.start()
             if stage == what:
@@ -250,8 +275,13 @@ def _reached(outcome: list[int] | str) -> int:
 
 
 def broken_in(line: _Line) -> list[str]:
-    """Return the promises that a run breaks: those of `broken`, and the next reconfiguration."""
-    found = broken(line)
+    """Return the promises that a run breaks: those of `broken`, and the next reconfiguration.
+
+    A run that was not judged breaks one, too, and one in which a process has failed by itself.
+    """
+    if "error" in line:
+        return ["error"]
+    found = broken(line) + (["errors"] if line.get("errors") else [])
     if not line["next_asked"] or line["next_reached"] < _FEWEST * line["next_asked"]:
         found.append("next")
     return found
@@ -261,9 +291,12 @@ def summary(lines: list[_Line]) -> str:
     """Return a table of a campaign by what happened, in markdown, with the totals below."""
     rows = [
         "| what | runs | in its stage | reached of asked, other sectors | the next one | "
-        "start skew [ms] | stop [ms] | broken |",
-        "|" + "---|" * 8,
+        "start skew [ms] | stop [ms] | contacts | unverified | without outcome | broken |",
+        "|" + "---|" * 11,
     ]
+    failed = sum("error" in line for line in lines)
+    lines = [line for line in lines if "error" not in line]
+    commits = Counter(line.get("commit", "unknown") for line in lines)
     for kind in (*KINDS, "all"):
         of = [line for line in lines if kind in (line["kind"], "all")]
         if of:
@@ -274,10 +307,12 @@ def summary(lines: list[_Line]) -> str:
             rows.append(
                 f"| {kind} | {len(of)} | {there} | {total['others_reached']} of "
                 f"{total['others_asked']} | {total['next_reached']} of {total['next_asked']} | "
-                f"{most['start_skew_ms_max']:.3f} | {most['stop_ms_max']:.1f} | {broken_ones} |"
+                f"{most['start_skew_ms_max']:.3f} | {most['stop_ms_max']:.1f} | "
+                + " | ".join(str(sum(line[name] for line in of)) for name in _PROMISED)
+                + f" | {broken_ones} |"
             )
-    total = {name: sum(line[name] for line in lines) for name in _PROMISED}
-    return "\n".join([*rows, "", ", ".join(f"{n} {name}" for name, n in total.items())])
+    of_commits = ", ".join(f"{n} of {commit}" for commit, n in commits.items())
+    return "\n".join([*rows, "", f"Runs: {of_commits}. {failed} more were not judged."])
 
 
 def main(argv: list[str] | None = None) -> int:

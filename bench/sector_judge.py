@@ -24,10 +24,13 @@ class Start(NamedTuple):
     Args:
         at_s: its instant, in the time of the robots [s].
         sectors: the sectors that take part.
+        rows: the robots that are started: one of them that stands still is seen, also where others
+            of its sector move.
     """
 
     at_s: float
     sectors: tuple[int, ...]
+    rows: tuple[int, ...]
 
 
 class Moved(NamedTuple):
@@ -113,7 +116,7 @@ def judge(
     for k in np.unique(of[of >= 0]):
         mine = of == k
         skew_s = max(skew_s, float(np.ptp(moves.started_s[mine])))
-        still = set(told[k].sectors) - set(plane.sector[moves.row[mine]].tolist())
+        still = set(told[k].rows) - set(moves.row[mine].tolist())
         stands_s = [*ended_s[mine & early], *([moves.started_s[mine].min()] * bool(still))]
         if stands_s:
             stop_s = max(stop_s, float(ended_s[mine].max() - min(stands_s)))

@@ -4,12 +4,15 @@
 import multiprocessing
 import os
 import time
+import traceback
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from sector_hosts import Faults, HostClock, Namespaces, Socket, Trouble, TrueBuses, enter
+from sector_judge import Start
 
 from fiber_bus_bridge import Session, SessionConfig, SessionState, addresses_of
 from fiber_bus_bridge.plant import PlantBuses
@@ -24,7 +27,7 @@ from fiber_core.kinematics import forward
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
 from fiber_positioners import Orders, make_orders
-from fiber_sectors import Conductor, Stage, Terms
+from fiber_sectors import Stage, Terms
 from fiber_sectors.exchange import Pace
 from fiber_sectors.inbox import Inbox
 from fiber_sectors.sector import Sector, certified_elsewhere
@@ -33,6 +36,7 @@ from fiber_sectors.shares import part_of
 
 __all__ = [
     "CONTEXT", "COORDINATOR", "Setting", "coordinate", "near_problem", "run_plant", "run_sector",
+    "logged", "start_of",
 ]  # fmt: skip
 
 CONTEXT, COORDINATOR = multiprocessing.get_context("fork"), -1
@@ -97,9 +101,28 @@ def near_problem(plane: FocalPlane, start: Angles, rng: np.random.Generator) -> 
     return Problem(plane, start, targets)
 
 
-def started(conductor: Conductor) -> tuple[int, ...]:
-    """Return the sectors that have robots to start."""
-    return tuple(k for k in conductor.part if conductor.stage(k) is Stage.READY)
+def start_of(session: SectoredSession, at_s: float) -> Start:
+    """Return the start that a coordinator is about to tell.
+
+    Args:
+        session: of the coordinator.
+        at_s: its instant, in the time of the robots [s].
+    """
+    conductor = session.sectors.conductor
+    sectors = tuple(k for k in conductor.part if conductor.stage(k) is Stage.READY)
+    starts = session.robots["verified"] & np.isin(session.plane.sector, sectors)
+    return Start(at_s, sectors, tuple(np.flatnonzero(starts).tolist()))
+
+
+def logged(target: Callable[..., None], log: Path, *given: Any) -> None:
+    """Be a process of a run: what it says about errors goes to a file."""
+    with log.open("a", encoding="utf-8") as file:
+        os.dup2(file.fileno(), 2)
+        try:
+            target(*given)
+        except BaseException:
+            file.write(f"{target.__name__}: {traceback.format_exc()}")
+            raise SystemExit(1) from None
 
 
 def run_plant(path: Path, k: int, setting: Setting) -> None:
@@ -176,7 +199,7 @@ def coordinate(pipe: Connection, orders: Orders | None, setting: Setting) -> Non
 
     def counting(start_s: float, *more: float) -> None:
         go(start_s, *more)
-        pipe.send(("counting", (clock.true_s() + start_s - clock(), started(conductor))))
+        pipe.send(("counting", start_of(session, clock.true_s() + start_s - clock())))
 
     conductor.go = counting  # type: ignore[method-assign]
     if orders is not None:

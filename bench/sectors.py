@@ -21,6 +21,7 @@ from multiprocessing.connection import Connection, wait
 
 import numpy as np
 from sector_judge import Moved, Start, Verdict, broken, judge
+from sector_plane import start_of
 
 from fiber_bus_bridge import PlanResult, Session, SessionConfig, SessionState
 from fiber_bus_bridge.plant.plant import Plant
@@ -37,7 +38,7 @@ from fiber_core.outcomes import Outcome
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_positioners import make_orders
-from fiber_sectors import Stage, Terms
+from fiber_sectors import Terms
 from fiber_sectors.exchange import Pace
 from fiber_sectors.sector import Sector, certified_elsewhere
 from fiber_sectors.sectored_session import SectoredSession
@@ -71,13 +72,14 @@ class _Killed(Exception):
     """The process of this sector shall behave as one that was killed."""
 
 
-def _host(connection: Connection, plane, start, number: int, seed: int, jam) -> None:
+def _host(connection: Connection, plane, start, number: int, seed: int, fault) -> None:
     """Run one sector until its connection ends."""
     part, units = part_of(plane, number), WireUnits.for_plane(plane)
     begin = start[plane.sector == number]
     buses = simulated_buses(part, units, begin, SimulationConfig(seed=seed + number))
-    if jam is not None:
-        events = np.array([(jam[0], jam[1], int(Event.JAM_THETA), 0)], dtype=EVENT)
+    if fault is not None:
+        row, at_s, event = fault
+        events = np.array([(row, at_s, int(event), 0)], dtype=EVENT)
         positioners = buses.positioners
         buses = type(buses)(positioners, buses.timing, Faults(events=events))
     plant = Plant(buses, units.quantum_rad, 0.0, kept=200_000)
@@ -124,7 +126,7 @@ def _host(connection: Connection, plane, start, number: int, seed: int, jam) -> 
 class _Plane:
     """The processes of the sectors, and the session of their coordinator."""
 
-    def __init__(self, problem, sectors: int, seed: int, loss: float = 0.0, jam=None):
+    def __init__(self, problem, sectors: int, seed: int, loss: float = 0.0, fault=None):
         self._problem, self._units = problem, WireUnits.for_plane(problem.plane)
         self._rng, self._loss, self.dead = np.random.default_rng(seed), loss, set()
         self._connections, self._processes = [], []
@@ -132,7 +134,7 @@ class _Plane:
         context = multiprocessing.get_context("fork")
         for k in range(sectors):
             ours, theirs = context.Pipe()
-            own = jam[1:] if jam is not None and jam[0] == k else None
+            own = fault[1:] if fault is not None and fault[0] == k else None
             process = context.Process(
                 target=_host, args=(theirs, problem.plane, problem.start, k, seed, own), daemon=True
             )
@@ -150,9 +152,7 @@ class _Plane:
     def _telling(self, go):
         def call(start_s: float, *more: float) -> None:
             go(start_s, *more)
-            conductor = self.session.sectors.conductor
-            going = (k for k in conductor.part if conductor.stage(k) is Stage.READY)
-            self._told.append(Start(start_s, tuple(going)))
+            self._told.append(start_of(self.session, start_s))
 
         return call
 
@@ -286,7 +286,7 @@ def _campaign(problem, orders, sectors: int, seed: int) -> tuple[Verdict, int, f
     kind, victim = ("jam", "kill", "loss", "jam and loss")[seed % 4], int(rng.integers(sectors))
     at_s = rng.uniform(0.05, 0.05 + 0.8 * orders.wire.decoded().makespan_s)
     robots = int((problem.plane.sector == victim).sum())
-    jam = (victim, int(rng.integers(robots)), at_s) if "jam" in kind else None
+    jam = (victim, int(rng.integers(robots)), at_s, Event.JAM_THETA) if "jam" in kind else None
     plane = _Plane(problem, sectors, seed, 0.01 if "loss" in kind else 0.0, jam)
     session = plane.session
     session.configure(0.0)

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fiber_bus_bridge.simulation import Movements
+from fiber_bus_bridge.simulation import Event, Movements
+from fiber_core.clearance import Safety
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 
@@ -79,17 +80,17 @@ def test_what_lies_beyond_an_order_is_no_part_of_it(bench):
     np.testing.assert_array_equal(broken_off(moves, 9.0), [False, True])
 
 
-def judged(bench, first, second, told, verified=True):
+def judged(bench, first, second, told, verified=True, sector=(0, 1)):
     """The verdict of what two robots, each a sector, have done: their starts and ends."""
     judge = bench("sector_judge")
     plane = preset("desi", 2)
-    plane = replace(plane, sector=np.arange(2))
+    plane = replace(plane, sector=np.array(sector))
     found = []
     for k, own in enumerate((first, second)):
         moves = moves_of(*((0, *each) for each in own))
         seen = np.full(len(own), verified)
         found.append(judge.Moved(np.array([k]), np.zeros((1, 2), np.int64), moves, seen, 9.0))
-    starts = [judge.Start(at_s, (0, 1)) for at_s in told]
+    starts = [judge.Start(at_s, (0, 1), (0, 1)) for at_s in told]
     return judge.judge(plane, WireUnits.for_plane(plane), found, starts)
 
 
@@ -114,6 +115,66 @@ def test_a_sector_that_starts_late_is_late_in_its_start_by_any_time(bench, late_
 def test_the_stop_lasts_until_the_last_robot_of_a_start_rests(bench, second, stop_ms):
     verdict = judged(bench, [(0.5, 0.9), (1.0, 1.2)], [(0.5, 0.9), *second], [0.5, 1.0])
     assert verdict.stop_ms == pytest.approx(stop_ms)
+
+
+def test_a_robot_that_stands_still_among_others_of_its_sector_is_seen(bench):
+    first, second = [(0.5, 0.9), (1.0, 1.4)], [(0.5, 0.9)]
+    verdict = judged(bench, first, second, [0.5, 1.0], sector=(0, 0))
+    assert verdict.stop_ms == pytest.approx(400.0)
+
+
+def test_a_robot_that_does_not_start_is_seen_on_a_plane(bench):
+    sectors, rng = bench("sectors"), np.random.default_rng(0)
+    first = sectors.problem_of(60, 2, 0)
+    problem = bench("sector_plane").near_problem(first.plane, first.start, rng)
+    orders = sectors.make_orders(problem)
+    row = int(np.flatnonzero(orders.wire.moves & (problem.plane.sector == 1))[0])
+    own = int((problem.plane.sector[:row] == 1).sum())
+
+    def carried_out(fault):
+        plane = sectors._Plane(problem, 2, 0, fault=fault)
+        session = plane.session
+        session.configure(0.0)
+        session.submit(orders.wire, problem.targets)
+        session.start(0.0)
+        start_s = session.loaded_plan.start_s
+        sectors._run(session)
+        verdict, _ = plane.truth()
+        plane.close()
+        return verdict, start_s
+
+    verdict, start_s = carried_out(None)
+    assert verdict.stop_ms == 0.0
+    # it has confirmed the countdown, and loses its power just before the motion
+    verdict, _ = carried_out((1, own, start_s - 1e-3, Event.POWER))
+    assert 0.0 < verdict.stop_ms <= 1e3 * Safety().border_stop_skew_s
+    assert verdict.contacts == verdict.unverified == 0
+
+
+def test_what_a_process_says_about_its_failure_is_kept(bench, tmp_path, monkeypatch):
+    faults, plane = bench("sector_faults"), bench("sector_plane")
+    log = tmp_path / "log"
+
+    def fails(text):
+        raise ValueError(text)
+
+    process = plane.CONTEXT.Process(target=plane.logged, args=(fails, log, "a bad value"))
+    process.start()
+    process.join()
+    assert process.exitcode == 1 and "ValueError: a bad value" in log.read_text()
+    line = GOOD | NEXT | {"errors": log.read_text().splitlines()}
+    assert faults.broken_in(line) == ["errors"]
+    assert faults.broken_in({"error": "no plant"}) == ["error"]
+
+
+def test_the_table_of_a_campaign_says_what_was_promised_and_of_which_commit(bench):
+    line = GOOD | NEXT | {
+        "kind": "nothing", "stage": "moving", "struck": "moving", "broken": ["contacts"],
+        "others_asked": 30, "others_reached": 29, "commit": "abc", "contacts": 2,
+    }  # fmt: skip
+    text = bench("sector_faults").summary([line, line | {"commit": "abd"}, {"error": "no plant"}])
+    assert "| nothing | 2 | 2 | 58 of 60 | 60 of 60 | 0.030 | 3.0 | 4 | 0 | 0 | 2 |" in text
+    assert "1 of abc, 1 of abd. 1 more" in text
 
 
 def test_a_countdown_that_was_ended_is_no_motion(bench):
