@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of shortening: a plan is replaced by a shorter one in which as many robots arrive."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_planner.direct import DirectParameters, DirectPlanner, straight_pieces
+from fiber_planner.direct.search import Search
 
 CROWDED = [("sdss_v", 37, 1), ("sdss_v", 37, 2), ("sdss_v", 61, 3), ("moons", 37, 4)]
 
@@ -48,6 +51,26 @@ def test_a_shortened_plan_is_certified(plans):
     for problem, _, best in plans:
         motion = straight_pieces(best.motion)
         assert certify(problem.plane, motion, parameters.safety).ok
+
+
+def test_compressed_plans_follow_each_other_before_the_other_search_has_ended(plans, monkeypatch):
+    begun, begin_at = [], Search.begin_at
+
+    def spy(search, stretch, released, like=None):
+        begun.append((stretch, like is not None))
+        begin_at(search, stretch, released, like)
+
+    monkeypatch.setattr(Search, "begin_at", spy)
+    most = 0
+    for problem, _, _ in plans:
+        begun.clear()
+        plan(problem, 1.0)  # ends when both searches have made their first moves
+        anew = [stretch for stretch, compressed in begun if not compressed]
+        compressed = [stretch for stretch, compressed in begun if compressed]
+        assert len(anew) == 1
+        assert all(later < stretch for stretch, later in itertools.pairwise(compressed))
+        most = max(most, len(compressed))
+    assert most > 1
 
 
 def test_the_same_seed_gives_the_same_bytes_whatever_thread_is_first(plans):

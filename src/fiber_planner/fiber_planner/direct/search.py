@@ -3,11 +3,10 @@
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
-from fiber_core.array_types import Angles, Bools, Codes, Floats, Pairs, Times
+from fiber_core.array_types import Bools
 from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
@@ -25,15 +24,17 @@ from fiber_planner.direct.certify_changed import MORE_MM, require_more, shortfal
 from fiber_planner.direct.compression import compress_profiles
 from fiber_planner.direct.initial_plan import choose_ends, straight_plan
 from fiber_planner.direct.local_search import fold_arms, raise_weights, restore, straighten
+from fiber_planner.direct.other_ends import change_ends
 from fiber_planner.direct.parameters import DirectParameters, effort_share
 from fiber_planner.direct.plan_state import count_conflicts, measure_all, measure_pairs
 from fiber_planner.direct.scene import scene_of
+from fiber_planner.direct.search_result import SearchResult
 from fiber_planner.direct.slowing import slow_close_starts
 from fiber_planner.direct.stretches import stretches_of
 from fiber_planner.direct.time_grid import time_grid
 from fiber_planner.interface import ProgressCallback
 
-__all__ = ["Search", "SearchResult"]
+__all__ = ["Search"]
 
 # If straight motions conflict in more pairs than half the number of robots the plane is crowded,
 # and arms fold on their way from the beginning. Of each tuple: loose plane, crowded plane.
@@ -43,7 +44,8 @@ _FOLD_FROM = (1.4, 1.2)  # stretch from which arms are folded on their way
 _RELEASE_FROM = (1.02, 1.5)  # stretch from which stuck robots near static arms are released
 _FOLDING = 0.7  # share of moves that fold the arm, once arms are folded
 _DRAWS = (30, 100)  # moves of a robot in a sweep: not folding, folding
-_LINES = (20, 100)  # profiles of fewer segments, tried for each robot: the same two
+_LINES = 20  # profiles of fewer segments that are tried for each robot
+_LAST_LINES = 100  # the same of a plan that was shortened
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
 _IN_VAIN = 8  # sweeps; what is in the way of robots beside static bodies will not move
 _FEW = 5  # pairs in conflict beside static bodies that are searched deeper before all get more time
@@ -56,24 +58,6 @@ _CERTIFIED_AT_MOST = 8  # rounds of certificate and local search
 _RELEASE_ROUNDS = 12
 _LAST_EFFORT = 900  # moves per robot granted to each of the last of these rounds
 _RESTORE_DRAWS = 300
-
-
-class SearchResult(NamedTuple):
-    """The motion that a search found.
-
-    Args:
-        time_s: instants of the motion [s], shape (k + 1,).
-        q: joint angles at those instants [rad], shape (b, 2, k + 1), obstacles included.
-        goal: as in PlannedMotion, like all that follow.
-        reason: OK, or why a robot does not arrive.
-        tangled: pairs that start too close.
-    """
-
-    time_s: Times
-    q: Floats
-    goal: Angles
-    reason: Codes
-    tangled: Pairs
 
 
 class Search:
@@ -114,12 +98,14 @@ class Search:
         self._first_released = near_static | at_borders(self._scene, problem.plane)
         self._may_be_blocked = bool(near_static.any()) or len(problem.plane.walls) > 0
         self._at_most = np.zeros(len(self._scene.pairs), dtype=bool)  # see require_more
+        self._lines = _LINES
 
     def run(self) -> SearchResult:
         """Search at longer and longer makespans, and return the motion that was found."""
         conflicts = self._start_straight(1.0)
         self.crowded = conflicts > _CROWDED * self._problem.plane.n
         self.dense = conflicts > _SHORTENED * self._problem.plane.n
+        self._lines = 0 if self.dense else _LINES
         crowded = int(self.crowded)
         stretches = stretches_of(
             self._problem.plane, self.crowded, self._alone_s, self._parameters.stretch
@@ -158,7 +144,7 @@ class Search:
             like: a search that has found a longer plan of the same problem, to begin with that
                 plan compressed; by default the search begins with folded arms.
         """
-        self.stretch, self.crowded, self._limit = stretch, True, 0.0
+        self.stretch, self.crowded, self._limit, self._lines = stretch, True, 0.0, 0
         self._refolded_at_most = 10 * _REFOLDED_AT_MOST
         self._ends.choice[released] = -1
         self._ends.angles[released] = self._problem.start[released]
@@ -173,21 +159,28 @@ class Search:
             self._plan.changed[:] = self._plan.shortcut_due[:] = True
             measure_all(self._scene, self._plan)
 
-    def go_on(self, moves: float) -> SearchResult | None:
-        """Go on with a search at one makespan.
+    def go_on(self, moves: float) -> bool:
+        """Go on with a search at one makespan, and return whether a certified plan was found.
 
         Args:
             moves: moves that may be evaluated, per robot for which effort is granted.
-
-        Returns:
-            The motion; None without one that is certified.
         """
         self._limit += moves * self._effort_share
         self._at_one_makespan = self._limit
         self.certified = self._certified_search() == 0
-        if not self.certified:
-            return None
-        self._restore()
+        if self.certified:
+            self._restore()
+        return self.certified
+
+    def simplify(self) -> SearchResult:
+        """Give the robots of a certified plan profiles of fewer lines, if that is certified too."""
+        if self._late:
+            return self._result()
+        before = [np.copy(column) for column in self._plan]
+        self._plan.shortcut_due[:] = True
+        shortcut_all(self._scene, self._plan, self._grid.step_s, _LAST_LINES, self._blocks)
+        if self._unconfirmed_pairs().any():
+            self._take_back(before)
         return self._result()
 
     @property
@@ -246,12 +239,16 @@ class Search:
         fold_arms(self._scene, self._plan, self._scene.movable, self._grid.step_s)
         return measure_all(self._scene, self._plan)
 
-    def _fold_around(self, straight: bool) -> None:
+    def _fold_around(self, straight: bool, other_ends: bool) -> None:
         # Robots in conflict and their neighbours begin again, with equal weights. Arms that pass
-        # each other when both go straight may not be able to when both fold.
+        # each other when both go straight may not be able to when both fold, and ends that are
+        # clear of each other may be out of reach.
         pairs, movable = self._scene.pairs, self._scene.movable
         stuck = np.zeros(len(movable), dtype=bool)
         stuck[pairs[self._plan.cost > 0.0]] = True
+        if other_ends:
+            rows = np.flatnonzero(stuck & movable)
+            stuck |= change_ends(self._scene, self._plan, rows, self._grid.step_s, self._sweep)
         near = stuck.copy()
         near[pairs[near[pairs].any(axis=1)]] = True
         self._plan.weight[:] = 1.0
@@ -268,7 +265,7 @@ class Search:
         for number in range(self._refolded_at_most * folding):
             if conflicts == 0 or self._spent >= until or self._exhausted:
                 break
-            self._fold_around(straight=number % 2 == 1)
+            self._fold_around(straight=number % 2 == 1, other_ends=number % 4 >= 2)
             conflicts = self._sweep_repeatedly(_SWEEPS[folding])
         return conflicts
 
@@ -310,8 +307,7 @@ class Search:
             conflicts = self._local_search()
             if conflicts:
                 return conflicts
-            lines = _LINES[int(self._folding > 0.0)]
-            shortcut_all(self._scene, self._plan, self._grid.step_s, lines, self._blocks)
+            shortcut_all(self._scene, self._plan, self._grid.step_s, self._lines, self._blocks)
             short = self._unconfirmed_pairs()
             unconfirmed = int(np.count_nonzero(short))
             if not unconfirmed:
@@ -363,8 +359,11 @@ class Search:
                 released[first : first + _VISITS], self._sweep, _RESTORE_DRAWS,
             )  # fmt: skip
         if restored and self._unconfirmed_pairs().any():
-            for column, old in zip(self._plan, before):
-                column[...] = old
+            self._take_back(before)
+
+    def _take_back(self, before: list[np.ndarray]) -> None:
+        for column, old in zip(self._plan, before):
+            column[...] = old
 
     def _release_worst(self, among: Bools) -> int:
         worst = release_worst(self._scene, self._plan, among)

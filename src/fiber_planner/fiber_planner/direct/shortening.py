@@ -4,19 +4,23 @@
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from fiber_core.problem import Problem
 from fiber_planner.direct.parameters import DirectParameters
-from fiber_planner.direct.search import Search, SearchResult
+from fiber_planner.direct.search import Search
+from fiber_planner.direct.search_result import SearchResult
 from fiber_planner.interface import ProgressCallback
 
 __all__ = ["shortest_plan"]
 
 _SLICE = 100.0  # moves of each search, per robot, between two decisions
-_PATIENCE = 1000.0  # moves after which a search is given up
-_QUICK = 200.0  # moves after which one that began with a compressed plan is given up
+_PATIENCE = 300.0  # moves after which a search is given up
+_QUICK = 150.0  # moves after which one that began with a compressed plan is given up
 _NEAR = 0.04  # share of the time alone by which a compressed plan is shorter at first
+_NEAR_AT_MOST = 0.16
+_LEAST = 10.0  # moves with which a search is worth to be begun
+_EASY = 30.0  # moves; after a search of fewer the next compressed plan is shorter by twice as much
 _FINEST = 0.01  # of the time alone: no plan is sought that is shorter by less
 _POLL_S = 0.1
 
@@ -35,11 +39,11 @@ def shortest_plan(
 
     Two searches go on side by side at two makespans between the time that the slowest robot needs
     alone and the makespan of the best plan. The longer one begins with the best plan compressed, a
-    little shorter; the other one begins anew, in the middle of the range. A search that succeeds
-    moves the upper end of the range. The latter, when it has failed for long, moves the lower end;
-    the former is soon tried again with half of the compression. Decisions are made at fixed numbers
-    of moves, so the plan depends neither on the number of cores nor on their speed, unless there is
-    a budget of time.
+    little shorter, and is followed at once by the next one when it succeeds; the other one begins
+    anew, in the middle of the range. A search that succeeds moves the upper end of the range. The
+    latter, when it has failed for long, moves the lower end; the former is soon tried again with
+    half of the compression. Decisions are made at fixed numbers of moves, so the plan depends
+    neither on the number of cores nor on their speed, unless there is a budget of time.
 
     Args:
         problem: robots sorted by their places; robots that may not be moved are disabled.
@@ -49,17 +53,30 @@ def shortest_plan(
     """
     end_s = clock() + parameters.budget_s
     first = Search(problem, parameters, progress, clock)
-    best = first.run()
+    found = first.run()
     # a loose plane takes longer because of a few robots beside static arms: to search for all
     # robots again costs minutes there
-    if not (first.certified and first.dense):
-        return best
-    return _Shortening(problem, parameters, clock, end_s, first).run(best, progress)
+    if not first.dense:
+        return found
+    if not first.certified:
+        return first.simplify()
+    return _Shortening(problem, parameters, clock, end_s, first).run(progress)
+
+
+@dataclass
+class _Lane:
+    # Searches that go on one after another in one thread, and the best plan that is known there.
+    found: float  # its makespan, in units of the time alone
+    best: Search
+    seed: int  # of the next search; those of the other lane lie between
+    search: Search | None = None
+    spent: float = 0.0
 
 
 class _Shortening:
     # The range of makespans in units of the time alone, and the searches in it: one that began
-    # anew, and one that began with the best plan compressed.
+    # anew, and those that began with the best plan compressed. What a lane writes no other reads
+    # before both have ended.
 
     def __init__(
         self,
@@ -72,19 +89,17 @@ class _Shortening:
         self._problem, self._parameters = problem, parameters
         self._clock, self._end_s = clock, end_s
         self._released = first.released
-        self._failed, self._found, self._nearer = 1.0, first.stretch, _NEAR
-        self._best = first
-        self._spent, self._begun = 0.0, 0
-        self._anew: Search | None = None
-        self._compressed: Search | None = None
-        self._ended = threading.Event()
+        self._failed, self._nearer = 1.0, _NEAR
+        self._anew, self._compressed = (
+            _Lane(first.stretch, first, parameters.seed + number) for number in (1, 2)
+        )
+        self._stuck, self._ended = False, threading.Event()
 
-    def run(self, best: SearchResult, progress: ProgressCallback | None) -> SearchResult:
+    def run(self, progress: ProgressCallback | None) -> SearchResult:
         with ThreadPoolExecutor(2, "shortening") as pool:
             while self._worthwhile:
-                searches = self._begin_searches()
-                before = [search.spent for search in searches]
-                futures = [pool.submit(search.go_on, _SLICE) for search in searches]
+                self._begin_anew()
+                futures = [pool.submit(self._go_on_anew), pool.submit(self._go_on_compressed)]
                 try:
                     while wait(futures, _POLL_S).not_done:
                         self._report(progress)
@@ -92,71 +107,102 @@ class _Shortening:
                 except BaseException:
                     self._ended.set()  # the pool waits for its threads
                     raise
-                results = [future.result() for future in futures]
-                after = [search.spent for search in searches]
-                self._spent += sum(after) - sum(before)
-                best = self._shortest_of(searches, results) or best
-                self._drop([spent <= old for spent, old in zip(after, before)])
-        return best
+                for future in futures:
+                    future.result()
+                self._compare()
+        return self._compressed.best.simplify()
 
     @property
     def _worthwhile(self) -> bool:
-        late = self._clock() >= self._end_s
-        return (
-            self._found - 1.0 > _FINEST and self._spent < self._parameters.shortening and not late
-        )
+        enough = self._spent >= self._parameters.shortening
+        return not (enough or self._near_enough or self._clock() >= self._end_s)
+
+    @property
+    def _near_enough(self) -> bool:
+        return self._compressed.found - 1.0 <= _FINEST
+
+    @property
+    def _spent(self) -> float:
+        return self._anew.spent + self._compressed.spent
 
     def _report(self, progress: ProgressCallback | None) -> None:
         if progress is not None:
-            share = min(self._spent / self._parameters.shortening, 1.0)
-            progress(share, f"a plan of {self._found:.2f} of the least makespan, looking for less")
+            share, found = self._spent / self._parameters.shortening, self._compressed.found
+            text = f"a plan of {found:.2f} of the least makespan, looking for less"
+            progress(min(share, 1.0), text)
 
-    def _begin_searches(self) -> list[Search]:
-        # so that there are both
-        if self._found - self._failed <= 2.0 * _FINEST:
+    def _begin_anew(self) -> None:
+        lane = self._anew
+        if lane.found - self._failed <= 2.0 * _FINEST:
             self._failed = 1.0  # other random numbers may find what others missed
-        third = (self._found - self._failed) / 3.0
-        if self._compressed is None:
-            near = self._found - min(self._nearer, third)
-            self._compressed = self._begin(near, self._best)
-        if self._anew is None:
-            self._anew = self._begin(0.5 * (self._failed + self._compressed.stretch), None)
-        return [self._anew, self._compressed]
+        if lane.search is None:
+            compressed = self._compressed.search
+            nearer = compressed.stretch if compressed is not None else lane.found - self._step
+            self._begin(lane, 0.5 * (self._failed + nearer), None)
 
-    def _begin(self, stretch: float, like: Search | None) -> Search:
-        self._begun += 1
+    def _go_on_anew(self) -> None:
+        before = self._anew.spent
+        self._go_on(self._anew, _SLICE)
+        self._stuck = self._anew.spent == before
+
+    def _go_on_compressed(self) -> None:
+        # one search after another, until all moves of a slice are spent
+        lane = self._compressed
+        until = lane.spent + _SLICE
+        while until - lane.spent > _LEAST and not self._near_enough:
+            if lane.search is None:
+                self._begin(lane, lane.found - self._step, lane.best)
+            before = lane.spent
+            search = self._go_on(lane, until - lane.spent)
+            if lane.search is None:
+                if search.spent <= _EASY:
+                    self._nearer = min(2.0 * self._nearer, _NEAR_AT_MOST)
+                continue
+            stuck = lane.spent == before
+            if stuck or search.spent >= _QUICK:
+                self._nearer = max(0.5 * (lane.found - lane.search.stretch), _FINEST)
+                lane.search = None
+            if stuck:
+                return
+
+    @property
+    def _step(self) -> float:
+        # by which the next compressed plan is shorter
+        return min(self._nearer, (self._compressed.found - self._failed) / 3.0)
+
+    def _begin(self, lane: _Lane, stretch: float, like: Search | None) -> None:
         parameters = replace(
             self._parameters,
-            seed=(self._parameters.seed + self._begun) % 2**32,
+            seed=lane.seed % 2**32,
             budget_s=max(0.0, self._end_s - self._clock()),
         )
-        search = Search(self._problem, parameters, self._check, self._clock)
-        search.begin_at(stretch, self._released, like)
-        return search
+        lane.seed += 2
+        lane.search = Search(self._problem, parameters, self._check, self._clock)
+        lane.search.begin_at(stretch, self._released, like)
 
     def _check(self, fraction: float, text: str) -> None:
         if self._ended.is_set():
             raise _EndedError
 
-    def _shortest_of(
-        self, searches: list[Search], results: list[SearchResult | None]
-    ) -> SearchResult | None:
-        found = [(search.stretch, k) for k, search in enumerate(searches) if results[k] is not None]
-        if not found:
-            return None
-        self._found, at = min(found)
-        self._best = searches[at]
-        return results[at]
+    def _go_on(self, lane: _Lane, moves: float) -> Search:
+        # a search that has found a plan leaves its lane
+        search = lane.search
+        assert search is not None
+        before = search.spent
+        found = search.go_on(moves)
+        lane.spent += search.spent - before
+        if found:
+            lane.found, lane.best, lane.search = search.stretch, search, None
+        return search
 
-    def _drop(self, stuck: list[bool]) -> None:
-        # searches that have failed, and those at makespans outside the range
+    def _compare(self) -> None:
+        # Both lanes know the best plan. Searches that have failed end, as do those at makespans
+        # outside the range.
         anew, compressed = self._anew, self._compressed
-        assert anew is not None and compressed is not None
-        if anew.stretch < self._found and (stuck[0] or anew.spent >= _PATIENCE):
-            self._failed, self._anew = max(self._failed, anew.stretch), None
-        elif anew.stretch >= self._found:
-            self._anew = None
-        if compressed.stretch < self._found and (stuck[1] or compressed.spent >= _QUICK):
-            self._nearer, self._compressed = max(0.5 * self._nearer, _FINEST), None
-        elif compressed.stretch >= self._found:
-            self._compressed = None
+        better = anew if anew.found <= compressed.found else compressed
+        for lane in (anew, compressed):
+            lane.found, lane.best = better.found, better.best
+            if lane.search is not None and lane.search.stretch >= better.found:
+                lane.search = None
+        if anew.search is not None and (self._stuck or anew.search.spent >= _PATIENCE):
+            self._failed, anew.search = max(self._failed, anew.search.stretch), None
