@@ -3,8 +3,8 @@
 """Send random and mutated bytes to a positioner and to the decoders of the bridge.
 
 No input may cause a crash, and an accepted frame must be, byte for byte, the frame that the encoder
-writes for the decoded values. Mutations of valid frames: flipped bits, frames cut short or
-lengthened, two frames spliced, bytes exchanged.
+writes for the decoded values; an order of moves must be one of the same motion. Mutations of valid
+frames: flipped bits, frames cut short or lengthened, two frames spliced, bytes exchanged.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from fiber_bus_bridge.wire import (
     Configuration,
     Frames,
     Opcode,
+    Speeds,
     decode_command,
     decode_identity,
     decode_load,
@@ -36,6 +37,8 @@ from fiber_bus_bridge.wire import (
     general_call,
 )
 from fiber_core.array_types import Bools
+from fiber_core.drive.named import with_drive
+from fiber_core.presets import preset
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 
@@ -43,6 +46,10 @@ __all__ = ["fuzz_positioner", "fuzz_replies", "main"]
 
 _UNITS = WireUnits()
 _ROBOT = Addresses(np.array([0]), np.array([300]), np.array([True]))
+_LISTED = with_drive(preset("desi", 7), "desi")
+_LISTS = Speeds.of(_LISTED, WireUnits.for_plane(_LISTED))[
+    :1
+]  # of the robot, in half of the batches
 _BATCH = 5000
 
 
@@ -66,14 +73,14 @@ def mutated(payload: bytes, other: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def _valid(to: Addresses, rng: np.random.Generator) -> list[bytes]:
+def _valid(to: Addresses, rng: np.random.Generator, lists: Speeds | None = None) -> list[bytes]:
     """Valid frames of every kind to one target."""
     called = to.address[0] == 0
     short = (Opcode.STOP, Opcode.CLEAR, Opcode.RESET, Opcode.IDENTIFY, Opcode.HEARTBEAT)
     frames = [encode_command(opcode, to) for opcode in short]
     frames += [encode_command(Opcode.GO, to, s, 100 * s) for s in range(16)]
     limits, speed = np.array([[[-2_000_000, 2_000_000], [0, 2_000_000]]]), np.array([[8000, 8000]])
-    frames.append(encode_config(Configuration(_UNITS, limits, speed, 1000, 20), to))
+    frames.append(encode_config(Configuration(_UNITS, limits, speed, 1000, 20, listed=lists), to))
     frames.append(encode_address(to, [rng.integers(2, 2**32)], _ROBOT))
     for sequence in range(0 if called else 16):
         counts = rng.integers(0, 4, 2)
@@ -81,12 +88,40 @@ def _valid(to: Addresses, rng: np.random.Generator) -> list[bytes]:
         offsets = Parts.from_counts(counts).offsets
         motion = WireMotion.from_zero(_UNITS, offsets, ticks, velocity)
         frames.append(encode_load(to, sequence, motion))
+        if lists is not None:
+            frames.append(_moves(to, sequence, lists, rng))
     return [f.payload(0) for f in frames]
 
 
-def _is_canonical(payload: bytes, to: Addresses) -> bool:
+def _moves(to: Addresses, sequence: int, lists: Speeds, rng: np.random.Generator) -> Frames:
+    """An order of a run, or none, and the approach of either joint."""
+    run, creep = (int.from_bytes(lists.content[0, at : at + 2].tobytes(), "big") for at in (10, 28))
+    segments, counts = [], []
+    for sign in (-1, 1):
+        ticks = int(rng.integers(0, 60))
+        forth = 276 + int(rng.integers(0, 30))
+        joint = [(ticks + 7, sign * run), (6 + ticks, 0)] if ticks % 3 else []
+        joint += [(275, -sign * creep), (forth, sign * creep)]
+        segments += joint
+        counts.append(len(joint))
+    ticks, velocity = np.array(segments).T
+    motion = WireMotion.from_zero(_UNITS, Parts.from_counts(counts).offsets, ticks, velocity)
+    return encode_load(to, sequence, motion, lists)
+
+
+def _same_moves(payload: bytes, to: Addresses, lists: Speeds) -> bool:
+    # whether the frame that the encoder writes for an order of moves is the same motion
+    orders = decode_load(_UNITS, Frames.from_bytes(to, [payload]), lists)
+    again = decode_load(_UNITS, encode_load(to, orders.sequence, orders.motion, lists), lists)
+    turns = [np.repeat(one.motion.velocity, one.motion.ticks).tobytes() for one in (orders, again)]
+    return bool(orders.ok[0] and again.ok[0] and turns[0] == turns[1])
+
+
+def _is_canonical(payload: bytes, to: Addresses, lists: Speeds | None) -> bool:
     """Whether a frame is the one that the encoders write for its decoded values."""
     address, ten_bit = int(to.address[0]), bool(to.ten_bit[0])
+    if payload[0] >> 4 == Opcode.MOVES:
+        return lists is not None and _same_moves(payload, to, lists)
     orders = decode_load(_UNITS, Frames.from_bytes(to, [payload]))
     if orders.ok[0]:
         return encode_load(to, orders.sequence, orders.motion).payload(0) == payload
@@ -122,7 +157,8 @@ def fuzz_positioner(count: int, rng: np.random.Generator) -> tuple[Counter[str],
     counts: Counter[str] = Counter()
     while done < count:
         to = (_ROBOT, general_call([0]))[rng.integers(2)]
-        valid = _valid(to, rng)
+        lists = _LISTS if rng.random() < 0.5 else None
+        valid = _valid(to, rng, lists if to is _ROBOT else None)
         size = min(_BATCH, count - done)
         payloads = [
             rng.bytes(int(rng.integers(1, 40)))
@@ -133,13 +169,15 @@ def fuzz_positioner(count: int, rng: np.random.Generator) -> tuple[Counter[str],
         payloads = [p or b"\x00" for p in payloads]
         frames = Frames.from_bytes(to[np.zeros(size, dtype=int)], payloads)
         # configured for each batch: most accepted frames stop or clear the robot
-        setup = [p for p in _valid(_ROBOT, rng) if p[0] >> 4 in (Opcode.CLEAR, Opcode.CONFIG)]
+        setup = [
+            p for p in _valid(_ROBOT, rng, lists) if p[0] >> 4 in (Opcode.CLEAR, Opcode.CONFIG)
+        ]
         buses.transfer(Frames.from_bytes(_ROBOT[np.zeros(len(setup), int)], setup), 0, 0.0)
         ack = buses.transfer(frames, 0, 0.0).ack
         counts["refused"] += int((ack == Ack.REFUSED).sum())
         for row in np.flatnonzero(ack == Ack.OK):
             counts["accepted"] += 1
-            if not _is_canonical(payloads[row], to):
+            if not _is_canonical(payloads[row], to, lists):
                 wrong.append(f"accepted {payloads[row].hex(' ')} to {to.address[0]}")
         done += size
     return counts, wrong

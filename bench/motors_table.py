@@ -17,6 +17,7 @@ WORK = {
         None,
     ),
 }  # fmt: skip
+_LINEAR_UM = 54.0
 COLUMNS = (
     "work", "fields", "reached of what ends allow, all (least field)",
     "makespan / bound, median (most)", "makespan [s], median (most)",
@@ -83,21 +84,35 @@ def _row(name: str, fields: list[dict]) -> list | None:
 
 
 def _linear(fields: list[dict]) -> str:
+    parts = list(fields[0]["parts_um"])
     names = (
-        "fields", "linear robots in use", "asked", "with orders",
-        "blind error of linear robots, rms [um], median (most)", "of the others",
-        "contacts of true arms",
+        "fields", "linear robots in use", "asked", "with orders", "draws of errors a field",
+        "blind error of linear robots, rms [um] (single draws)",
+        f"each kind alone [um]: {', '.join(parts)}", "others, rms [um]", "contacts of true arms",
+        f"goal {_LINEAR_UM:g} um",
     )  # fmt: skip
-    rms, others = (np.array([f[k] for f in fields]) for k in ("linear_rms_um", "others_rms_um"))
+    linear_um, others_um = (_pooled(fields, k) for k in ("linear_rms_um", "others_rms_um"))
+    single = np.array([f["of_one_draw_um"] for f in fields])
+    kinds = [_pooled([f["parts_um"] for f in fields], part) for part in parts]
+    contacts = sum(field["contacts"] for field in fields)
+    holds = linear_um <= _LINEAR_UM and contacts == 0
     cells = [
         len(fields),
         fields[0]["linear"],
         *(sum(field[key] for field in fields) for key in ("linear_asked", "linear_ordered")),
-        f"{np.median(rms):.1f} ({rms.max():.1f})",
-        f"{np.median(others):.1f} ({others.max():.1f})",
-        sum(field["contacts"] for field in fields),
+        fields[0]["draws"],
+        f"{linear_um:.1f} ({single.min():.1f} to {single.max():.1f})",
+        ", ".join(f"{kind:.1f}" for kind in kinds),
+        f"{others_um:.1f}",
+        contacts,
+        "holds" if holds else "missed",
     ]
     return _of(names, [cells])
+
+
+def _pooled(fields: list[dict], key: str) -> float:
+    # rms over all fields, of about as many robots each
+    return float(np.sqrt(np.mean(np.array([field[key] for field in fields]) ** 2)))
 
 
 def _of(columns: tuple, rows: list[list]) -> str:

@@ -57,3 +57,24 @@ def test_pairs_that_are_near_are_told_apart_from_contacts():
     cells = dict(zip(lines[0].split(" | "), lines[2].split(" | ")))
     assert (cells["contacts"], cells["near"]) == ("0", "7")
     assert cells["bounds [s], median: alone, motor time over cap"] == "5.000, 5.500"
+
+
+LINEAR = {
+    "row": "linear", "seed": 0, "linear": 490, "linear_asked": 490, "linear_ordered": 460,
+    "draws": 20, "linear_rms_um": 52.0, "of_one_draw_um": [48.5, 57.4], "others_rms_um": 53.0,
+    "parts_um": {"scale": 48.0, "speed": 20.0}, "contacts": 0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("other", "rms", "goal"),
+    [
+        ({"linear_rms_um": 55.0}, "53.5 (48.5 to 57.4)", "holds"),
+        ({"linear_rms_um": 56.5}, "54.3 (48.5 to 57.4)", "missed"),
+        ({"contacts": 1}, "52.0 (48.5 to 57.4)", "missed"),
+    ],
+)
+def test_errors_of_linear_robots_are_those_of_all_fields_and_draws(other, rms, goal):
+    cells = table_of([LINEAR, LINEAR | {"seed": 1} | other]).splitlines()[-1].split(" | ")
+    assert cells[5] == rms and cells[6] == "48.0, 20.0"
+    assert cells[-1].removesuffix(" |") == goal

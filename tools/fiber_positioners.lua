@@ -12,6 +12,7 @@ local fiber = Proto("fiber", "Fibre positioners over I2C")
 local OPCODES = {
   [1] = "LOAD", [2] = "GO", [3] = "STOP", [4] = "CLEAR", [5] = "RESET",
   [6] = "CONFIG", [7] = "IDENTIFY", [8] = "HEARTBEAT", [9] = "ADDRESS", [10] = "PLACE",
+  [11] = "MOVES",
 }
 local STATES = {
   [1] = "UNCONFIGURED", [2] = "IDLE", [3] = "LOADED", [4] = "MOVING",
@@ -21,8 +22,8 @@ local FAULTS = {
   [0] = "NONE", [1] = "BAD_LENGTH", [2] = "BAD_OPCODE", [3] = "BAD_CRC", [4] = "BAD_DURATION",
   [5] = "BAD_VELOCITY", [6] = "BAD_PADDING", [7] = "BAD_VERSION", [8] = "BAD_VALUE",
   [16] = "NOT_CONFIGURED", [17] = "WRONG_STATE", [18] = "STALE_SEQUENCE", [19] = "OVER_SPEED",
-  [20] = "OUTSIDE_LIMITS", [21] = "OTHER_QUANTUM", [22] = "OTHER_GEARS", [32] = "WATCHDOG",
-  [33] = "MEMORY", [34] = "STALL", [35] = "SILENCE",
+  [20] = "OUTSIDE_LIMITS", [21] = "OTHER_QUANTUM", [22] = "OTHER_GEARS", [23] = "UNLISTED_SPEED",
+  [24] = "SHORT_MOVE", [32] = "WATCHDOG", [33] = "MEMORY", [34] = "STALL", [35] = "SILENCE",
 }
 
 local f = {
@@ -50,10 +51,11 @@ local f = {
   watchdog = ProtoField.uint16("fiber.watchdog_ms", "Watchdog (ms)"),
   silence = ProtoField.uint16("fiber.silence_ms", "Silence (ms)"),
   slot = ProtoField.uint16("fiber.slot", "Slot in the roll call"),
-  block = ProtoField.uint8("fiber.block", "Block", base.DEC, { [1] = "GEARS" }),
+  block = ProtoField.uint8("fiber.block", "Block", base.DEC, { [1] = "GEARS", [2] = "SPEEDS" }),
   coupling = ProtoField.bytes("fiber.coupling", "Coupling (2^-22), motor by joint"),
   motor_limits = ProtoField.bytes("fiber.motor_limits", "Motor limits (quanta)"),
   motor_speed = ProtoField.bytes("fiber.motor_speed", "Motor speeds (2^-8 units)"),
+  speeds = ProtoField.bytes("fiber.speeds", "List of speeds"),
   present = ProtoField.bytes("fiber.present", "Roll call, 0 = present"),
   serial = ProtoField.uint32("fiber.serial", "Serial number"),
   new_address = ProtoField.uint16("fiber.new_address", "New address", base.DEC, nil, 0x7FFF),
@@ -116,7 +118,9 @@ local function blocks(tree, data, at)
     local layout = BLOCKS[data(at, 1):uint()]
     local size = data(at + 1, 1):uint()
     tree:add(f.block, data(at, 1))
-    if layout and size == size_of(layout) and data:len() - at >= size + 4 then
+    if data(at, 1):uint() == 2 and data:len() - at >= size + 4 then
+      tree:add(f.speeds, data(at + 2, size))
+    elseif layout and size == size_of(layout) and data:len() - at >= size + 4 then
       fill(tree, data, at + 2, layout)
     end
     at = at + 2 + size
@@ -129,12 +133,13 @@ local function command(tree, data, at)
   if left < 2 then return "frame cut short" end
   local opcode = data(at, 1):bitfield(0, 4)
   local name = OPCODES[opcode] or "unknown"
-  if opcode == 1 and left >= 4 then
+  if (opcode == 1 or opcode == 11) and left >= 4 then
     local both = data(at + 1, 1)
     at = fill(tree, data, at, { { f.opcode, 0 }, { f.sequence, 1 }, { f.theta, 0 }, { f.phi, 1 } })
     if left > 4 then tree:add(f.segments, data(at, left - 4)) end
     tree:add(f.crc, data(data:len() - 2, 2))
-    return string.format("LOAD, %d + %d segments", both:bitfield(0, 4), both:bitfield(4, 4))
+    local what = opcode == 1 and "segments" or "moves"
+    return string.format("%s, %d + %d %s", name, both:bitfield(0, 4), both:bitfield(4, 4), what)
   end
   if opcode == 6 and left >= size_of(COMMANDS[6]) + 2 then
     at = blocks(tree, data, fill(tree, data, at, COMMANDS[6]))

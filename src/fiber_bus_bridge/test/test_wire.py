@@ -19,6 +19,7 @@ from fiber_bus_bridge.wire import (
     Gears,
     Opcode,
     RobotState,
+    Speeds,
     decode_command,
     decode_config,
     decode_identity,
@@ -59,6 +60,11 @@ GOLDEN = {
     "CONFIG with gears": "64 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00 00 00 00 "
     "1e a1 66 1f 5e 1f 5e 27 10 00 19 00 4d 01 28 00 40 00 00 00 00 00 00 ff a0 00 00 00 60 00 00 "
     "ff de fc ce 00 21 03 32 ff ce 7b 34 00 5f 76 e8 00 1f 5e 01 00 1f 5e 01 a3 8a",
+    "CONFIG with speeds": "64 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00"
+    " 00 00 00 1e a1 66 1f 5e 1f "
+    "5e 27 10 00 19 00 4d 02 2e 02 11 01 13 01 13 01 13 01 13 1f 5e 1f 5e 1f 5e 1f 5e 00 06 00 "
+    "07 00 07 00 07 00 07 00 7a 00 7a 00 7a 00 7a 00 00 00 01 00 01 00 01 00 01 37 ce",
+    "MOVES": "b5 24 10 64 70 03 00 09 90 64 00 02 80 05 62 12",
     "VERIFY": "35 6c e1 07 e0",
     "STATUS": "35 6c e1 07 e0 14 01 ff fc 2f 70 00 1e 9f d8 3d f0",
     "VERIFY, 0x20": "20 00 00 01 63",
@@ -77,6 +83,16 @@ GEARED = replace(
         np.array([[2055681, 2055681]]),
     ),
 )
+# speeds of 8030 and 122 units in all joints, see the page
+LISTED = Speeds(
+    np.frombuffer(bytes([2, 17]) + np.array(
+        [275] * 4 + [8030] * 4 + [6] + [7] * 4 + [122] * 4 + [0] + [1] * 4, dtype=">u2"
+    ).tobytes(), dtype=np.uint8)[None]
+)  # fmt: skip
+MOVES = WireMotion.from_zero(
+    UNITS, [0, 4, 9], [100, 6, 278, 275, 9, 100, 8, 275, 280],
+    [-8030, 0, 122, -122, 0, 8030, 0, -122, 122],
+)  # fmt: skip
 
 
 def golden(name):
@@ -120,6 +136,8 @@ def test_golden_writes():
         "PLACE": encode_place(ROBOT, [[-250_000, 2_007_000]]),
         "CONFIG": encode_config(CONFIG, ROBOT),
         "CONFIG with gears": encode_config(GEARED, ROBOT),
+        "CONFIG with speeds": encode_config(replace(CONFIG, listed=LISTED), ROBOT),
+        "MOVES": encode_load(ROBOT, 5, MOVES, LISTED),
     }
     assert {name: frames.payload(0).hex(" ") for name, frames in written.items()} == {
         name: GOLDEN[name] for name in written

@@ -107,10 +107,10 @@ def _segments(
                     lasts[row, used] = min(rest, longest)
                     rest -= lasts[row, used]
                     used += 1
-                same = used > 0 and velocity[row, used - 1] == speed
-                if same and lasts[row, used - 1] + passed <= longest:
-                    lasts[row, used - 1] += passed
-                    continue
+                if used > 0 and velocity[row, used - 1] == speed:
+                    more = min(passed, longest - lasts[row, used - 1])
+                    lasts[row, used - 1] += more
+                    passed -= more
                 while passed > 0 and used < most:
                     lasts[row, used], velocity[row, used] = min(passed, longest), speed
                     passed -= lasts[row, used]

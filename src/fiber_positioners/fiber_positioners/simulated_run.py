@@ -17,7 +17,7 @@ from fiber_bus_bridge.simulation import (
     TrueMotion,
     simulated_buses,
 )
-from fiber_bus_bridge.wire import encode_load
+from fiber_bus_bridge.wire import Speeds, encode_load
 from fiber_core.array_types import Counts, Ints
 from fiber_core.clearance import Certificate, certify, neighbour_pairs
 from fiber_core.motion import SegmentMotion
@@ -131,4 +131,6 @@ def _encoded(orders: Orders, session: Session, loaded_plan: LoadedPlan):
     """The LOAD frames of the robots that were started, encoded once more."""
     rows = np.flatnonzero(loaded_plan.started)
     addresses, sequence = session.transactions.addresses[rows], loaded_plan.sequence[rows]
-    return encode_load(addresses, sequence, loaded_plan.motion.of_robots(rows))
+    lists = Speeds.of(orders.plane, orders.units)
+    listed = None if lists is None else lists[rows]
+    return encode_load(addresses, sequence, loaded_plan.motion.of_robots(rows), listed)

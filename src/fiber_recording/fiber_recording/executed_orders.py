@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fiber_bus_bridge.wire import CALL_PREFIX, COUNTDOWN_S, Opcode
+from fiber_bus_bridge.wire import CALL_PREFIX, COUNTDOWN_S, ORDER_OPCODES, Opcode
 from fiber_core.array_types import Bools, Ints, Rows, Times
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
 
 __all__ = ["StartedOrders", "started_orders"]
 
-_FOLLOWED = (Opcode.LOAD, Opcode.CLEAR, Opcode.GO, Opcode.STOP, Opcode.RESET)
+_FOLLOWED = (*ORDER_OPCODES, Opcode.CLEAR, Opcode.GO, Opcode.STOP, Opcode.RESET)
 
 
 class StartedOrders(NamedTuple):
@@ -79,7 +79,7 @@ def started_orders(plane: FocalPlane, log: FrameLog) -> StartedOrders:
             rows = rows_on[bus]
         else:
             rows = rows_at.get((bus, int(log.address[command.frame])), nothing)
-        if command.opcode == Opcode.LOAD:
+        if command.opcode in ORDER_OPCODES:
             stored[rows], sequence[rows] = command.frame, command.sequence
             load_s = np.fmin(load_s, time_s)
         elif command.opcode == Opcode.CLEAR:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiber_bus_bridge.wire import Addresses, Frames, RobotState, decode_load
+from fiber_bus_bridge.wire import Addresses, Frames, RobotState, Speeds, decode_load
 from fiber_core.array_types import Bools, Codes, Counts, Ints, Mask, Rows, Times
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.frame_log import FrameLog
@@ -106,7 +106,7 @@ def replay(
         chosen = np.flatnonzero(phase_of == k)
         chosen = chosen[np.argsort(orders.row[chosen], kind="stable")]
         own = orders.only(chosen)
-        motion = _motion(units, counts, own.row, frames[own.frame])
+        motion = _motion(plane, units, counts, own.row, frames[own.frame])
         phases.append(stops.phase(motion, own, begin_s, next_s[chosen], begins_s[0]))
         counts = phases[-1].end
     first = orders.only(phase_of == 0)
@@ -152,9 +152,13 @@ def _next_begin_s(orders: StartedOrders) -> Times:
     return next_s
 
 
-def _motion(units: WireUnits, counts: Counts, rows: Rows, frames: Frames) -> WireMotion:
+def _motion(
+    plane: FocalPlane, units: WireUnits, counts: Counts, rows: Rows, frames: Frames
+) -> WireMotion:
     """Return the motion of some robots, rows ascending, from their LOADs; other robots rest."""
-    return WireMotion.at_rest(units, counts).with_robots(rows, decode_load(units, frames).motion)
+    lists = Speeds.of(plane, units)
+    orders = decode_load(units, frames, None if lists is None else lists[rows])
+    return WireMotion.at_rest(units, counts).with_robots(rows, orders.motion)
 
 
 class _Reports:

@@ -188,7 +188,8 @@ class SectoredSession(Session):
         reason = robots["reason"].copy()
         answers = self.sectors.call(Kind.PREPARE, columns, of_run=("verified", "reason"))
         robots["reason"] = np.where(wanted, robots["reason"], reason)
-        phase.frames = encode_load(c.transactions.addresses, c.buses["sequence"][c.bus], motion)
+        sequence = c.buses["sequence"][c.bus]
+        phase.frames = encode_load(c.transactions.addresses, sequence, motion, c.listed)
         others: list[int] = []  # sectors that hold other orders or other terms, or do not answer
         told: list[Loaded] = []
         for k in part:

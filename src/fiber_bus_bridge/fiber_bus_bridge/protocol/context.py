@@ -17,6 +17,7 @@ from fiber_bus_bridge.wire import (
     Frames,
     Gears,
     Opcode,
+    Speeds,
     Statuses,
     encode_command,
     general_call,
@@ -180,6 +181,7 @@ class Context:
         speed = np.floor(self.plane.speeds / self.units.velocity_rad_s).astype(np.int64)
         self.speed: Ints = np.minimum(speed, self.units.max_velocity)
         self.gears = Gears.of(self.plane, self.units)
+        self.listed = Speeds.of(self.plane, self.units)
         self._heartbeats: tuple[bytes, Frames] | None = None
 
     @property

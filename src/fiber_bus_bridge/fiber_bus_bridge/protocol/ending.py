@@ -28,7 +28,7 @@ _CONFIGS = 2  # attempts to configure a robot that reports a fault afterwards
 
 
 def configure(c: Context) -> Event:
-    """Identify the robots, and send units, limits, speeds and gears to them."""
+    """Identify the robots, and send units, limits, speeds, gears and lists of speeds to them."""
     transactions, robots, t = c.transactions, c.robots, c.t
     transactions.revive(power=True, t=t)
     identity = transactions.identities(np.arange(c.plane.n), t)
@@ -44,6 +44,7 @@ def configure(c: Context) -> Event:
         config = Configuration(
             c.units, c.limits[todo], c.speed[todo], c.config.watchdog_ms,
             c.config.silence_ms, c.slot[todo], None if c.gears is None else c.gears[todo],
+            None if c.listed is None else c.listed[todo],
         )  # fmt: skip
         frames = encode_config(config, transactions.addresses[todo])
         robots["config_crc"][todo] = config_crcs(frames)

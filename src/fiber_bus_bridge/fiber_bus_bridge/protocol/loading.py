@@ -20,7 +20,7 @@ from fiber_bus_bridge.protocol.decisions import neighbours_of, not_loaded
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import SEQUENCES, Robots, begin_phase
 from fiber_bus_bridge.protocol.turn_limits import use_up_turn
-from fiber_bus_bridge.wire import Frames, Opcode, RobotState, decode_load, encode_load
+from fiber_bus_bridge.wire import Frames, Opcode, RobotState, Speeds, decode_load, encode_load
 from fiber_core.array_types import Bools, Codes, Mask, Rows
 from fiber_core.clearance import Certificate
 from fiber_core.motion import SegmentMotion
@@ -142,7 +142,7 @@ def disarm(c: Context, phase: Phase) -> Event:
     robots["verified"][rows] = False
     rest = WireMotion.at_rest(c.units, np.zeros((len(rows), 2), dtype=np.int64))
     sequence = buses["sequence"][c.bus[rows]]
-    empty = encode_load(c.transactions.addresses[rows], sequence, rest)
+    empty = encode_load(c.transactions.addresses[rows], sequence, rest, _listed(c, rows))
     armed = rows[deliver(c, phase, rows, empty).suspect]
     buses["stale"] = c.buses_of(armed) & c.buses_of(robots["wanted"])
     if buses["stale"].any():
@@ -197,13 +197,18 @@ def not_started(robots: Robots, phase: Phase) -> Codes:
 
 
 def _encode(c: Context, motion: WireMotion) -> Frames:
-    return encode_load(c.transactions.addresses, c.buses["sequence"][c.bus], motion)
+    return encode_load(c.transactions.addresses, c.buses["sequence"][c.bus], motion, c.listed)
+
+
+def _listed(c: Context, rows: Rows) -> Speeds | None:
+    """The lists of speeds of some robots."""
+    return None if c.listed is None else c.listed[rows]
 
 
 def _decode(c: Context, phase: Phase, chosen: Mask) -> WireMotion:
     """The motion in the frames of the chosen robots; all other robots rest."""
     assert phase.frames is not None  # set by load()
-    orders = decode_load(c.units, phase.frames)
+    orders = decode_load(c.units, phase.frames, c.listed)
     return orders.motion.starting_at(phase.motion.start).only(chosen)
 
 
@@ -220,7 +225,7 @@ def deliver(c: Context, phase: Phase, rows: Rows, frames: Frames) -> Delivery:
         begin_s = max(t, transactions.now_s)
         status = transactions.statuses(rows[todo], t, complete=False)
         phase.verify_s = max(phase.verify_s, transactions.now_s - begin_s)
-        sent = decode_load(c.units, frames[todo])
+        sent = decode_load(c.units, frames[todo], _listed(c, rows[todo]))
         loaded = (status.state == RobotState.LOADED) & (status.sequence == sent.sequence)
         stored = sent.crc ^ c.robots["config_crc"][rows[todo]]  # the order and the configuration
         same = (status.order_crc == stored) & (status.boot == boot[rows[todo]])

@@ -5,13 +5,14 @@ import numpy as np
 from numba import njit
 
 from fiber_bus_bridge.simulation.memory import NOTHING, Robot
-from fiber_bus_bridge.wire.codes import Alert, Fault, RobotState
-from fiber_bus_bridge.wire.commands import config_crc
-from fiber_bus_bridge.wire.config_blocks import GEAR_UNIT, MOTOR_SPEED_UNIT
+from fiber_bus_bridge.wire.codes import MAX_SEGMENTS, Alert, Fault, RobotState
+from fiber_bus_bridge.wire.commands import CONFIG_BYTES, config_crc
+from fiber_bus_bridge.wire.config_blocks import GEAR_UNIT, MOTOR_SPEED_UNIT, Block, block_at
 from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import frame_crc
-from fiber_bus_bridge.wire.orders import order_fault, read_segment, segment_counts
+from fiber_bus_bridge.wire.orders import read_order
 from fiber_bus_bridge.wire.roll_call import NO_SLOT
+from fiber_bus_bridge.wire.speed_block import least_ticks, number_of
 
 __all__ = [
     "advance_robot",
@@ -29,6 +30,8 @@ _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
 _DONE, _FAULT = int(RobotState.DONE), int(RobotState.FAULT)
 _NONE, _OVER_SPEED = int(Fault.NONE), int(Fault.OVER_SPEED)
 _OUTSIDE_LIMITS = int(Fault.OUTSIDE_LIMITS)
+_UNLISTED, _SHORT = int(Fault.UNLISTED_SPEED), int(Fault.SHORT_MOVE)
+_SPEEDS = int(Block.SPEEDS)
 _WATCHDOG, _MEMORY = int(Fault.WATCHDOG), int(Fault.MEMORY)
 _STALL, _SILENCE = int(Fault.STALL), int(Fault.SILENCE)
 _LAPSED, _REBOOTED = int(Alert.LAPSED), int(Alert.REBOOTED)
@@ -129,43 +132,71 @@ def advance_robot(r: Robot, t: float) -> None:
 
 
 @njit(cache=True)
+def _read(r, data, first, last, counts, ticks, velocity):
+    """Read an order with the stored configuration; return its Fault, or NONE."""
+    listed = block_at(r.config, CONFIG_BYTES, r.config_length, _SPEEDS)
+    return read_order(
+        r.address, r.ten_bit, data, first, last, r.velocity_bits, r.duration_bits,
+        r.config, listed, counts, ticks, velocity,
+    )  # fmt: skip
+
+
+@njit(cache=True)
 def order_refusal(r: Robot, data: Bytes, first: Whole, last: Whole) -> int:
     """Return the Fault for which a robot refuses an order: bytes, limits, speeds; or NONE."""
-    widths = r.velocity_bits, r.duration_bits
-    fault = order_fault(r.address, r.ten_bit, data, first, last, widths[0], widths[1])
+    counts = np.empty(2, dtype=np.int64)
+    ticks, velocity = np.empty((2, 2, MAX_SEGMENTS), dtype=np.int64)
+    fault = _read(r, data, first, last, counts, ticks, velocity)
     if fault != _NONE:
         return fault
-    size = (widths[0] + widths[1] + 7) // 8
-    at = first + 2
-    counts = segment_counts(data, first)
     for joint in range(2):
         position = r.position[joint]
         # a robot outside its limits may return, and may not move further out
         low = min(position, r.limits[joint, 0])
         high = max(position, r.limits[joint, 1])
-        for _ in range(counts[joint]):
-            ticks, velocity, _padding = read_segment(data, at, widths[0], widths[1])
-            if abs(velocity) > r.speed[joint]:
+        for k in range(counts[joint]):
+            if abs(velocity[joint, k]) > r.speed[joint]:
                 return _OVER_SPEED
-            position += ticks * velocity
+            position += ticks[joint, k] * velocity[joint, k]
             if position < low or position > high:
                 return _OUTSIDE_LIMITS
-            at += size
-    return _motors_refusal(r, data, first) if r.coupling.any() else _NONE
+    listed = block_at(r.config, CONFIG_BYTES, r.config_length, _SPEEDS)
+    if listed >= 0:
+        for joint in range(2):
+            fault = _list_refusal(
+                r.config, listed, joint, counts[joint], ticks[joint], velocity[joint]
+            )
+            if fault != _NONE:
+                return fault
+    return _motors_refusal(r, counts, ticks, velocity) if r.coupling.any() else _NONE
 
 
 @njit(cache=True)
-def _motors_refusal(r, data, first):
+def _list_refusal(config, listed, joint, count, ticks, velocity):
+    """Return the Fault of moves that a motor with listed speeds cannot make, or NONE."""
+    k = 0
+    while k < count:
+        way, lasts = velocity[k], 0
+        while k < count and velocity[k] == way:  # segments of one velocity are one move
+            lasts += ticks[k]
+            k += 1
+        if way == 0:
+            continue
+        speed = number_of(config, listed, way, joint)
+        if speed < 0:
+            return _UNLISTED
+        if lasts < least_ticks(config, listed, speed, joint, 1 if way > 0 else 0):
+            return _SHORT
+    return _NONE
+
+
+@njit(cache=True)
+def _motors_refusal(r, counts, all_ticks, all_velocity):
     """Return the Fault of the coupled motors in an order whose joints are in order, or NONE.
 
     Both joints are followed at once, from one segment of either joint to the next.
     """
-    widths = r.velocity_bits, r.duration_bits
-    size = (widths[0] + widths[1] + 7) // 8
-    left = segment_counts(data, first)
-    at = np.array([first + 2, first + 2 + left[0] * size])
-    ends = np.array([at[1], at[1] + left[1] * size])
-    position = r.position.copy()
+    at, position = np.zeros(2, dtype=np.int64), r.position.copy()
     ticks, velocity = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
     begin = _motors(r, position)
     while True:
@@ -173,11 +204,10 @@ def _motors_refusal(r, data, first):
         for joint in range(2):
             if ticks[joint] == 0:
                 velocity[joint] = 0
-                if at[joint] < ends[joint]:
-                    ticks[joint], velocity[joint], _padding = read_segment(
-                        data, at[joint], widths[0], widths[1]
-                    )
-                    at[joint] += size
+                if at[joint] < counts[joint]:
+                    ticks[joint] = all_ticks[joint, at[joint]]
+                    velocity[joint] = all_velocity[joint, at[joint]]
+                    at[joint] += 1
             if ticks[joint] > 0:
                 step = min(step, ticks[joint]) if step else ticks[joint]
         if step == 0:
@@ -225,22 +255,14 @@ def stored_crc(r: Robot) -> Whole:
 @njit(cache=True)
 def start_order(r: Robot, t: float, countdown_s: float) -> None:
     """Decode the stored order and run it after a countdown, unless its checksum has changed."""
-    order, widths = r.order, (r.velocity_bits, r.duration_bits)
-    last = r.order_length - 2
+    order, last = r.order, r.order_length - 2
     crc = (np.int64(order[last]) << 8) | np.int64(order[last + 1])
     if stored_crc(r) != crc:
         r.order_length = 0
         r.state = _FAULT
         r.fault = _MEMORY
         return
-    size = (widths[0] + widths[1] + 7) // 8
-    r.counts[0], r.counts[1] = segment_counts(order, 0)
-    at = 2
-    for joint in range(2):
-        for k in range(r.counts[joint]):
-            ticks, velocity, _padding = read_segment(order, at, widths[0], widths[1])
-            r.ticks[joint, k], r.velocity[joint, k] = ticks, velocity
-            at += size
+    _read(r, order, 0, r.order_length, r.counts, r.ticks, r.velocity)
     r.started_s = t + countdown_s * 1e6 / (1e6 + r.clock_ppm) + r.start_skew_s
     # the end is known now: it would be looked for in all segments at each heartbeat
     ticks = max(_length(r, 0), _length(r, 1))

@@ -44,7 +44,7 @@ _LOAD, _GO, _STOP = int(Opcode.LOAD), int(Opcode.GO), int(Opcode.STOP)
 _CLEAR, _RESET = int(Opcode.CLEAR), int(Opcode.RESET)
 _CONFIG, _IDENTIFY = int(Opcode.CONFIG), int(Opcode.IDENTIFY)
 _HEARTBEAT, _ADDRESS = int(Opcode.HEARTBEAT), int(Opcode.ADDRESS)
-_PLACE = int(Opcode.PLACE)
+_PLACE, _MOVES = int(Opcode.PLACE), int(Opcode.MOVES)
 
 _UNCONFIGURED, _IDLE = int(RobotState.UNCONFIGURED), int(RobotState.IDLE)
 _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
@@ -82,7 +82,7 @@ def receive(
         Whether the robot acknowledges the last byte. A refused frame changes nothing but the
         robot's fault and alerts.
     """
-    if (address or ten_bit) and last > first and data[first] >> 4 == _LOAD:
+    if (address or ten_bit) and last > first and data[first] >> 4 in (_LOAD, _MOVES):
         advance_robot(r, t)
         return not r.busy and _taken(r, _load(r, data, first, last, t))
     fault, head = command_fault(address, ten_bit, data, first, last)
@@ -91,7 +91,7 @@ def receive(
 
 @njit(cache=True)
 def obey(r: Robot, fault: int, head: Whole, data: Bytes, at: int, last: int, t: float) -> bool:
-    """Let a robot receive a frame other than LOAD, as `receive` does, after it was checked.
+    """Let a robot receive a frame other than an order, as `receive` does, after it was checked.
 
     Args:
         r: the robot.

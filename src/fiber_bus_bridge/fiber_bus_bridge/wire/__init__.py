@@ -32,7 +32,7 @@ from fiber_bus_bridge.wire.commands import (
 from fiber_bus_bridge.wire.config_blocks import Block, Gears, gear_counts
 from fiber_bus_bridge.wire.fields import Bytes
 from fiber_bus_bridge.wire.frames import Addresses, Frames, general_call
-from fiber_bus_bridge.wire.orders import Orders, decode_load, encode_load
+from fiber_bus_bridge.wire.orders import ORDER_OPCODES, Orders, decode_load, encode_load
 from fiber_bus_bridge.wire.replies import (
     IDENTITY_BYTES,
     IDENTITY_FIELDS,
@@ -53,6 +53,7 @@ from fiber_bus_bridge.wire.roll_call import (
     roll_call_bytes,
     roll_call_slots,
 )
+from fiber_bus_bridge.wire.speed_block import Speeds
 
 __all__ = [
     "ADDRESS_BYTES",
@@ -67,6 +68,7 @@ __all__ = [
     "IDENTITY_FIELDS",
     "MAX_SEGMENTS",
     "NO_SLOT",
+    "ORDER_OPCODES",
     "PLACE_BYTES",
     "PLACE_FIELDS",
     "ROLL_CALL_ADDRESS",
@@ -86,6 +88,7 @@ __all__ = [
     "Opcode",
     "Orders",
     "RobotState",
+    "Speeds",
     "Statuses",
     "config_crcs",
     "decode_command",

@@ -29,11 +29,12 @@ class Opcode(IntEnum):
     STOP = 3  # freeze now
     CLEAR = 4  # forget the stored order and the fault
     RESET = 5  # reboot
-    CONFIG = 6  # units, limits, speeds, watchdog, gears
+    CONFIG = 6  # units, limits, speeds, watchdog, gears, lists of speeds
     IDENTIFY = 7  # the read that follows is answered with the identity
     HEARTBEAT = 8  # the controller is present: moving robots may go on
     ADDRESS = 9  # the robot of this serial number takes another address
     PLACE = 10  # the joints are at these encoder readings
+    MOVES = 11  # store an order of moves at listed speeds
 
 
 class RobotState(IntEnum):
@@ -71,6 +72,8 @@ class Fault(IntEnum):
     OUTSIDE_LIMITS = 20
     OTHER_QUANTUM = 21  # the encoder does not count in the configured quanta
     OTHER_GEARS = 22  # the joints are not coupled as configured
+    UNLISTED_SPEED = 23  # a speed that is not in the list of the motor
+    SHORT_MOVE = 24  # a move shorter than the least one of its speed
 
     # the robot
     WATCHDOG = 32  # an order waited too long for its GO

@@ -14,12 +14,14 @@ from fiber_bus_bridge.wire.config_blocks import (
     Block,
     Gears,
     block_at,
+    block_of,
     blocks_fault,
 )
 from fiber_bus_bridge.wire.crc import CRC16_INIT, crc16
 from fiber_bus_bridge.wire.fields import Bytes, Whole, filled
 from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc, frame_pec
 from fiber_bus_bridge.wire.roll_call import NO_SLOT
+from fiber_bus_bridge.wire.speed_block import Speeds
 from fiber_core.array_types import Ints
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireUnits
@@ -99,6 +101,7 @@ class Configuration:
         silence_ms: longest time that a robot moves without a HEARTBEAT [ms], 0 = no limit.
         slot: slot of each robot in the roll call of its bus, one number or shape (f,).
         gears: how gears couple motors and joints, f rows; None of robots with independent joints.
+        listed: lists of speeds, f rows; None of motors of any speed.
     """
 
     units: WireUnits
@@ -108,6 +111,7 @@ class Configuration:
     silence_ms: int = 0
     slot: Ints | int = NO_SLOT
     gears: Gears | None = None
+    listed: Speeds | None = None
 
 
 def encode_command(
@@ -193,6 +197,8 @@ def encode_config(config: Configuration, to: Addresses) -> Frames:
     body = filled(len(to), CONFIG_FIELDS, values)
     if config.gears is not None:
         body = np.concatenate([body, config.gears.block()], axis=1)
+    if config.listed is not None:
+        body = np.concatenate([body, block_of(Block.SPEEDS, config.listed.content)], axis=1)
     return _sealed(to, body)
 
 
@@ -256,7 +262,10 @@ def decode_config(payload: bytes, address: int, ten_bit: bool) -> Configuration:
     if at >= 0:
         block = np.frombuffer(payload, GEARS_FIELDS, 1, int(at))
         gears = Gears(*(block[name].astype(np.int64) for name in GEARS_FIELDS.names or ()))
-    return Configuration(units, limits, speed, watchdog_ms, silence_ms, slot, gears)
+    listed, at = None, block_at(data, CONFIG_BYTES, end, Block.SPEEDS)
+    if at >= 0:
+        listed = Speeds(data[None, at : at + int(data[at - 1])])
+    return Configuration(units, limits, speed, watchdog_ms, silence_ms, slot, gears, listed)
 
 
 @njit(cache=True)

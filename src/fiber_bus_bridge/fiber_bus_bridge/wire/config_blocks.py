@@ -13,6 +13,7 @@ from numba import njit
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire.codes import Fault
 from fiber_bus_bridge.wire.fields import Bytes, Whole, filled, number, signed
+from fiber_bus_bridge.wire.speed_block import speeds_fault
 from fiber_core.array_types import Floats, Ints
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
@@ -25,6 +26,7 @@ __all__ = [
     "Block",
     "Gears",
     "block_at",
+    "block_of",
     "blocks_fault",
     "gear_counts",
     "read_gears",
@@ -35,6 +37,7 @@ class Block(IntEnum):
     """What a block tells."""
 
     GEARS = 1  # how gears couple motors and joints, and limits of the motors
+    SPEEDS = 2  # the listed speeds of the motors
 
 
 GEAR_UNIT = 2.0**-22  # of the numbers of a coupling: at most 512, with an error of 1.2e-7
@@ -51,6 +54,7 @@ BLOCK_HEAD = 2  # bytes before the content
 _SAME_RAD = 1e-6  # a motor this far beyond its range is at its end, as for the certificate
 _MOST, _MOST_SPEED = 2**31 - 1, 2**32 - 1
 _GEARS, _GEARS_BYTES = int(Block.GEARS), GEARS_FIELDS.itemsize
+_SPEEDS = int(Block.SPEEDS)
 _NONE, _BAD_LENGTH, _BAD_VALUE = int(Fault.NONE), int(Fault.BAD_LENGTH), int(Fault.BAD_VALUE)
 
 
@@ -110,9 +114,18 @@ class Gears:
             WireError: a value does not fit its field; names the field and the value.
         """
         values = {name: getattr(self, name) for name in ("coupling", "motor_limits", "motor_speed")}
-        content = filled(len(self.coupling), GEARS_FIELDS, values)
-        head = np.array([_GEARS, _GEARS_BYTES], dtype=np.uint8)
-        return np.concatenate([np.tile(head, (len(content), 1)), content], axis=1)
+        return block_of(Block.GEARS, filled(len(self.coupling), GEARS_FIELDS, values))
+
+
+def block_of(tag: Block, content: Bytes) -> Bytes:
+    """Return the block with this content of each robot, shape (f, bytes).
+
+    Args:
+        tag: what the block tells.
+        content: its content, shape (f, bytes - 2).
+    """
+    head = np.array([tag, content.shape[1]], dtype=np.uint8)
+    return np.concatenate([np.tile(head, (len(content), 1)), content], axis=1)
 
 
 def gear_counts(plane: FocalPlane) -> Ints:
@@ -140,11 +153,17 @@ def blocks_fault(data: Bytes, first: Whole, last: Whole) -> int:
         if last - first < BLOCK_HEAD:
             return _BAD_LENGTH
         tag, size = np.int64(data[first]), np.int64(data[first + 1])
-        if tag != _GEARS or tag <= before or size != _GEARS_BYTES:
+        if tag <= before or not (tag == _GEARS and size == _GEARS_BYTES or tag == _SPEEDS):
             return _BAD_VALUE
         first += BLOCK_HEAD + size
+        if first > last:
+            return _BAD_LENGTH
+        if tag == _SPEEDS:
+            fault = speeds_fault(data, first - size, size)
+            if fault != _NONE:
+                return fault
         before = tag
-    return _NONE if first == last else _BAD_LENGTH
+    return _NONE
 
 
 @njit(cache=True)

@@ -14,7 +14,7 @@ from fiber_core.validation import frozen_array
 
 __all__ = ["ListedSpeeds"]
 
-_MOST_SPEEDS = 8
+_MOST_SPEEDS = 6  # that an order can name
 _MAX_RAMP_S = 60.0
 
 

@@ -13,6 +13,8 @@ import numba as nb
 import numpy as np
 
 from fiber_core.array_types import Bools, Counts, Ints
+from fiber_core.drive.listed_units import listed_units
+from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 from fiber_planner.errors import PlannerError
@@ -79,27 +81,15 @@ def motors_of_plane(plane: FocalPlane, units: WireUnits) -> Motors:
             f"the planner 'scheduled' is for motors with listed speeds, the drive of this plane is "
             f"{plane.drive.name!r}"
         )
-    scale, unit = plane.drive.scale, units.velocity_rad_s
-    approach = listed.approach_speed
     _check_approach(plane)
-    run = np.floor(listed.speeds_rad_s[0] * scale / unit + 1e-9).astype(np.int64)
-    creep = np.rint(listed.speeds_rad_s[approach] * scale / unit).astype(np.int64)
-    slow = (creep < 1).any(axis=(1, 2))
-    if slow.any():
-        row = int(np.argmax(slow))
-        raise PlannerError(
-            f"robot {plane.ids[row]}: its creep of {listed.speeds_rad_s[approach]:.3g} rad/s times "
-            f"{scale[row].min():.3g} is below one velocity unit, {unit:.3g} rad/s"
-        )
-    least = np.ceil(listed.least_rad[0] * scale / units.quantum_rad / run - 1e-9).astype(np.int64)
-    sign = listed.approach_sign.astype(np.int64)
-    rising, joints = (sign + 1) // 2, np.arange(2)
-    quanta = np.ceil(listed.approach_rad / units.quantum_rad).astype(np.int64)
-    forth = -(-quanta // creep[:, joints, rising])
-    back = -(-quanta // creep[:, joints, 1 - rising]) if listed.returns else np.zeros_like(forth)
-    ramp = int(np.ceil(listed.ramp_s[0] / units.tick_s - 1e-9))
-    ranges = units.range_counts(plane)
-    return Motors(run, creep, np.maximum(least, 1), ramp, back, forth, sign, ranges)
+    try:
+        table = listed_units(plane, units)
+    except LayoutError as error:
+        raise PlannerError(str(error)) from error
+    run, creep = table.velocity[:, 0], table.velocity[:, listed.approach_speed]
+    sign, ranges = listed.approach_sign.astype(np.int64), units.range_counts(plane)
+    ramp = int(table.ramp[0])
+    return Motors(run, creep, table.least[:, 0], ramp, table.back, table.forth, sign, ranges)
 
 
 def _check_approach(plane: FocalPlane) -> None:
