@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fiber_core.clearance import gaps, neighbour_pairs, pair_gap
+from fiber_core.clearance import Safety, certify, gaps, neighbour_pairs, pair_gap
 from fiber_core.fields import random_problem
 from fiber_core.motion import SampledMotion
+from fiber_core.outcomes import Reason
 from fiber_core.presets import PRESETS, plane_from, preset
 from fiber_core.problem import Problem
-from fiber_planner.direct import DirectParameters, reachable, straight_pieces
+from fiber_planner.direct import DirectParameters, DirectPlanner, reachable, straight_pieces
 from fiber_planner.direct.certify_changed import require_more, shortfall_mm
 from fiber_planner.direct.collision_cost import _DEEPEST, collision_cost
 from fiber_planner.direct.compression import compress_profiles
@@ -179,6 +180,21 @@ def test_a_passage_that_is_a_little_too_narrow_is_closed(missing_mm, expected):
     )  # fmt: skip
     below = [[0.0, -6.0], [np.nan, np.nan]]
     assert reachable(Problem(stiff, start, below), pairs, 0.05)[0] == expected
+
+
+def test_a_way_past_a_static_body_that_is_little_wider_than_the_margin_is_taken():
+    plane, start, pairs = _pair_with_a_disabled(180.0, 14.0)
+    gap = float(gaps(plane, pairs, np.deg2rad([[0.0, 0.0], [180.0, 0.0]]))[0])
+    plane, start, pairs = _pair_with_a_disabled(180.0, 14.0 - gap + 0.065)
+    stiff = plane_from(
+        PRESETS["desi"], plane.ids, plane.centers, enabled=plane.enabled,
+        limits=np.stack([np.deg2rad([[-100.0, 100.0], [0.0, 0.0]]), plane.limits[1]]),
+    )  # fmt: skip
+    start = np.array([[np.deg2rad(60.0), 0.0], start[1]])
+    problem = Problem(stiff, start, [[0.0, -6.0], [np.nan, np.nan]])
+    planned = DirectPlanner().plan(problem)
+    assert planned.reason[0] == Reason.OK
+    assert certify(stiff, straight_pieces(planned.motion), Safety()).ok
 
 
 def test_reachable_needs_no_neighbours():

@@ -11,7 +11,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.pieces import pieces_of
 from fiber_planner.direct.plan_state import PlanState
-from fiber_planner.direct.scene import Scene
+from fiber_planner.direct.scene import Scene, allowances_mm
 from fiber_planner.direct.time_grid import TimeGrid
 
 __all__ = ["MORE_MM", "require_more", "shortfall_mm"]
@@ -104,6 +104,9 @@ def _shortfall(
     lasts_s = grid.time_s[-1] - grid.time_s[first]  # the motion of all robots, not of these alone
     more = replace(safety, margin_mm=safety.margin_mm + 0.5 * parameters.allowance_mm)
     required = more.required_from(plane, start, fastest, lasts_s, pairs)
+    static = ~scene.movable[pairs].all(axis=1)  # no speed counts there
+    with_allowance = safety.margin_mm + 0.5 * allowances_mm(scene, parameters)[which]
+    required[static] = np.minimum(required, with_allowance)[static]
     doubtful = np.flatnonzero(unproven(scene.bodies, pieces, pairs, required))
     shortfall = np.zeros(len(pairs))
     if len(doubtful):

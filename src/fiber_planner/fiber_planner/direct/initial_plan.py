@@ -17,7 +17,7 @@ from fiber_core.threads import share_out
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.reachability import reachable
-from fiber_planner.direct.scene import Scene
+from fiber_planner.direct.scene import Scene, allowances_mm
 from fiber_planner.direct.time_grid import TimeGrid
 from fiber_planner.goal_program import (
     goal_program,
@@ -141,7 +141,7 @@ def straight_plan(
     at_start = gaps(plane, scene.pairs, problem.start) - _EPS_MM
     at_end = gaps(plane, scene.pairs, ends.angles) - _EPS_MM
     tangled = at_start < least
-    wanted = np.minimum(least + parameters.allowance_mm, at_end)
+    wanted = np.minimum(least + allowances_mm(scene, parameters), at_end)
     wanted = np.where(tangled, wanted, np.minimum(wanted, at_start))
     required = np.maximum(wanted, least)
     required[~scene.movable[scene.pairs].any(axis=1)] = -np.inf  # neither robot can make way

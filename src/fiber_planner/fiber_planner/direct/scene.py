@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiber_core import kinematics
-from fiber_core.array_types import Angles, Bools, Floats, Ints, Pairs
+from fiber_core.array_types import Angles, Bools, Floats, Gaps, Ints, Pairs
 from fiber_core.clearance import Bodies, Neighbours, bodies_of, neighbour_pairs, neighbours_of
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motors import alone_s, longest_move_s, speeds_alone
@@ -15,7 +15,7 @@ from fiber_core.problem import Problem
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.splitmix64 import place_keys
 
-__all__ = ["Scene", "scene_of"]
+__all__ = ["Scene", "allowances_mm", "scene_of"]
 
 _MOST_OPTIONS = 6
 _FOLDED_RAD = np.deg2rad(135.0)
@@ -25,6 +25,7 @@ _SPEED = 0.998  # share of the speed limits that is planned with: rounding takes
 # more than rounding takes.
 _MOTOR_SPEED = 0.99
 _SAME_RAD = 1e-9  # a joint this near to its end stays where it is
+_BESIDE_STATIC = 1.0 / 3.0  # share of the allowance of a pair of which one body never moves
 
 
 class Scene(NamedTuple):
@@ -113,6 +114,20 @@ def scene_of(problem: Problem, parameters: DirectParameters | None = None) -> Sc
         options=options,
         option_count=option_count,
     )
+
+
+def allowances_mm(scene: Scene, parameters: DirectParameters) -> Gaps:
+    """Return the gap to plan with beyond the one that safety requires of each pair [mm], (p,).
+
+    A body that never moves is where it is: it uses up nothing by discretization and rounding, and
+    a way past it is often no wider than the margin.
+
+    Args:
+        scene: the robots and their surroundings.
+        parameters: clearance to keep.
+    """
+    both_move = scene.movable[scene.pairs].all(axis=1)
+    return parameters.allowance_mm * np.where(both_move, 1.0, _BESIDE_STATIC)
 
 
 def _largest_gap_mm(plane: FocalPlane, parameters: DirectParameters) -> float:
