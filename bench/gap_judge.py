@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 __all__ = ["Gaps", "judge_gaps", "ramps_of_segments"]
 
 _FINE_MM = 1e-4  # bodies that go less far in an interval are taken to rest in it
+_NEARER_MM = 1e-3  # by which a pair that starts too close may come nearer: what can be measured
 
 
 class Gaps(NamedTuple):
@@ -24,12 +25,17 @@ class Gaps(NamedTuple):
     Args:
         contacts: pairs that touch at some instant.
         near: pairs that come nearer than the margin at some instant and do not touch.
-        least_mm: smallest gap found [mm]; exact where it is less than the margin.
+        least_mm: smallest gap found [mm]; exact where it is less than the margin, negative where
+            bodies overlap.
         pair: rows of the bodies with the smallest gap; discs and walls follow the robots.
         resting: the pairs in `near` of which neither robot moves.
         wall_contacts: pairs of a robot and a wall that touch while the robot moves.
         wall_mm: smallest gap between a wall and a robot that moves [mm].
         arm_mm: smallest gap of two robots of which one moves [mm].
+        leaving: the pairs in `near` that start nearer than the margin, of which one body moves and
+            comes no nearer.
+        leaving_contacts: the pairs in `contacts` of which the same is true.
+        nearer_mm: by how much a pair that starts too close comes nearer, at most [mm].
     """
 
     contacts: int
@@ -40,6 +46,9 @@ class Gaps(NamedTuple):
     wall_contacts: int = 0
     wall_mm: float = np.inf
     arm_mm: float = np.inf
+    leaving: int = 0
+    leaving_contacts: int = 0
+    nearer_mm: float = 0.0
 
 
 class _Bodies(NamedTuple):
@@ -78,7 +87,7 @@ def judge_gaps(problem, plan, margin_mm: float = 0.05) -> Gaps:
     bodies, curves = _bodies_of(problem), _curves_of(problem, plan)
     pairs = _pairs_of(bodies, len(curves.start) // 2, margin_mm)
     last_s = float((curves.end + curves.ramp).max(initial=0.0))
-    least = _least_gaps(bodies, curves, pairs, last_s, margin_mm)
+    least, at_start = _least_gaps(bodies, curves, pairs, last_s, margin_mm)
     if not len(pairs):
         return Gaps(0, 0, np.inf, (-1, -1))
     first = int(np.argmin(least))
@@ -87,7 +96,10 @@ def judge_gaps(problem, plan, margin_mm: float = 0.05) -> Gaps:
     a, b = pairs[first].tolist()
     turns = np.diff(curves.offsets[::2]) > 0
     fixed = np.zeros(len(bodies.arm) - len(turns), dtype=bool)
-    moving = np.append(turns, fixed)[pairs].any(axis=1)
+    moves = np.append(turns, fixed)[pairs]
+    moving, one_moves = moves.any(axis=1), moves[:, 0] != moves[:, 1]
+    close = moving & (at_start < margin_mm - _FINE_MM)
+    leaving = close & one_moves & (least >= at_start - _NEARER_MM - _FINE_MM)
     walls = pairs[:, 1] >= len(bodies.arm) - len(problem.get("wall_mm", ()))
     arms = pairs[:, 1] < len(turns)
     return Gaps(
@@ -99,6 +111,9 @@ def judge_gaps(problem, plan, margin_mm: float = 0.05) -> Gaps:
         int((moving & walls & touching).sum()),
         float(least[moving & walls].min(initial=np.inf)),
         float(least[moving & arms].min(initial=np.inf)),
+        int((leaving & near).sum()),
+        int((leaving & touching).sum()),
+        float((at_start - least)[close].max(initial=0.0)),
     )
 
 
@@ -253,38 +268,46 @@ def _pose(bodies, curves, row, t, phi, theta):
 
 
 @nb.njit
-def _side(p, q, x):
-    return (q[0] - p[0]) * (x[1] - p[1]) - (q[1] - p[1]) * (x[0] - p[0])
-
-
-@nb.njit
 def _from_edges(a, m, b, n):
-    # least distance of the corners of a from the edges of b, 0 of a corner inside
+    # least distance of the corners of a from the edges of b
     least = np.inf
     for i in range(m):
-        inside = n > 2
         for j in range(n):
             p, q = b[j], b[(j + 1) % n]
-            inside = inside and _side(p, q, a[i]) >= 0.0
             dx, dy = q[0] - p[0], q[1] - p[1]
             ex, ey = a[i, 0] - p[0], a[i, 1] - p[1]
             long = dx * dx + dy * dy
             share = 0.0 if long == 0.0 else min(max((ex * dx + ey * dy) / long, 0.0), 1.0)
             ex, ey = ex - share * dx, ey - share * dy
             least = min(least, np.sqrt(ex * ex + ey * ey))
-        if inside:
-            return 0.0
+    return least
+
+
+@nb.njit
+def _overlap(a, m, b, n):
+    # by how much two convex polygons overlap at least, seen along the normals of the edges of a
+    least = np.inf
+    for i in range(m):
+        p, q = a[i], a[(i + 1) % m]
+        dx, dy = q[0] - p[0], q[1] - p[1]
+        long = np.sqrt(dx * dx + dy * dy)
+        if long == 0.0:
+            continue
+        last, first = -np.inf, np.inf  # of a, of b along the normal that points out of a
+        for k in range(m):
+            last = max(last, (dy * a[k, 0] - dx * a[k, 1]) / long)
+        for k in range(n):
+            first = min(first, (dy * b[k, 0] - dx * b[k, 1]) / long)
+        least = min(least, last - first)
     return least
 
 
 @nb.njit
 def _apart(a, m, b, n):
-    # distance of two convex polygons, 0 where they overlap
-    for i in range(m):
-        for j in range(n):
-            p, q, r, s = a[i], a[(i + 1) % m], b[j], b[(j + 1) % n]
-            if _side(p, q, r) * _side(p, q, s) < 0.0 and _side(r, s, p) * _side(r, s, q) < 0.0:
-                return 0.0
+    # distance of two convex polygons; where they overlap, less the shortest way to part them
+    overlap = min(_overlap(a, m, b, n), _overlap(b, n, a, m))
+    if 0.0 < overlap < np.inf:
+        return -overlap
     return min(_from_edges(a, m, b, n), _from_edges(b, n, a, m))
 
 
@@ -310,12 +333,12 @@ def _gap(bodies, curves, a, b, t, work):
 def _least_gaps(bodies, curves, pairs, last_s, margin):
     most = max(bodies.phi.shape[1], bodies.theta.shape[1])
     work = np.zeros((4, most, 2))
-    least = np.empty(len(pairs))
+    least, at_start = np.empty(len(pairs)), np.empty(len(pairs))
     for row in range(len(pairs)):
         a, b = pairs[row]
         g0, w0 = _gap(bodies, curves, a, b, 0.0, work)
         g1, w1 = _gap(bodies, curves, a, b, last_s, work)
-        found = min(g0, g1)
+        at_start[row], found = g0, min(g0, g1)
         stack = [(0.0, g0, w0, last_s, g1, w1)]
         while len(stack):
             t0, g0, w0, t1, g1, w1 = stack.pop()
@@ -328,4 +351,4 @@ def _least_gaps(bodies, curves, pairs, last_s, margin):
             stack.append((t0, g0, w0, t, g, w))
             stack.append((t, g, w, t1, g1, w1))
         least[row] = found
-    return least
+    return least, at_start

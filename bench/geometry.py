@@ -4,10 +4,10 @@
 
 Each field is planned, discretized, sent over simulated buses and carried out, then judged twice: by
 the certificate, and by judges that read the files alone (gap_judge, motor_judge). Pairs that start
-too close and rest are counted apart: no order can part bodies that may not be moved. A field is
-planned again without walls, for the cost. Each field is one line of JSON, written when it is
-done, and a table in markdown is made of all lines. Fields that have a line are left out, so a run
-that was ended goes on where it was; --again runs them again.
+too close are counted apart: no order can part bodies that may not be moved, and of others one may
+leave if it comes no nearer. A field is planned again without walls, for the cost. Each field is one
+line of JSON, written when it is done, and a table in markdown is made of all lines. Fields that
+have a line are left out, so a run that was ended goes on where it was; --again runs them again.
 """
 
 import argparse

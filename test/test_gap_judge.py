@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from fiber_core.clearance import Safety, certify
+from fiber_core.clearance import Safety, certify, gaps, neighbour_pairs
 from fiber_core.drive.named import with_drive
 from fiber_core.presets import preset
+from fiber_core.problem import Problem, problem_columns
 from fiber_positioners import random_problem, reconfigure
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
@@ -95,6 +96,65 @@ def test_a_contact_of_a_moment_between_two_waits_is_found():
         # a pair that touches is a contact, and not near as well
         assert (found.contacts, found.near) == (contacts, 1 - contacts)
         assert found.least_mm == pytest.approx(gap_mm, abs=5e-4)
+
+
+def too_close(gap_mm, turns):
+    """Two stretched arms on one line, tip to tip; each turns both arms by that much in a second."""
+    plane = replace(preset("desi", 2), centers=np.array([[0.0, 0.0], [20.0, 0.0]]))
+    start = np.array([[0.0, 0.0], [np.pi, 0.0]])
+    wide = float(gaps(plane, [[0, 1]], start)[0])
+    plane = replace(plane, centers=np.array([[0.0, 0.0], [20.0 - wide + gap_mm, 0.0]]))
+    counts = np.array([0, turns[0] != 0.0, 0, turns[1] != 0.0, 0]).cumsum()
+    velocity = np.array([turn for turn in turns if turn != 0.0])
+    plan = {
+        "offsets": counts,
+        "duration_s": np.ones(len(velocity)),
+        "velocity_rad_s": velocity,
+        "start_rad": start,
+    }
+    return problem_columns(Problem(plane, start, np.full((2, 2), np.nan))), plan
+
+
+@pytest.mark.parametrize("gap_mm", [0.02, -0.3])
+@pytest.mark.parametrize(
+    "turns, leaving", [((0.5, 0.0), 1), ((0.5, 0.5), 0), ((0.0, 0.0), 0), ((0.0, -0.5), 1)]
+)
+def test_of_a_pair_that_starts_too_close_one_may_leave(gap_mm, turns, leaving):
+    found = judge_gaps(*too_close(gap_mm, turns))
+    touches = int(gap_mm < 0.0)
+    assert (found.near, found.contacts) == (1 - touches, touches)
+    assert (found.leaving, found.leaving_contacts) == (leaving * (1 - touches), leaving * touches)
+    assert found.resting == int(turns == (0.0, 0.0)) * (1 - touches)
+    assert found.nearer_mm <= 1e-3 and found.least_mm == pytest.approx(gap_mm, abs=1e-3)
+
+
+@pytest.mark.parametrize("turned", [-0.2, 0.2])
+def test_a_pair_that_starts_too_close_and_comes_nearer_is_not_leaving(turned):
+    problem, plan = too_close(0.02, (turned, 0.0))
+    plan["start_rad"] = plan["start_rad"] - np.array([[0.5 * turned, 0.0], [0.0, 0.0]])
+    wide = judge_gaps(problem, plan, margin_mm=1.0)
+    assert wide.leaving == 0 and wide.near == 1
+    assert wide.nearer_mm > 0.01
+
+
+def test_depths_are_those_of_the_certificate(tmp_path):
+    plane = preset("desi_outlines", 37)
+    problem = random_problem(plane, seed=1)
+    start = np.random.default_rng(2).uniform(*np.moveaxis(plane.limits, -1, 0))
+    for a, b in neighbour_pairs(plane)[:60]:
+        alone = plane.permuted([a, b])
+        gap = float(gaps(alone, [[0, 1]], start[[a, b]])[0])
+        columns = problem_columns(
+            replace(problem, plane=alone, start=start[[a, b]], targets=problem.targets[[a, b]])
+        )
+        rest = {
+            "offsets": np.zeros(5, dtype=int),
+            "duration_s": np.zeros(0),
+            "velocity_rad_s": np.zeros(0),
+            "start_rad": start[[a, b]],
+        }
+        found = judge_gaps(columns, rest, margin_mm=20.0)
+        assert found.least_mm == pytest.approx(gap, abs=2e-6)
 
 
 def test_hulls_are_those_of_scipy_also_where_corners_lie_on_edges():
