@@ -16,7 +16,8 @@ With --faults robots and buses fail during the motion, e.g. `--faults stall:2,re
 by themselves, all others are stopped with them, and the robots that can go on are started again.
 
 Exit code 0: the motion was certified and, unless faults were requested, each robot with a target
-reached it or is held with a reason.
+reached it or is held with a reason. With --tolerance-um a hundredth of the simulated robots have a
+joint that does not turn: an image names them as not_moved, and that is no error of the run.
 """
 
 import argparse
@@ -40,7 +41,7 @@ from fiber_client.reconfigure import summary, went_well
 from fiber_client.terminal import ProgressDisplay, table
 from fiber_core.errors import FiberError
 from fiber_core.metrics import ORDER_BYTES_BOUND
-from fiber_core.outcomes import PlanOutcome
+from fiber_core.outcomes import PlanOutcome, Reason
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem, save_plan, save_problem
 from fiber_formats import FORMS, FoundProblem, problem_from, write_results
@@ -103,8 +104,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     print("\nin", options.out)
     for name in _FILES:
         print("  ", name)
-    good = bool(options.faults) or went_well(outcome)
+    good = bool(options.faults) or _as_simulated(outcome, options.tolerance_um is not None)
     return 0 if good and report["certified"] else 1
+
+
+def _as_simulated(outcome: PlanOutcome, camera: bool) -> bool:
+    """Return whether all went well but for joints that the simulated drives let stick."""
+    stuck = (outcome.reason == Reason.NOT_MOVED) & camera
+    return went_well(outcome.of(outcome.ids[~stuck]))
 
 
 def _simulate(options: argparse.Namespace, display: ProgressDisplay) -> tuple[Problem, _Run]:
