@@ -8,6 +8,7 @@ intervals and a verdict for every robot. `fiber_metrology.camera` simulates a ca
 from fiber_metrology.angles import angles_of_places
 from fiber_metrology.calibration import Calibration, GearVerdict, calibrate
 from fiber_metrology.centroids import CentroidConfig, find_spots
+from fiber_metrology.code_words import CodeWords, code_words
 from fiber_metrology.correction import correction_problem, follows
 from fiber_metrology.errors import ImageError, MetrologyError
 from fiber_metrology.exposures import Lights, combine
@@ -18,10 +19,12 @@ from fiber_metrology.plate import Plate, PlateConfig, solve_plate
 from fiber_metrology.polynomials import PolynomialMap, fit_map
 from fiber_metrology.recovery import Recovered, RecoveryConfig, recover, turn_within_margin
 from fiber_metrology.spots import Spots, checked_spots
+from fiber_metrology.wiring import Wiring, WiringConfig, WiringVerdict, tell_wiring
 
 __all__ = [
     "Calibration",
     "CentroidConfig",
+    "CodeWords",
     "DriveErrors",
     "Expected",
     "GearVerdict",
@@ -40,9 +43,13 @@ __all__ = [
     "RecoveryConfig",
     "Spots",
     "Verdict",
+    "Wiring",
+    "WiringConfig",
+    "WiringVerdict",
     "angles_of_places",
     "calibrate",
     "checked_spots",
+    "code_words",
     "combine",
     "correction_problem",
     "find_spots",
@@ -52,5 +59,6 @@ __all__ = [
     "measure",
     "recover",
     "solve_plate",
+    "tell_wiring",
     "turn_within_margin",
 ]

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which order moves which fibre: swapped robots and lost ones, from images of code words.
+
+The light of a robot moves to and fro with the bits of its word. Of every light the movement along
+every word is fitted (a matched filter); what it should be there follows from the place of the
+light, the theta axis of the robot that may carry it, and the turn of phi: at right angles to the
+phi arm, with some of the way lost. A robot at its own place is the usual case; a robot that moves a
+light at the place of another one is swapped. All assignments of lights to robots are summed as in
+`identify`, so that the doubt about each is a probability.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fiber_core import bounds
+from fiber_core.array_types import Bools, Codes, Floats, Ints, Points
+from fiber_core.focal_plane import FocalPlane
+from fiber_metrology.code_words import CodeWords
+from fiber_metrology.errors import MetrologyError
+from fiber_metrology.exposures import Lights
+from fiber_metrology.identify import most_likely
+
+__all__ = ["Wiring", "WiringConfig", "WiringVerdict", "tell_wiring"]
+
+_CHUNK = 256  # lights whose movement along all words is fitted at once
+_LARGEST = 600.0  # of a logarithm of evidence
+_RIVALS = 30.0  # evidence so far below that of the best word of a light is none
+_LEAST, _SMALL = 1e-6, 1e-10  # evidence that is none; beside that of a better pair
+_TRACK_MM = 0.06  # a light is the one nearest to where it was first, within
+_LEAST_IMAGES = 4  # with the bit, and without, in which a light must be seen
+
+
+class WiringVerdict(IntEnum):
+    """What the images say about the robot that an order is for."""
+
+    IN_PLACE = 0  # it moves a light about its own axis
+    SWAPPED = 1  # it moves a light about the axis of another robot
+    NOT_SEEN = 2  # no light moves by its word: dark, stuck, or it does not answer
+    AMBIGUOUS = 3  # a light may move by its word, and there is more doubt than is allowed
+
+
+@dataclass(frozen=True)
+class WiringConfig:
+    """What is known of camera, drives and wiring.
+
+    Args:
+        error_um: rms error of one coordinate of a place in one image [um].
+        least: least share of a turn that the arm makes, the rest being lost motion.
+        swapped: chance that a robot is at the place of another one.
+        none: chance that no light follows the word of a robot.
+        stray_per_mm2: lights of no robot [1/mm2].
+        certain: what is told has less doubt than this.
+
+    Raises:
+        MetrologyError: a value is out of range; names it.
+    """
+
+    RANGES: ClassVar = {
+        "error_um": bounds.Range(1e-3, 1e3),
+        "least": bounds.Range(0.0, 1.0),
+        "swapped": bounds.Range(1e-9, 0.5),
+        "none": bounds.Range(1e-9, 0.5),
+        "stray_per_mm2": bounds.Range(1e-9, 1e3),
+        "certain": bounds.Range(0.0, 0.5),
+    }
+
+    error_um: float = 4.5
+    least: float = 0.3
+    swapped: float = 1e-3
+    none: float = 0.1
+    stray_per_mm2: float = 1e-3
+    certain: float = 1e-4
+
+    def __post_init__(self) -> None:
+        bounds.check_ranges(self, self.RANGES, MetrologyError)
+
+
+@dataclass(frozen=True, eq=False)
+class Wiring:
+    """Which robot each order moves.
+
+    Args:
+        verdict: WiringVerdict of each robot, shape (n,).
+        at: row of the robot about whose axis the light moves, -1 where none is told, shape (n,).
+        places: place of the light, at the middle of its turns [mm], shape (n, 2), nan where none is
+            told.
+        doubt: probability of anything else, shape (n,).
+    """
+
+    verdict: Codes
+    at: Ints
+    places: Points
+    doubt: Floats
+
+    def lines(self, plane: FocalPlane) -> list[str]:
+        """Return a line for each robot that is not at its place, with its doubt."""
+        ids, told = plane.ids, []
+        for row in np.flatnonzero(self.verdict != WiringVerdict.IN_PLACE):
+            doubt, at = f"doubt {self.doubt[row]:.1e}", self.at[row]
+            if self.verdict[row] == WiringVerdict.SWAPPED:
+                back = self.at[at] == row
+                how = "these two are swapped" if back else "what moves there is not told"
+                text = f"orders move the fibre at the place of robot {ids[at]}: {how}, {doubt}"
+            elif self.verdict[row] == WiringVerdict.NOT_SEEN:
+                text = "no light moves by its orders"
+            else:
+                text = f"ambiguous, {doubt}"
+            told.append(f"robot {ids[row]}: {text}")
+        return told
+
+
+class _Fits(NamedTuple):
+    # movement of a light along a word: its light, robot, and the movement [mm] with the sum of
+    # squares of the word about its mean
+    light: Ints
+    row: Ints
+    moved: Points
+    squares: Floats
+
+
+def tell_wiring(
+    plane: FocalPlane,
+    words: CodeWords,
+    images: Sequence[Lights],
+    config: WiringConfig | None = None,
+) -> Wiring:
+    """Tell which robot each order moves, from images of code words.
+
+    Args:
+        plane: the focal plane; where its robots stand need not be known.
+        words: what the robots were told.
+        images: the lights of each image; those of an image may lack some.
+        config: what is known of camera, drives and wiring.
+
+    Raises:
+        MetrologyError: the words are not of this plane, or of other images.
+    """
+    config = config or WiringConfig()
+    if words.bits.shape != (plane.n, len(images)):
+        raise MetrologyError(
+            f"words of {words.bits.shape[0]} robots and {words.images} images, "
+            f"for {plane.n} robots and {len(images)} images"
+        )
+    places = _tracks(images)
+    fits = _fits(words, places, config)
+    row, light, at, weight = _evidence(plane, words, places, fits, config)
+    pair, first, owner = np.unique(
+        np.stack([row, light]), axis=1, return_index=True, return_inverse=True
+    )
+    total = np.bincount(owner.ravel(), weight, len(first))
+    found, doubt = most_likely(pair[0], pair[1], total, plane.n, len(places), config.none)
+    # which axis, among those of this pair
+    best = np.lexsort([-weight, light, row])
+    best = best[np.unique(owner.ravel()[best], return_index=True)[1]]
+    of_pair = {(int(r), int(k)): i for i, (r, k) in enumerate(pair.T)}
+    told = np.full(plane.n, -1)
+    spot = np.full((plane.n, 2), np.nan)
+    for robot in np.flatnonzero(found >= 0):
+        i = of_pair[int(robot), int(found[robot])]
+        doubt[robot] += 1.0 - weight[best[i]] / total[i]
+        if doubt[robot] <= config.certain:
+            told[robot] = at[best[i]]
+            spot[robot] = _middle(words.bits[robot], places[found[robot]])
+    verdict = np.where(told == np.arange(plane.n), WiringVerdict.IN_PLACE, WiringVerdict.SWAPPED)
+    unsure = (found >= 0) | (doubt > 0.5)
+    verdict = np.where(told < 0, np.where(unsure, WiringVerdict.AMBIGUOUS, 2), verdict)
+    return Wiring(verdict, told, spot, doubt)
+
+
+def _middle(bits: Bools, places: Points) -> Points:
+    return np.asarray(np.nanmean(places[~bits], axis=0) + np.nanmean(places[bits], axis=0)) / 2.0
+
+
+def _tracks(images: Sequence[Lights]) -> Floats:
+    """Places of each light in all images [mm], nan where it was not seen, shape (s, images, 2)."""
+    first = np.zeros((0, 2))
+    for image in images:
+        here = image.places[~image.merged]
+        new = np.ones(len(here), dtype=bool)
+        if len(first) and len(here):
+            new = ~(cKDTree(first).query(here)[0] <= 2.0 * _TRACK_MM)
+        first = np.concatenate([first, here[new]])
+    places = np.full((len(first), len(images), 2), np.nan)
+    for k, image in enumerate(images):
+        here = image.places[~image.merged]
+        if not len(here):
+            continue
+        apart, at = cKDTree(first).query(here)
+        back = cKDTree(here).query(first)[1]
+        kept = (apart <= _TRACK_MM) & (back[at] == np.arange(len(here)))
+        places[at[kept], k] = here[kept]
+    return places
+
+
+def _fits(words: CodeWords, places: Floats, config: WiringConfig) -> _Fits:
+    """The movement of lights along words, of the words that explain most of it."""
+    bits, found = words.bits.astype(float), []
+    for begin in range(0, len(places), _CHUNK):
+        part = places[begin : begin + _CHUNK]
+        seen = np.isfinite(part[:, :, 0]).astype(float)
+        middle = np.nan_to_num(np.nanmean(np.where(seen[:, :, None] > 0, part, np.nan), axis=1))
+        off = np.where(seen[:, :, None] > 0, part - middle[:, None], 0.0)
+        count, ones = seen.sum(axis=1)[:, None], seen @ bits.T
+        squares = ones - ones**2 / np.maximum(count, 1.0)
+        enough = np.minimum(ones, count - ones) >= _LEAST_IMAGES
+        # the places are about their mean, so that the bits need no mean
+        moved = np.stack([off[:, :, axis] @ bits.T for axis in range(2)], axis=-1)
+        moved /= np.maximum(squares, 1e-9)[:, :, None]
+        gain = (moved**2).sum(axis=2) * squares / (2.0 * (1e-3 * config.error_um) ** 2)
+        gain = np.where(enough, gain, -np.inf)
+        light, row = np.nonzero(gain > gain.max(axis=1, keepdims=True) - _RIVALS)
+        found.append((light + begin, row, moved[light, row], squares[light, row]))
+    if not found:
+        none = np.zeros(0, dtype=np.int64)
+        return _Fits(none, none, np.zeros((0, 2)), np.zeros(0))
+    return _Fits(*(np.concatenate(each) for each in zip(*found)))
+
+
+def _evidence(
+    plane: FocalPlane, words: CodeWords, places: Floats, fits: _Fits, config: WiringConfig
+) -> tuple[Ints, Ints, Ints, Floats]:
+    """Robot, light, axis, and evidence over that of a light of no robot, (p,) each, by robot."""
+    middle = np.nanmean(places, axis=1) if len(places) else np.zeros((0, 2))
+    reach = plane.arms.sum(axis=1) + _TRACK_MM
+    tree = cKDTree(plane.centers)
+    near = tree.query_ball_point(middle, reach.max()) if len(middle) else []
+    count = np.array([len(near[k]) for k in fits.light], dtype=np.int64)
+    fit = np.repeat(np.arange(len(fits.light)), count)
+    at = np.array([q for k in fits.light for q in near[k]], dtype=np.int64)
+    arm = middle[fits.light[fit]] - plane.centers[at]
+    sigma_mm = 1e-3 * config.error_um
+    row, squares, moved = fits.row[fit], fits.squares[fit], fits.moved[fit]
+    weight = np.zeros(len(fit))
+    for elbow in (1.0, -1.0):
+        way, can = _ways(plane, at, arm, elbow, 2.0 * words.turn_rad[row])
+        share = (moved * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-18)
+        off = moved - np.clip(share, config.least, 1.05)[:, None] * way
+        # of a movement along the word over none at all
+        log = ((moved**2).sum(axis=1) - (off**2).sum(axis=1)) * squares / (2.0 * sigma_mm**2)
+        weight += np.where(can, np.exp(np.clip(log, -_LARGEST, _LARGEST)), 0.0)
+    area = np.pi * plane.arms[at].sum(axis=1) ** 2
+    swapped = config.swapped / max(plane.n - 1, 1)
+    chance = np.where(at == row, 1.0 - config.swapped, swapped)
+    weight *= chance / area / config.stray_per_mm2
+    light = fits.light[fit]
+    best = np.zeros(len(places)), np.zeros(plane.n)
+    np.maximum.at(best[0], light, weight)
+    np.maximum.at(best[1], row, weight)
+    kept = weight > np.maximum(_LEAST, _SMALL * np.maximum(best[0][light], best[1][row]))
+    order = np.lexsort([light[kept], row[kept]])
+    return row[kept][order], light[kept][order], at[kept][order], weight[kept][order]
+
+
+def _ways(
+    plane: FocalPlane, at: Ints, arm: Points, elbow: float, turn: Floats
+) -> tuple[Points, Bools]:
+    """How a fibre moves in a turn of phi, by the place of its tip from an axis [mm], (p, 2)."""
+    l1, l2 = plane.arms[at].T
+    distance = np.hypot(*arm.T)
+    cosine = (distance**2 - l1**2 - l2**2) / (2.0 * l1 * l2)
+    phi = elbow * np.arccos(np.clip(cosine, -1.0, 1.0))
+    low, high = plane.limits[at, 1].T
+    slack = 0.1  # of the range of phi, for arms that were measured badly [rad]
+    can = (np.abs(cosine) <= 1.05) & (phi >= low - slack) & (phi <= high + slack)
+    theta = np.arctan2(arm[:, 1], arm[:, 0]) - np.arctan2(l2 * np.sin(phi), l1 + l2 * np.cos(phi))
+    both = theta + phi
+    return (l2 * turn)[:, None] * np.stack([-np.sin(both), np.cos(both)], axis=1), can
