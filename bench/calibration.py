@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Calibrate robots from a history of random points, and print one JSON line.
+"""Calibrate robots from a history of random or chosen points, and print one JSON line.
 
 The robots have other centres, arms and zeros than the plane says, gears with scales by direction
 and backlash, some linear, stuck and slipping ones, and a camera with its errors. Errors are those
@@ -25,7 +25,7 @@ from fiber_bus_bridge.simulation import (
 from fiber_core import kinematics
 from fiber_core.motion import SegmentMotion
 from fiber_core.presets import preset
-from fiber_metrology import GearVerdict, calibrate
+from fiber_metrology import GearVerdict, calibrate, calibration_points
 
 
 def main() -> int:
@@ -34,6 +34,7 @@ def main() -> int:
     parser.add_argument("--preset", default="desi")
     parser.add_argument("--robots", type=int)
     parser.add_argument("--points", type=int, default=20)
+    parser.add_argument("--chosen", action="store_true", help="points chosen for the zeros")
     parser.add_argument("--error-um", type=float, default=2.5, help="of a coordinate of a place")
     parser.add_argument("--wave-deg", type=float, default=0.0, help="non-linearity of the drives")
     parser.add_argument("--seed", type=int, default=0)
@@ -61,6 +62,8 @@ def run(options: argparse.Namespace) -> dict[str, float]:
     drawn = drawn.with_(scale=scale)
     low, high = np.moveaxis(plane.limits, -1, 0)
     counters = low + (high - low) * rng.uniform(0.02, 0.98, (p + 1, n, 2))
+    if options.chosen:
+        counters = calibration_points(plane, p, rng, options.error_um)
     state = arms_at(drawn, counters[0] + zeros)
     places = np.empty((p, n, 2))
     for k in range(p):

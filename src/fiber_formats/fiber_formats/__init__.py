@@ -5,7 +5,8 @@
 file holds and is not used stands in the notices of what they return.
 """
 
-from fiber_formats.conversion import KINDS, convert
+from fiber_formats.columns import Columns, read_columns
+from fiber_formats.conversion import KINDS, convert, write_layout
 from fiber_formats.errors import FormatError
 from fiber_formats.formats import FORMATS
 from fiber_formats.interface import Format
@@ -28,9 +29,13 @@ from fiber_formats.records import (
 from fiber_formats.result_forms import FORMS
 from fiber_formats.results import Results, read_results, results_of, write_results
 from fiber_formats.source import DataFile, Source
-from fiber_formats.writing import kind_of
+from fiber_formats.writing import kind_of, write_table
 
 __all__ = [
+    "Columns",
+    "read_columns",
+    "write_layout",
+    "write_table",
     "DEFAULT_PRESET",
     "FORMATS",
     "FORMS",

@@ -2,6 +2,7 @@
 """Checked columns of one table: everything that is wrong is collected and refused at once."""
 
 import difflib
+import os
 import re
 from collections.abc import Iterable
 
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 
 from fiber_core.array_types import Bools, Floats, Ids, Ints
 from fiber_formats.errors import FormatError
+from fiber_formats.source import Source
 from fiber_formats.table import Column, Table, folded
 
-__all__ = ["MOST_ID", "Columns", "near"]
+__all__ = ["MOST_ID", "Columns", "near", "read_columns"]
 
 MOST_ID = 2**32 - 1  # the wire carries 32 bits
 _NAMED = 10  # how many rows a message lists
@@ -20,6 +22,19 @@ _NEAR = 0.8  # ratio of equal letters from which a name counts as a misspelt one
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$", re.ASCII)
 _WHOLE = re.compile(r"([+-]?\d+)(\.0*)?$", re.ASCII)
 _TRUE, _FALSE = ("true", "t", "yes", "y", "1", "1.0"), ("false", "f", "no", "n", "0", "0.0")
+
+
+def read_columns(path: str | os.PathLike[str], *names: str) -> "Columns":
+    """Return the columns of the table in a file that has some of them.
+
+    Args:
+        path: the file.
+        names: columns that the table must have.
+
+    Raises:
+        FormatError: the file cannot be read, or has no such table.
+    """
+    return Columns(Source([path]).only.table_with(*names))
 
 
 def near(name: str, known: Iterable[str]) -> str | None:

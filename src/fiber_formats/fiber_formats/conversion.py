@@ -2,6 +2,7 @@
 """Convert any format into our own columns."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from fiber_formats.records import Layout, StartColumns
 from fiber_formats.source import Source
 from fiber_formats.writing import kind_of, write_table
 
-__all__ = ["KINDS", "convert"]
+__all__ = ["KINDS", "convert", "write_layout"]
 
 KINDS = ("layout", "targets", "starts")
 
@@ -59,7 +60,7 @@ def convert(
         notices = (f"{kinds[0]} is written; the format also holds {', '.join(kinds[1:])}",)
     if kinds[0] == "layout":
         layout = read_layout(source, preset)
-        notices = (layout.summary, *_write_layout(target, layout), *notices, *layout.notices)
+        notices = (layout.summary, *write_layout(target, layout), *notices, *layout.notices)
     elif kinds[0] == "targets":
         found = read_targets(source)
         columns = {"id": found.ids, "x_mm": found.xy_mm[:, 0], "y_mm": found.xy_mm[:, 1]}
@@ -87,12 +88,28 @@ def _kinds(files: Source, preset: str | None) -> list[str]:
     return ["targets"] if file.has_columns("x_mm") else ["starts"]
 
 
-def _write_layout(target: str | os.PathLike[str], layout: Layout) -> tuple[str, ...]:
+def write_layout(
+    target: str | os.PathLike[str], layout: Layout, changed: Mapping[str, NDArray] | None = None
+) -> tuple[str, ...]:
+    """Write a layout as a table of our own columns, obstacles and walls beside it.
+
+    Args:
+        target: the table; .csv, .ecsv or .fits, also with .gz.
+        layout: the layout.
+        changed: columns that take the place of those found, in the order of the plane.
+
+    Returns:
+        A line for each further file.
+
+    Raises:
+        FormatError: the target cannot be written.
+    """
     found = layout.found.columns
     order = np.argsort(found["id"], kind="stable")
     columns: dict[str, NDArray] = {
         name: np.asarray(found[name])[order] for name in LAYOUT_COLUMNS if name in found
     }
+    columns |= changed or {}
     columns["preset"] = np.full(len(order), layout.preset)
     for name in OUTLINES:
         if name in columns:

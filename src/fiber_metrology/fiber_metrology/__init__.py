@@ -6,7 +6,8 @@ intervals and a verdict for every robot. `fiber_metrology.camera` simulates a ca
 """
 
 from fiber_metrology.angles import angles_of_places
-from fiber_metrology.calibration import Calibration, GearVerdict, calibrate
+from fiber_metrology.calibration import NUMBERS, Calibration, GearVerdict, calibrate
+from fiber_metrology.calibration_points import calibration_points
 from fiber_metrology.centroids import CentroidConfig, find_spots
 from fiber_metrology.code_words import CodeWords, code_words
 from fiber_metrology.correction import correction_problem, follows
@@ -19,9 +20,11 @@ from fiber_metrology.plate import Plate, PlateConfig, solve_plate
 from fiber_metrology.polynomials import PolynomialMap, fit_map
 from fiber_metrology.recovery import Recovered, RecoveryConfig, recover, turn_within_margin
 from fiber_metrology.spots import Spots, checked_spots
+from fiber_metrology.trends import Trend, trend_of
 from fiber_metrology.wiring import Wiring, WiringConfig, WiringVerdict, tell_wiring
 
 __all__ = [
+    "NUMBERS",
     "Calibration",
     "CentroidConfig",
     "CodeWords",
@@ -42,12 +45,14 @@ __all__ = [
     "Recovered",
     "RecoveryConfig",
     "Spots",
+    "Trend",
     "Verdict",
     "Wiring",
     "WiringConfig",
     "WiringVerdict",
     "angles_of_places",
     "calibrate",
+    "calibration_points",
     "checked_spots",
     "code_words",
     "combine",
@@ -60,5 +65,6 @@ __all__ = [
     "recover",
     "solve_plate",
     "tell_wiring",
+    "trend_of",
     "turn_within_margin",
 ]

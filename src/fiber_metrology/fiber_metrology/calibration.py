@@ -24,9 +24,15 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.validation import frozen_array
 from fiber_metrology.errors import MetrologyError
 
-__all__ = ["Calibration", "GearVerdict", "calibrate"]
+__all__ = ["NUMBERS", "Calibration", "GearVerdict", "calibrate", "number_errors"]
 
 _NUMBERS = 12  # centre x, y, l1, l2, then zero, up, down, backlash of theta and of phi
+# their names, with units; scales towards higher angles are rising
+NUMBERS = ("x_mm", "y_mm", "arm_theta_mm", "arm_phi_mm") + tuple(
+    f"{joint}_{what}"
+    for joint in ("theta", "phi")
+    for what in ("zero_rad", "scale_rising", "scale_falling", "backlash_rad")
+)
 _PRIOR = np.array([0.3, 0.3, 0.1, 0.1] + 2 * [0.2, 0.5, 0.5, 0.01])  # [mm], [rad], 1
 _LEAST_POINTS = 8  # 16 coordinates for 12 numbers
 _ROUNDS = 60
@@ -75,6 +81,13 @@ class Calibration:
     rms_um: Floats
     points: Ints
     verdict: Codes
+
+    @property
+    def numbers(self) -> Floats:
+        """The twelve numbers in the order of `errors` and of `NUMBERS`, shape (n, 12)."""
+        rising, falling = self.scale[:, :, 1], self.scale[:, :, 0]
+        gears = np.stack([self.zeros, rising, falling, self.backlash_rad], axis=2)
+        return np.concatenate([self.centers, self.arms, gears.reshape(len(gears), 8)], axis=1)
 
     def applied_to(self, plane: FocalPlane) -> FocalPlane:
         """Return the plane with the centres and arms of robots that keep to a model.
@@ -145,6 +158,32 @@ def calibrate(
         plane.centers + numbers[:, :2], plane.arms + numbers[:, 2:4], joints[:, :, 0], scale,
         joints[:, :, 3], errors, rms_mm * 1e3, points, verdict,
     )  # fmt: skip
+
+
+def number_errors(arms: Floats, counters: Angles, error_mm: float, backlash_rad: float) -> Floats:
+    """Return the errors that the numbers of a sound robot have after a calibration, shape (12,).
+
+    Args:
+        arms: lengths of both arms [mm], shape (2,).
+        counters: joint angles at the start and at every point [rad], shape (p + 1, 2).
+        error_mm: error of one coordinate of a place [mm].
+        backlash_rad: lost motion of both joints [rad].
+    """
+    turned = np.diff(counters, axis=0)
+    travel = np.stack(
+        [np.cumsum(np.maximum(turned, 0.0), 0), np.cumsum(np.minimum(turned, 0.0), 0)], axis=-1
+    )
+    way, p = _directions(turned[:, None])[:, 0], len(turned)
+    x = np.zeros(_NUMBERS)
+    x[5:7] = x[9:11] = 1.0
+    x[7] = x[11] = backlash_rad
+    jacobian = np.empty((2 * p, _NUMBERS))
+    nowhere, zero = np.zeros((p, 2)), np.zeros(2)
+    _residuals(
+        x, zero, arms, counters[0], travel, way, nowhere, error_mm, jacobian, np.empty(2 * p)
+    )
+    normal = jacobian.T @ jacobian + np.diag(1.0 / _PRIOR**2)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(normal))))
 
 
 def _directions(turned: Floats) -> Floats:

@@ -5,7 +5,7 @@ import argparse
 import sys
 
 from fiber_core.errors import FiberError
-from fiber_positioners.command import convert, plan, player, study
+from fiber_positioners.command import calibrate, convert, plan, player, study
 from fiber_positioners.command.arguments import HelpFormatter, Parser
 from fiber_positioners.command.exit_codes import DONE, INTERRUPTED, REFUSED
 
@@ -33,6 +33,7 @@ def parsers() -> tuple[Parser, dict[str, Parser]]:
         ("study", study),
         ("player", player),
         ("convert", convert),
+        ("calibrate", calibrate),
     ):
         found[name] = choices.add_parser(
             name,
