@@ -23,6 +23,7 @@ from fiber_bus_bridge.simulation import (
     true_angles,
 )
 from fiber_core import kinematics
+from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.presets import preset
 from fiber_metrology import GearVerdict, calibrate, calibration_points
@@ -60,10 +61,7 @@ def run(options: argparse.Namespace) -> dict[str, float]:
     scale = drawn.scale.copy()
     scale[linear, 1] *= rng.uniform(0.63, 0.85, (int(linear.sum()), 1))
     drawn = drawn.with_(scale=scale)
-    low, high = np.moveaxis(plane.limits, -1, 0)
-    counters = low + (high - low) * rng.uniform(0.02, 0.98, (p + 1, n, 2))
-    if options.chosen:
-        counters = calibration_points(plane, p, rng, options.error_um)
+    counters = _points(plane, p, rng, options)
     state = arms_at(drawn, counters[0] + zeros)
     places = np.empty((p, n, 2))
     for k in range(p):
@@ -106,6 +104,15 @@ def run(options: argparse.Namespace) -> dict[str, float]:
         "slipping_robots": int((drawn.slip > 0.0).any(axis=1).sum()),
         **{f"told_{name}": count for name, count in told.items()},
     }
+
+
+def _points(
+    plane: FocalPlane, points: int, rng: np.random.Generator, options: argparse.Namespace
+) -> np.ndarray:
+    if options.chosen:
+        return calibration_points(plane, points, rng, options.error_um)
+    low, high = np.moveaxis(plane.limits, -1, 0)
+    return low + (high - low) * rng.uniform(0.02, 0.98, (points + 1, plane.n, 2))
 
 
 def _rms(values: np.ndarray) -> float:
