@@ -73,6 +73,16 @@ def test_compressed_plans_follow_each_other_before_the_other_search_has_ended(pl
     assert most > 1
 
 
+def test_the_shortest_plan_takes_fewer_lines_than_it_was_found_with(plans, monkeypatch):
+    monkeypatch.setattr(Search, "simplify", Search._result)
+    problem, _, best = plans[2]
+    as_found = plan(problem, 300.0)
+    assert makespan_s(best) == makespan_s(as_found)
+    np.testing.assert_array_equal(best.reason, as_found.reason)
+    lines = [straight_pieces(planned.motion).counts.sum() for planned in (best, as_found)]
+    assert lines[0] < lines[1]
+
+
 def test_the_same_seed_gives_the_same_bytes_whatever_thread_is_first(plans):
     problem, _, best = plans[0]
     again = plan(problem, 300.0)

@@ -44,8 +44,8 @@ _FOLD_FROM = (1.4, 1.2)  # stretch from which arms are folded on their way
 _RELEASE_FROM = (1.02, 1.5)  # stretch from which stuck robots near static arms are released
 _FOLDING = 0.7  # share of moves that fold the arm, once arms are folded
 _DRAWS = (30, 100)  # moves of a robot in a sweep: not folding, folding
-_LINES = 20  # profiles of fewer segments that are tried for each robot
-_LAST_LINES = 100  # the same of a plan that was shortened
+_LINES = 60  # profiles of fewer segments that are tried for each robot
+_LAST_LINES = (400, 400)  # the same of a plan that is not searched any more, one after the other
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
 _IN_VAIN = 8  # sweeps; what is in the way of robots beside static bodies will not move
 _FEW = 5  # pairs in conflict beside static bodies that are searched deeper before all get more time
@@ -98,14 +98,12 @@ class Search:
         self._first_released = near_static | at_borders(self._scene, problem.plane)
         self._may_be_blocked = bool(near_static.any()) or len(problem.plane.walls) > 0
         self._at_most = np.zeros(len(self._scene.pairs), dtype=bool)  # see require_more
-        self._lines = _LINES
 
     def run(self) -> SearchResult:
         """Search at longer and longer makespans, and return the motion that was found."""
         conflicts = self._start_straight(1.0)
         self.crowded = conflicts > _CROWDED * self._problem.plane.n
         self.dense = conflicts > _SHORTENED * self._problem.plane.n
-        self._lines = 0 if self.dense else _LINES
         crowded = int(self.crowded)
         stretches = stretches_of(
             self._problem.plane, self.crowded, self._alone_s, self._parameters.stretch
@@ -144,7 +142,7 @@ class Search:
             like: a search that has found a longer plan of the same problem, to begin with that
                 plan compressed; by default the search begins with folded arms.
         """
-        self.stretch, self.crowded, self._limit, self._lines = stretch, True, 0.0, 0
+        self.stretch, self.crowded, self._limit = stretch, True, 0.0
         self._refolded_at_most = 10 * _REFOLDED_AT_MOST
         self._ends.choice[released] = -1
         self._ends.angles[released] = self._problem.start[released]
@@ -177,8 +175,9 @@ class Search:
         if self._late:
             return self._result()
         before = [np.copy(column) for column in self._plan]
-        self._plan.shortcut_due[:] = True
-        shortcut_all(self._scene, self._plan, self._grid.step_s, _LAST_LINES, self._blocks)
+        for lines in _LAST_LINES:
+            self._plan.shortcut_due[:] = True
+            shortcut_all(self._scene, self._plan, self._grid.step_s, lines, self._blocks)
         if self._unconfirmed_pairs().any():
             self._take_back(before)
         return self._result()
@@ -307,7 +306,7 @@ class Search:
             conflicts = self._local_search()
             if conflicts:
                 return conflicts
-            shortcut_all(self._scene, self._plan, self._grid.step_s, self._lines, self._blocks)
+            shortcut_all(self._scene, self._plan, self._grid.step_s, _LINES, self._blocks)
             short = self._unconfirmed_pairs()
             unconfirmed = int(np.count_nonzero(short))
             if not unconfirmed:
