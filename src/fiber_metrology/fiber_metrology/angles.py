@@ -56,6 +56,12 @@ def angles_of_places(
 
 
 @nb.njit(cache=True)
+def _lead(arm1, arm2, phi):
+    """The angle of the tip as seen from the theta arm."""
+    return math.atan2(arm2 * math.sin(phi), arm1 + arm2 * math.cos(phi))
+
+
+@nb.njit(cache=True)
 def _bend(arm1, arm2, distance):
     """The angle of phi, 0 to pi, and of the tip as seen from the theta arm."""
     longest, shortest = arm1 + arm2, abs(arm1 - arm2)
@@ -63,7 +69,7 @@ def _bend(arm1, arm2, distance):
     outer = max(0.0, (longest - distance) * (longest + distance))
     inner = max(0.0, (distance - shortest) * (distance + shortest))
     phi = 2.0 * math.atan2(math.sqrt(outer), math.sqrt(inner))
-    return phi, math.atan2(arm2 * math.sin(phi), arm1 + arm2 * math.cos(phi))
+    return phi, _lead(arm1, arm2, phi)
 
 
 @nb.njit(cache=True)
@@ -106,6 +112,11 @@ def _angles(
         if rim - error <= shortest:
             wide[i, 1] = max(wide[i, 1], 2.0 * (math.pi - phi))
             wide[i, 0] = math.pi
+        # an arm that is set to its stop keeps the direction of its fibre
+        at_stop = min(max(out[i, 1], inside[i, 1, 0]), inside[i, 1, 1])
+        turn = _lead(arm1, arm2, out[i, 1]) - _lead(arm1, arm2, at_stop)
+        out[i, 0] += turn
+        wide[i, 0] += abs(turn)
         for joint in range(2):
             angle = min(max(out[i, joint], inside[i, joint, 0]), inside[i, joint, 1])
             wide[i, joint] += abs(angle - out[i, joint])

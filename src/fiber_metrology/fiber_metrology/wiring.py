@@ -16,6 +16,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.stats import chi2
 
 from fiber_core import bounds
 from fiber_core.array_types import Bools, Codes, Floats, Ints, Points
@@ -31,6 +32,7 @@ _CHUNK = 256  # lights whose movement along all words is fitted at once
 _LARGEST = 600.0  # of a logarithm of evidence
 _RIVALS = 30.0  # evidence so far below that of the best word of a light is none
 _LEAST, _SMALL = 1e-6, 1e-10  # evidence that is none; beside that of a better pair
+_ODD = 1e-6  # chance of what a word leaves of the movement of its own light
 _TRACK_MM = 0.06  # a light is the one nearest to where it was first, within
 _LEAST_IMAGES = 4  # with the bit, and without, in which a light must be seen
 
@@ -213,7 +215,11 @@ def _fits(words: CodeWords, places: Floats, config: WiringConfig) -> _Fits:
         moved /= np.maximum(squares, 1e-9)[:, :, None]
         gain = (moved**2).sum(axis=2) * squares / (2.0 * (1e-3 * config.error_um) ** 2)
         gain = np.where(enough, gain, -np.inf)
-        light, row = np.nonzero(gain > gain.max(axis=1, keepdims=True) - _RIVALS)
+        most = gain.max(axis=1, keepdims=True)
+        # a light that moves by no word of the plane is of none of its robots
+        left = (off**2).sum(axis=(1, 2)) / (1e-3 * config.error_um) ** 2 - 2.0 * most[:, 0]
+        own = left <= chi2.isf(_ODD, np.maximum(2.0 * count[:, 0] - 4.0, 1.0))
+        light, row = np.nonzero((gain > most - _RIVALS) & own[:, None])
         found.append((light + begin, row, moved[light, row], squares[light, row]))
     if not found:
         none = np.zeros(0, dtype=np.int64)

@@ -47,3 +47,23 @@ def test_no_place_gives_no_angles_and_one_outside_goes_to_the_rim():
     assert np.isnan(found[0]).all() and np.isnan(outside[0])
     np.testing.assert_allclose(found[1], [0.0, 0.0], atol=1e-6)
     assert outside[1] == pytest.approx(0.3) and wide[1, 1] > 0.4
+
+
+def test_an_arm_beyond_its_stop_points_to_its_place_from_the_stop():
+    plane, rng = preset("desi", 400), np.random.default_rng(5)
+    low, high = plane.limits[:, 1].T
+    # counters at the stops, arms a little beyond and within them
+    beyond = rng.uniform(0.0, 0.05, plane.n)
+    stretched = np.arange(plane.n) < 200
+    phi = np.where(stretched, low - beyond, high + beyond)
+    true = np.stack([rng.uniform(-3.0, 3.0, plane.n), phi], axis=1)
+    places = kinematics.forward(plane, true)[1]
+    near = np.stack([true[:, 0], np.where(stretched, low, high)], axis=1)
+    found, wide, _ = angles_of_places(plane, places, near, 0.01)
+    assert (found[:, 1] >= low).all() and (found[:, 1] <= high).all()
+    off = kinematics.forward(plane, found)[1] - places
+    # what the stop alone leaves: the reach of the arm differs
+    reach = np.hypot(*(places - plane.centers).T)
+    at_stop = np.hypot(*(kinematics.forward(plane, near)[1] - plane.centers).T)
+    assert (np.hypot(*off.T) <= np.abs(reach - at_stop) + 1e-6).all()
+    assert (np.abs(found - true) <= wide + 1e-9).all()

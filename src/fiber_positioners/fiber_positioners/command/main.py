@@ -5,7 +5,7 @@ import argparse
 import sys
 
 from fiber_core.errors import FiberError
-from fiber_positioners.command import calibrate, convert, plan, player, study
+from fiber_positioners.command import calibrate, convert, plan, player, study, wiring
 from fiber_positioners.command.arguments import HelpFormatter, Parser
 from fiber_positioners.command.exit_codes import DONE, INTERRUPTED, REFUSED
 
@@ -34,6 +34,7 @@ def parsers() -> tuple[Parser, dict[str, Parser]]:
         ("player", player),
         ("convert", convert),
         ("calibrate", calibrate),
+        ("wiring", wiring),
     ):
         found[name] = choices.add_parser(
             name,
