@@ -17,6 +17,9 @@ from fiber_core.presets import preset
 from fiber_core.problem import Problem, save_problem
 from fiber_msgs_py import PlanStamp, topics
 from fiber_recording import load_recording
+from fiber_sectors import Beat, Order, Report, Stage, encode_beat, encode_report
+from fiber_sectors.calls import Kind, encode_call
+from fiber_sectors.node.links import as_message
 
 pytestmark = pytest.mark.timeout(900)  # the first plan of all compiles every core
 COMPILE_S, WAIT_S, ROBOTS = 600.0, 120.0, 40
@@ -102,6 +105,54 @@ def test_sectors_follow_the_clocks_of_their_hosts(tmp_path, new_domain):
         told = client.statuses["bridge: sector 1"].values
         assert abs(float(told["clock_ahead_s"]) - scale * AHEAD_S) < 1e-3
         assert 0.0 < float(told["clock_bound_ms"]) <= 1.0
+
+
+def malformed(rng):
+    """Bytes that are no message of sectors, or one with a content that cannot be."""
+    beat = encode_beat(Beat(5, 3, Order.MOVE, 1.5, (7, 0), (0.2, 1.0), (2.0, 3.0)))
+    report = encode_report(Report(1, 4, 5, Stage.READY, 0.2, 1.5, 0.1, 2.0))
+    table = encode_call(1, Kind.TABLE, 0, {"robot_counts": np.full((20, 2), 2**40)})
+    answer = encode_call(0, Kind.CONFIGURE, 7, {"a": np.arange(30)})
+    yield from (b"", b"F", b"FSB1", b"FSR1", b"FSC1", table, table[:-30], answer, answer[:40])
+    yield encode_report(Report(65535, 4, 5, Stage.READY, 0.2, 1.5, 0.1, 2.0))
+    yield encode_report(Report(0, 4, 5, Stage.READY, 1e300, 1.5, 0.1, 2.0))
+    yield encode_beat(Beat(5, 3, Order.GO, np.nan, (7, 0), (0.2, 1.0), (2.0, 3.0)))
+    yield encode_call(65535, Kind.PREPARE, 1, {"run": np.array("a")})
+    for data in (beat, report):
+        yield from (data[:-1], data + b"x", rng.permutation(np.frombuffer(data, "u1")).tobytes())
+    yield from (rng.bytes(size) for size in (3, 30, 300, 100_000))
+
+
+def test_malformed_messages_to_sectors_and_coordinator_end_no_node(tmp_path, new_domain):
+    domain, rng = new_domain(), np.random.default_rng(0)
+    with Nodes(tmp_path, domain) as nodes, PlaneClient(domain) as client:
+        client.wait_for_graph(COMPILE_S)
+        strangers = [
+            replace(topic, name=f"sector_{k}/{topic.name}").publisher(client.node)
+            for topic in (topics.TO_SECTOR, topics.FROM_SECTOR)
+            for k in range(2)
+        ]
+        client.wait_for(
+            lambda: all(each.get_subscription_count() for each in strangers), WAIT_S, "sectors"
+        )
+
+        def disturb():
+            for data in malformed(rng):
+                for each in strangers:
+                    each.publish(as_message(data))
+
+        disturb()
+        ended = client.reconfigure(*new_targets(client, 1), COMPILE_S)
+        assert ended.count(Outcome.REACHED) >= ROBOTS - 2
+        stamp = client.send_targets(*new_targets(client, 2))
+        client.wait_until_ready(stamp, WAIT_S)
+        disturb()
+        client.start(WAIT_S)
+        disturb()
+        ended = client.wait_for_outcome(stamp, WAIT_S)
+        assert len(ended.outcome) == ROBOTS
+        assert ended.count(Outcome.REACHED) >= ROBOTS - 2 and ended.count(Outcome.FAILED) == 0
+        assert all(process.poll() is None for process in nodes.processes.values())
 
 
 def check_recording(path, client, ended):
