@@ -33,10 +33,11 @@ _CHECK_S = 0.2
 def _paced(hardware: Hardware, sectors: SectorsConfig) -> BusBackend:
     """The buses, in the time of this host where the parameters say so.
 
-    Robots of a plant outlive this process: their time is the clock, not the time since its begin.
+    Adapters live by it already. Robots of a plant outlive this process: their time is the clock,
+    not the time since its begin.
     """
     clock = sectors.clock
-    if clock is None:
+    if clock is None or hardware.in_real_time:
         return hardware.buses
     origin_s = None if hardware.plant is None else 0.0
     return PacedBuses(hardware.buses, clock, sectors.wait, origin_s)
@@ -60,9 +61,11 @@ class SectorNode(PlaneNode):
         own = self.parameters.declare(SectorsConfig, "sectors", read_only=True).value
         terms = self.parameters.declare(Terms, "terms", read_only=True).value
         self.parameters.finish()
-        if declared.chosen.devices:
+        if declared.chosen.devices and own.clock_scale != 1.0:
             raise SectorError(
-                f"devices {list(declared.chosen.devices)}: sectors move simulated robots alone"
+                f"devices {list(declared.chosen.devices)} with sectors.clock_scale "
+                f"{own.clock_scale:g}: adapters live in real time, set it to 1 in all sectors and "
+                "in their coordinator"
             )
 
         def part(plane: FocalPlane) -> FocalPlane:
