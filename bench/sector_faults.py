@@ -281,7 +281,8 @@ def broken_in(line: _Line) -> list[str]:
     """
     if "error" in line:
         return ["error"]
-    found = broken(line) + (["errors"] if line.get("errors") else [])
+    failed = any("Traceback" in each for each in line.get("errors", []))  # not a mere notice
+    found = broken(line) + (["errors"] if failed else [])
     if not line["next_asked"] or line["next_reached"] < _FEWEST * line["next_asked"]:
         found.append("next")
     return found

@@ -111,10 +111,12 @@ def judge(
     certificate = certify_arms(plane, motion, _EXACT, neighbour_pairs(plane))
     of = starts_of(moves.started_s, told)
     ended_s = np.where(np.isnan(moves.ended_s), now_s, np.minimum(moves.ended_s, now_s))
-    ended_s = np.maximum(ended_s, moves.started_s)  # of a countdown that was ended: none has moved
+    went = ended_s > moves.started_s  # else its countdown was ended, and it has not moved
     early, skew_s, stop_s = broken_off(moves, now_s), 0.0, 0.0
     for k in np.unique(of[of >= 0]):
-        mine = of == k
+        mine = (of == k) & went
+        if not mine.any():
+            continue  # no lease was given
         skew_s = max(skew_s, float(np.ptp(moves.started_s[mine])))
         still = set(told[k].rows) - set(moves.row[mine].tolist())
         stands_s = [*ended_s[mine & early], *([moves.started_s[mine].min()] * bool(still))]

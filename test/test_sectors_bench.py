@@ -180,6 +180,9 @@ def test_the_table_of_a_campaign_says_what_was_promised_and_of_which_commit(benc
 def test_a_countdown_that_was_ended_is_no_motion(bench):
     verdict = judged(bench, [(1.0, 0.97)], [(1.0, 0.96)], [1.0])
     assert verdict.stop_ms == verdict.start_skew_ms == 0.0
+    # a GO that was sent late: the coordinator heard of it, and no lease was given
+    verdict = judged(bench, [(1.0, 0.97)], [(1.004, 0.99)], [1.0])
+    assert verdict.stop_ms == verdict.start_skew_ms == 0.0
 
 
 def test_a_movement_without_a_start_or_verification_is_unverified(bench):
