@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fiber_core.array_types import Bools, Floats, Ints, Mask, Pairs
+from fiber_core import kinematics
+from fiber_core.array_types import Bools, Floats, Gaps, Ints, Mask, Pairs
 from fiber_core.clearance import bodies_of, gaps, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.problem import Problem
@@ -15,6 +16,7 @@ __all__ = ["GoalProgram", "goal_program", "least_makespan_s", "most_goals", "rob
 
 _MEASURED_MM = 1e-3  # a pair that starts too close must keep its gap, less this, at the end
 _SAME_S = 1e-9
+_TOLERANCE_MM = 0.1  # a robot as near to its target need not move
 _NODES = 20_000  # of branch and bound; a limit of time would not be repeatable
 _HASTE = 0.25  # share of a robot that the times of all robots together count for
 
@@ -28,6 +30,7 @@ class GoalProgram(NamedTuple):
         possible: whether there is one, clear of all static bodies, shape (n, 2).
         pairs: rows of robots that exclude each other with some elbows, shape (p, 2).
         clash: whether they do with elbows i and j, shape (p, 2, 2).
+        tangled: the pairs that start too close, of which only one may move, shape (t, 2).
     """
 
     angles: Floats
@@ -35,19 +38,24 @@ class GoalProgram(NamedTuple):
     possible: Bools
     pairs: Pairs
     clash: Bools
+    tangled: Pairs
 
 
-def goal_program(problem: Problem, seeking: Mask, margin_mm: float) -> GoalProgram:
+def goal_program(
+    problem: Problem, seeking: Mask, margin_mm: float, least_mm: float | None = None
+) -> GoalProgram:
     """Collect the elbows with which robots can be on their targets at the end of any motion.
 
     Robots that seek no target may stand anywhere. At the end of every certified motion a pair keeps
-    the margin; a pair that starts closer may keep the gap with which it starts, see `Safety`. Turns
-    of one elbow are the same place, so only the fastest one counts.
+    the margin; a pair that starts closer may keep the gap with which it starts, and only one of its
+    robots may move (`Safety`), so that both arrive only if one is on its target already. Turns of
+    one elbow are the same place, so only the fastest one counts.
 
     Args:
         problem: the plane, the present joint angles and the targets.
         seeking: robots with a target that they could reach alone, shape (n,).
         margin_mm: gap that outlines must keep at the end [mm].
+        least_mm: gap below which a pair starts too close; by default that margin [mm].
     """
     plane = problem.plane
     angles, count = fastest_ends(problem)
@@ -57,7 +65,12 @@ def goal_program(problem: Problem, seeking: Mask, margin_mm: float) -> GoalProgr
     seeks = np.append(count > 0, np.zeros(plane.fixtures, dtype=bool))
     pairs = neighbour_pairs(plane, margin_mm).astype(np.int64, order="C")
     pairs = pairs[seeks[pairs].any(axis=1) & (seeks | fixed)[pairs].all(axis=1)]
-    clash = _clash_of(plane, problem, pairs, angles, count, margin_mm)
+    clash, at_start = _clash_of(plane, problem, pairs, angles, count, margin_mm)
+    close = at_start < (margin_mm if least_mm is None else least_mm)
+    away_mm = kinematics.on_target(plane, problem.start, problem.targets).error_mm
+    moves = seeks & np.append(away_mm > _TOLERANCE_MM, np.zeros(plane.fixtures, dtype=bool))
+    tangled = close & moves[pairs].all(axis=1)
+    clash[tangled, :2, :2] = True
     for side in range(2):  # an elbow at which a static body is in the way is none
         beside = fixed[pairs[:, 1 - side]]
         hit = clash[beside, :2, 2] if side == 0 else clash[beside, 2, :2]
@@ -65,19 +78,20 @@ def goal_program(problem: Problem, seeking: Mask, margin_mm: float) -> GoalProgr
     used = seeks[pairs].all(axis=1) & clash[:, :2, :2].any(axis=(1, 2))
     ends = angles[:, :2]
     time_s = np.where(possible, travel_s(problem, ends), np.inf)
-    return GoalProgram(ends, time_s, possible, pairs[used], clash[used, :2, :2])
+    return GoalProgram(ends, time_s, possible, pairs[used], clash[used, :2, :2], pairs[tangled])
 
 
 def _clash_of(
     plane: FocalPlane, problem: Problem, pairs: Pairs, angles: Floats, count: Ints, margin_mm: float
-) -> Bools:
+) -> tuple[Bools, Gaps]:
+    # as from ends_that_clash, and the gaps at the start
     bodies = bodies_of(plane)
     clash = ends_that_clash(bodies, pairs, angles, count, margin_mm)
     at_start = gaps(plane, pairs, problem.start)
     for e in np.flatnonzero(at_start < margin_mm):
         kept = at_start[e] - _MEASURED_MM
         clash[e : e + 1] = ends_that_clash(bodies, pairs[e : e + 1], angles, count, kept)
-    return clash
+    return clash, at_start
 
 
 def most_goals(

@@ -182,6 +182,34 @@ def test_a_passage_that_is_a_little_too_narrow_is_closed(missing_mm, expected):
     assert reachable(Problem(stiff, start, below), pairs, 0.05)[0] == expected
 
 
+def test_smaller_cells_prove_that_a_passage_is_too_narrow():
+    plane, start, pairs = _pair_with_a_disabled(180.0, 14.0)
+    gap = float(gaps(plane, pairs, np.deg2rad([[0.0, 0.0], [180.0, 0.0]]))[0])
+    plane, start, pairs = _pair_with_a_disabled(180.0, 14.0 - gap + 0.05 - 0.015)
+    stiff = plane_from(
+        PRESETS["desi"], plane.ids, plane.centers, enabled=plane.enabled,
+        limits=np.stack([np.deg2rad([[-100.0, 100.0], [0.0, 0.3]]), plane.limits[1]]),
+    )  # fmt: skip
+    problem = Problem(stiff, start, [[0.0, -6.0], [np.nan, np.nan]])
+    assert reachable(problem, pairs, 0.05)[0]
+    assert not reachable(problem, pairs, 0.05, np.deg2rad(0.125))[0]
+
+
+def test_a_way_that_keeps_the_gap_at_the_start_is_open():
+    # a disc at the elbow, nearer than the margin, from which phi turns neither away nor nearer
+    plane = plane_from(
+        PRESETS["desi"], [0], [[0.0, 0.0]],
+        limits=np.deg2rad([[[-0.01, 0.01], [0.0, 180.0]]]),
+    )  # fmt: skip
+    elbow = float(plane.arms[0, 0])
+    radius = 3.0 - float(plane.phi_radius[0]) - 0.02
+    plane = replace(plane, obstacles=np.array([[elbow, -3.0, radius]]))
+    problem = Problem(plane, np.zeros((1, 2)), [[elbow, float(plane.arms[0, 1])]])
+    pairs = neighbour_pairs(plane)
+    assert gaps(plane, pairs, problem.start)[0] == pytest.approx(0.02, abs=1e-6)
+    assert reachable(problem, pairs, 0.05)[0]
+
+
 def test_a_way_past_a_static_body_that_is_little_wider_than_the_margin_is_taken():
     plane, start, pairs = _pair_with_a_disabled(180.0, 14.0)
     gap = float(gaps(plane, pairs, np.deg2rad([[0.0, 0.0], [180.0, 0.0]]))[0])

@@ -123,6 +123,20 @@ def test_direct_brings_all_others_to_their_targets():
         assert on_target(problem, plan.motion.end)[arrives].max() < 1e-9
 
 
+@pytest.mark.parametrize("apart_mm, arrive", [(0.02, 1), (0.3, 2)])
+def test_of_two_robots_that_start_too_close_one_arrives(apart_mm, arrive):
+    plane = preset("desi", 2)
+    start = np.array([[0.0, 0.0], [np.pi, 0.0]])  # stretched, tip to tip
+    far = replace(plane, centers=np.array([[0.0, 0.0], [20.0, 0.0]]))
+    wide = float(gaps(far, [[0, 1]], start)[0])
+    plane = replace(far, centers=np.array([[0.0, 0.0], [20.0 - wide + apart_mm, 0.0]]))
+    problem = Problem(plane, start, plane.centers + np.array([0.0, 5.0]))
+    bound, plan = pair_bound(problem), make_planner("direct").plan(problem)
+    arrived = plan.reason == Reason.OK
+    assert (bound.robots, np.count_nonzero(arrived)) == (arrive, arrive)
+    assert (plan.reason[~arrived] == Reason.TANGLED).all()
+
+
 def test_no_plan_beats_the_pair_bound():
     refused = 0
     for seed in range(3):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from fiber_core.array_types import Angles, Bools, Codes, Floats, Gaps, Ints, Mask
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Gaps, Ints, Mask, Pairs
 from fiber_core.clearance import gaps, levers_of, point_speeds
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motors import motors_of
@@ -20,6 +20,7 @@ from fiber_planner.direct.reachability import reachable
 from fiber_planner.direct.scene import Scene, allowances_mm
 from fiber_planner.direct.time_grid import TimeGrid
 from fiber_planner.goal_program import (
+    GoalProgram,
     goal_program,
     least_makespan_s,
     most_goals,
@@ -72,8 +73,10 @@ def choose_ends(problem: Problem, scene: Scene, parameters: DirectParameters) ->
     if some_blocked or (time[rows, choice] > alone_s)[seeking].any():
         # Ends that no choice of elbows parts would be conflicts of every plan, and elbows that are
         # reached late make it longer.
-        elbow, ends = _soonest_ends(problem, seeking, margins_mm)
-        reason[seeking & (elbow < 0)], seeking = Reason.GOAL_BLOCKED, elbow >= 0
+        elbow, program = _soonest_ends(problem, seeking, margins_mm)
+        reason[seeking & (elbow < 0)] = Reason.GOAL_BLOCKED
+        waits = seeking & (elbow < 0) & _has_partner(program.tangled, elbow >= 0)
+        reason[waits], seeking, ends = Reason.TANGLED, elbow >= 0, program.angles
         choice = _option_at(scene, ends[rows, elbow])
         alone_s = _alone_s(scene, time[rows, choice][seeking])
     choice[~seeking] = -1
@@ -81,11 +84,21 @@ def choose_ends(problem: Problem, scene: Scene, parameters: DirectParameters) ->
     return Ends(reason, choice, angles, alone_s)
 
 
-def _soonest_ends(problem: Problem, seeking: Mask, margins_mm: list[float]) -> tuple[Ints, Floats]:
+def _has_partner(pairs: Pairs, which: Mask) -> Mask:
+    # robots of which the other one of a pair is among some, (n,)
+    found = np.zeros(len(which), dtype=bool)
+    for side in range(2):
+        found[pairs[which[pairs[:, 1 - side]], side]] = True
+    return found
+
+
+def _soonest_ends(
+    problem: Problem, seeking: Mask, margins_mm: list[float]
+) -> tuple[Ints, GoalProgram]:
     # An elbow of as many robots as possible, -1 for the others, (n,), with the least time of the
-    # slowest, and the angles of all elbows, (n, 2, 2). The widest margin is taken with which as
+    # slowest, and the program that it solves. The widest margin is taken with which as
     # many robots have clear ends as with the narrowest.
-    programs = [goal_program(problem, seeking, margin_mm) for margin_mm in margins_mm]
+    programs = [goal_program(problem, seeking, mm, margins_mm[-1]) for mm in margins_mm]
     chosen = [most_goals(program)[0] for program in programs]
     robots = [robots_with_goals(elbow) for elbow in chosen]
     widest = next(k for k, count in enumerate(robots) if count >= robots[-1])
@@ -94,7 +107,7 @@ def _soonest_ends(problem: Problem, seeking: Mask, margins_mm: list[float]) -> t
     soonest = most_goals(program, least_s, soonest=True)[0]
     if robots_with_goals(soonest) < robots[widest]:  # that search was given up
         soonest = chosen[widest]
-    return soonest, program.angles
+    return soonest, program
 
 
 def _times_s(problem: Problem, scene: Scene) -> Floats:

@@ -16,13 +16,17 @@ from fiber_core.threads import share_out
 __all__ = ["reachable"]
 
 _BLOCK = 8  # cells on a side of the largest block that is decided at once
+_FINER = 0.25  # of cells, where it is not sure that a way is wide enough
 _HALVINGS = 3  # of a block until it is a cell
 _CELL_RAD = math.radians(0.5)
 _LEAST_ROBOTS = 4  # of a thread: fewer are done sooner than it begins
+_MEASURED_MM = 1e-3  # a pair that starts too close must keep its gap less this, see `Safety`
 _ANY_MM = 1e-9  # the slack that matters if only its sign does
 
 
-def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
+def reachable(
+    problem: Problem, pairs: ArrayLike, margin_mm: float, finest_rad: float = _CELL_RAD
+) -> Mask:
     """Return which robots can reach their targets if only static bodies are around them.
 
     Static bodies are disabled robots and obstacles. A robot is reachable when one of its
@@ -30,12 +34,15 @@ def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
     there alone between them. The second is decided on a grid over the joint ranges: a
     cell is open when some point of it may keep the margin. So a target that is reported as
     unreachable is proven to be; one that is reported as reachable may still be closed off by
-    a passage narrower than the grid (half a degree).
+    a passage narrower than the grid. From a static body that is nearer than the margin at the
+    start the gap at the start is kept, as `Safety` requires.
 
     Args:
         problem: the plane, the present joint angles and the targets.
         pairs: rows a < b that can collide, from neighbour_pairs, shape (p, 2).
         margin_mm: gap to keep from static bodies [mm].
+        finest_rad: cells become smaller down to this size [rad] where a way leads through cells
+            that may be open, and none through cells with a middle that keeps the margin.
 
     Returns:
         Flags, shape (n,); False for a robot that has no target or is disabled.
@@ -55,7 +62,7 @@ def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
     def decide(first: int, last: int) -> None:
         _reachable(
             bodies, levers, robots[first:last], near,
-            standing, plane.limits, angles, valid, margin_mm, found[first:last],
+            standing, plane.limits, angles, valid, margin_mm, finest_rad, found[first:last],
         )  # fmt: skip
 
     share_out(decide, len(robots), _LEAST_ROBOTS)
@@ -64,15 +71,28 @@ def reachable(problem: Problem, pairs: ArrayLike, margin_mm: float) -> Mask:
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _slack(bodies, i, theta, phi, others, standing, margin, enough):
-    # least gap to the static bodies, less the margin; `enough` or more need not be exact
+def _slack(bodies, i, theta, phi, others, standing, margins, enough):
+    # least gap to the static bodies, less their margins; `enough` or more need not be exact
     least = enough
-    for j in others:
+    for k in range(len(others)):
+        j, margin = others[k], margins[k]
         gap = pair_gap_below(
             bodies, i, j, theta, phi, standing[j, 0], standing[j, 1], margin + enough
         )
         least = min(least, gap - margin)
     return least
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _margins(bodies, i, others, standing, margin):
+    # the gap to keep from each static body
+    margins = np.empty(len(others))
+    theta, phi = standing[i]
+    for k in range(len(others)):
+        x, y = standing[others[k]]
+        gap = pair_gap_below(bodies, i, others[k], theta, phi, x, y, margin)
+        margins[k] = margin if gap >= margin else gap - _MEASURED_MM
+    return margins
 
 
 @nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -124,51 +144,63 @@ def _leg_is_open(bodies, i, begin, end, others, standing, margin, size):
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
-def _reachable(bodies, levers, robots, near, standing, limits, angles, valid, margin, result):
+def _reachable(
+    bodies, levers, robots, near, standing, limits, angles, valid, margin_mm, finest_rad, result
+):  # fmt: skip
     for k in range(len(robots)):
         i = robots[k]
         others = near.body[near.offsets[i] : near.offsets[i + 1]]
-        low, size, count = _grid(limits[i], standing[i])
-        goals = np.zeros((count[0], count[1]), dtype=np.bool_)  # cells with a configuration
-        found = False
+        margin = _margins(bodies, i, others, standing, margin_mm)
+        cell = _CELL_RAD
+        goal = np.zeros(angles.shape[1], dtype=np.bool_)  # configurations that keep the margin
         for option in range(angles.shape[1]):
             if valid[i, option]:
                 theta, phi = angles[i, option]
-                if _slack(bodies, i, theta, phi, others, standing, margin, _ANY_MM) >= 0.0:
-                    goals[
-                        _cell(theta, low[0], size[0], count[0]),
-                        _cell(phi, low[1], size[1], count[1]),
-                    ] = True
-                    found = True
-        if found:
-            if _simple_path_is_open(
+                slack = _slack(bodies, i, theta, phi, others, standing, margin, _ANY_MM)
+                goal[option] = slack >= 0.0
+        while goal.any():
+            low, size, count = _grid(limits[i], standing[i], cell)
+            if cell == _CELL_RAD and _simple_path_is_open(
                 bodies, i, angles[i], valid[i], others, standing, limits[i], margin, size
             ):
                 result[k] = True
-                continue
-            is_open = _open_cells(bodies, i, levers[i], others, standing, low, size, count, margin)
+                break
+            is_open, is_sure = _open_cells(
+                bodies, i, levers[i], others, standing, low, size, count, margin
+            )
             u = _cell(standing[i, 0], low[0], size[0], count[0])
             v = _cell(standing[i, 1], low[1], size[1], count[1])
+            goals = np.zeros(is_open.shape, dtype=np.bool_)  # cells with such a configuration
+            for option in np.flatnonzero(goal):
+                theta, phi = angles[i, option]
+                goals[
+                    _cell(theta, low[0], size[0], count[0]), _cell(phi, low[1], size[1], count[1])
+                ] = True
+            is_sure |= goals
             result[k] = _flood(is_open, u, v, goals)
+            if not result[k] or cell <= finest_rad or _flood(is_sure, u, v, goals):
+                break
+            cell *= _FINER
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _grid(limits, standing):
+def _grid(limits, standing, cell_rad):
     # lowest angle, cell size [rad] and number of cells of both joints; the start is on the grid
     low, size, count = np.empty(2), np.empty(2), np.empty(2, dtype=np.int64)
     for joint in range(2):
         low[joint] = min(limits[joint, 0], standing[joint])
         span = max(limits[joint, 1], standing[joint]) - low[joint]
-        count[joint] = _BLOCK * max(1, int(math.ceil(span / (_BLOCK * _CELL_RAD))))
+        count[joint] = _BLOCK * max(1, int(math.ceil(span / (_BLOCK * cell_rad))))
         size[joint] = span / count[joint]
     return low, size, count
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _open_cells(bodies, i, lever, others, standing, low, size, count, margin):
-    # Which cells may have a point that keeps the margin. A block of cells that is open or closed as
-    # a whole is decided at once, others are quartered.
+    # Which cells may have a point that keeps the margin, and of which the middle does. A block of
+    # cells that is open or closed as a whole is decided at once, others are quartered.
     is_open = np.zeros((count[0], count[1]), dtype=np.bool_)
+    is_sure = np.zeros((count[0], count[1]), dtype=np.bool_)
     stack = np.empty((4 * _HALVINGS + 1, 3), dtype=np.int64)
     for u in range(0, count[0], _BLOCK):
         for v in range(0, count[1], _BLOCK):
@@ -187,12 +219,13 @@ def _open_cells(bodies, i, lever, others, standing, low, size, count, margin):
                     continue
                 if slack >= corner or width == 1:
                     is_open[x : x + width, y : y + width] = True
+                    is_sure[x : x + width, y : y + width] = slack >= 0.0
                     continue
                 half = width // 2
                 for part in range(4):
                     stack[top] = x + half * (part // 2), y + half * (part % 2), half
                     top += 1
-    return is_open
+    return is_open, is_sure
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
