@@ -43,6 +43,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=1, help="planes at the same time")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robots", type=int, default=37)
+    parser.add_argument("--only", default="", help="processes of the runs, as planner,discretizer")
     parser.add_argument("--lines", type=Path, default="bench/results/kill.jsonl", help="a run each")
     parser.add_argument("--logs", type=Path, help="folder for the logs of the processes")
     return parser.parse_args(argv)
@@ -54,7 +55,7 @@ def _lines(
     """Do the runs; after one that the graph or the judge does not survive, in a new graph."""
     left = iter(numbers)
     for first in left:
-        with Campaign(logs, args.robots, args.seed) as campaign:
+        with Campaign(logs, args.robots, args.seed, _names(args.only)) as campaign:
             number: int | None = first
             while number is not None:
                 try:
@@ -68,18 +69,24 @@ def _lines(
                 number = next(left, None)
 
 
+def _names(only: str) -> tuple[str, ...]:
+    return tuple(filter(None, only.split(",")))
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the command; return 1 when something happened that must not."""
     args = parse(argv)
     first = first_left(args.lines, args.seed) if args.first is None else args.first
     if args.jobs > 1:
-        given = {"seed": args.seed, "robots": args.robots, "lines": args.lines}
+        given = {"seed": args.seed, "robots": args.robots, "lines": args.lines, "only": args.only}
         return run_jobs(Path(__file__), args.jobs, first, args.runs, given, args.logs)
     for ends in (signal.SIGINT, signal.SIGTERM):  # the processes end with this one
         signal.signal(ends, signal.default_int_handler)
     use_loopback()
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     failed, of_all = 0, {"commit": commit_of_sources(), "seed": args.seed}
+    if args.only:
+        of_all["only"] = args.only
     numbers = range(first, first + args.runs * args.step, args.step)
     with tempfile.TemporaryDirectory() as folder:
         logs = args.logs or Path(folder)

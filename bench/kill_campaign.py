@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -49,10 +49,11 @@ class Campaign:
         folder: folder for logs, recordings and the socket.
         robots: number of robots.
         seed: seed of starts, targets and moments.
+        only: processes of the runs, without strangers and services; empty for all.
     """
 
-    def __init__(self, folder: Path, robots: int, seed: int):
-        self._folder, self._robots, self._seed = folder, robots, seed
+    def __init__(self, folder: Path, robots: int, seed: int, only: Sequence[str] = ()):
+        self._folder, self._robots, self._seed, self._only = folder, robots, seed, only
         self._socket = plant_socket(f"kill.{os.getpid()}")
         self._processes = ForkedProcesses(folder)
         self._at: dict[str, Callable[[], None]] = {}  # what begins with a stage
@@ -180,6 +181,7 @@ class Campaign:
         rng = self._rng
         kinds = [(p, s, h) for h in ("kill", "pause") for s in STAGES for p in PROCESSES]
         kinds += [("", "moving", "strangers"), ("", "moving", "services")] * 3
+        kinds = [kind for kind in kinds if not self._only or kind[0] in self._only]
         order = np.random.default_rng([self._seed, 1, number // len(kinds)]).permutation(len(kinds))
         name, stage, how = kinds[order[number % len(kinds)]]
         names = [name] if name else []

@@ -80,7 +80,9 @@ def _iterate_missing(
 def _stages_missing(monitor: PlaneMonitor) -> Iterator[str]:
     for stage in STAGES:
         status = monitor.statuses.get(stage)
-        if status is None:
+        if not claims(monitor.node, stage):
+            yield f"a {stage}"
+        elif status is None:
             yield f"diagnostics of {stage}"
         elif status.values.get("state", "active") != "active":
             yield f"{stage} to be activated, it is {status.values['state']}"

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fiber_node.parameters import NodeParameters
+from fiber_node.signs_of_life import SignsOfLife
 from fiber_node.worker import Worker
 
 __all__ = ["PlaneNode"]
@@ -64,6 +65,7 @@ class PlaneNode(Node):
         """Cancel the work of all workers, and give up the node."""
         self.end_workers()
         self.ended = not self._workers
+        SignsOfLife.of(self).end()
         super().destroy_node()
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:

@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 
 from fiber_core.errors import FiberError
 from fiber_msgs_py import Topic
+from fiber_node.signs_of_life import SignsOfLife
 
 __all__ = ["RosClient", "WaitError"]
 
@@ -178,5 +179,6 @@ class RosClient:
         """Leave the graph."""
         self._executor.shutdown()
         for node in self._nodes:
+            SignsOfLife.of(node).end()
             node.destroy_node()
         self._context.try_shutdown()

@@ -41,8 +41,7 @@ class StageWatch:
 
     def lost(self) -> list[tuple[PlanStamp, str]]:
         """Return the plans whose orders cannot come, and the missing node of each."""
-        if not self._watched:
-            return []
+        # also without a plan: a death is noticed by looking more than once
         present = {role: claims(self._node, role) for role in STAGES}
         lost = []
         for stamp, (begun_s, before) in self._watched.items():

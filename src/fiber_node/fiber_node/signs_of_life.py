@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Signs of life: whether the node that makes a claim is alive, asked of the middleware.
+
+The graph alone is no judge of that. A participant that is silent for its lease is deleted from the
+graph, and one that was only paused may not be found again for minutes: Fast DDS 2.14 numbers the
+requests of a reader, a participant that has found another one again numbers its requests from one,
+and its peer, which was paused and has deleted nothing, takes them for old ones. So the lease is
+longer than pauses that happen, and the liveliness of a publisher tells within two seconds that its
+node is dead.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Collection
+
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSSubscriptionEventType
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from std_msgs.msg import Empty
+
+__all__ = ["SignsOfLife", "publish_life"]
+
+_LEASE_S = 0.9  # the middleware of a living process tells of it each two thirds of this time
+_PATIENCE_S = 0.7  # without a sign until a node is dead: the observer may have been paused itself
+_FIRST_S = 2.0  # until the first sign
+
+_KEPT, _MAKING = "_signs_of_life", threading.Lock()
+
+_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+    liveliness=LivelinessPolicy.AUTOMATIC,
+    liveliness_lease_duration=Duration(seconds=_LEASE_S),
+)
+
+
+def publish_life(node: Node, topic: str) -> Publisher:
+    """Return a publisher of a topic that carries nothing; its liveliness is a sign of life."""
+    return node.create_publisher(Empty, topic, _QOS)
+
+
+class _Sign:
+    # of one publisher, as one node sees it
+
+    def __init__(self, node: Node, topic: str, clock: Callable[[], float]):
+        self._node, self._clock = node, clock
+        self._dead_from_s = clock() + _FIRST_S
+        self._present = True
+        self._subscription = node.create_subscription(Empty, topic, lambda _: None, _QOS)
+        with self._subscription.handle:
+            self._event = rclpy_implementation.EventHandle(
+                self._subscription.handle,
+                QoSSubscriptionEventType.RCL_SUBSCRIPTION_LIVELINESS_CHANGED,
+            )
+
+    def is_alive(self) -> bool:
+        with self._event:
+            status = self._event.take_event()  # the present counts, whatever has changed
+        now_s, before = self._clock(), self._present
+        self._present = status is not None and status.alive_count > 0
+        if self._present:
+            self._dead_from_s = now_s
+        elif before and self._dead_from_s < now_s:
+            self._dead_from_s = now_s + _PATIENCE_S
+        return self._present or now_s < self._dead_from_s
+
+    def end(self) -> None:
+        self._event.destroy_when_not_in_use()
+        self._node.destroy_subscription(self._subscription)
+
+
+class SignsOfLife:
+    """The signs of life that a node sees, of publishers that `publish_life` made.
+
+    A publisher is alive until it has given no sign for 0.7 s since this was first seen, which
+    the middleware tells 0.9 s after the last sign. One that is new counts as alive for 2 s.
+
+    Args:
+        node: the node.
+        clock: returns seconds.
+    """
+
+    def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic):
+        self._node, self._clock = node, clock
+        self._signs: dict[str, dict[str, _Sign]] = {}
+        self._lock = threading.Lock()
+
+    @classmethod
+    def of(cls, node: Node) -> "SignsOfLife":
+        """Return the signs that a node sees."""
+        with _MAKING:
+            kept = vars(node)  # in no other table: that would keep the node
+            if _KEPT not in kept:
+                kept[_KEPT] = cls(node)
+            return kept[_KEPT]
+
+    def alive(self, kind: str, topics: Collection[str]) -> set[str]:
+        """Return the topics of one kind whose publishers are alive.
+
+        Args:
+            kind: of the publishers, such as the role of their nodes.
+            topics: all topics of this kind that are in the graph; of others nothing is kept.
+        """
+        with self._lock:
+            signs = self._signs.setdefault(kind, {})
+            for gone in signs.keys() - set(topics):
+                self._end(signs.pop(gone))
+            return {topic for topic in topics if self._is_alive(signs, topic)}
+
+    def _is_alive(self, signs: dict[str, _Sign], topic: str) -> bool:
+        try:
+            if topic not in signs:
+                signs[topic] = _Sign(self._node, topic, self._clock)
+            return signs[topic].is_alive()
+        except rclpy_implementation.InvalidHandle:  # the node was cleaned up meanwhile
+            self._end(signs.pop(topic, None))
+            return True
+
+    def end(self) -> None:
+        """Look for no sign any more: the node is about to be destroyed."""
+        with self._lock:
+            for signs in self._signs.values():
+                for topic in list(signs):
+                    self._end(signs.pop(topic))
+
+    @staticmethod
+    def _end(sign: _Sign | None) -> None:
+        if sign is not None:
+            sign.end()

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node that claims a role is believed while it lives, whatever the graph has of it."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+from std_msgs.msg import Empty
+
+from fiber_msgs_py import topics
+from fiber_node import PLANNER, Claim, RosClient, claims
+from fiber_node.signs_of_life import SignsOfLife, publish_life
+
+pytestmark = pytest.mark.timeout(300)
+
+WAIT_S = 60.0
+PAUSE_S = 3.0
+# many endpoints that come and go: its peers ask often for the list of them
+PLANNER_SCRIPT = """
+import time
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import Empty
+from fiber_node import PLANNER, Claim
+
+rclpy.init()
+node = Node("planner")
+for _ in range(80):
+    node.destroy_publisher(node.create_publisher(Empty, "some", 1))
+    time.sleep(0.02)
+publisher = node.create_publisher(Empty, "beat", 1)
+node.create_timer(0.05, lambda: publisher.publish(Empty()))
+claim = Claim(node, PLANNER)
+rclpy.spin(node)
+"""
+
+
+@pytest.fixture
+def client():
+    with RosClient("observer") as made:
+        yield made
+
+
+@pytest.fixture
+def planner():
+    """A process with the role of the planner, which beats."""
+    process = subprocess.Popen([sys.executable, "-c", PLANNER_SCRIPT])
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_a_node_that_was_paused_is_dead_meanwhile_and_is_heard_as_soon_as_it_goes_on(
+    client, planner
+):
+    beats = []
+    client.node.create_subscription(Empty, "beat", beats.append, 10)
+    client.wait_for(lambda: beats and claims(client.node, PLANNER), WAIT_S)
+    before = claims(client.node, PLANNER)
+    planner.send_signal(signal.SIGSTOP)
+    try:
+        client.wait_for(lambda: not claims(client.node, PLANNER), 2.5, "the death of the planner")
+        client.wait_quietly(PAUSE_S, lambda: 0)
+    finally:
+        planner.send_signal(signal.SIGCONT)
+    beats.clear()
+    client.wait_for(lambda: claims(client.node, PLANNER) == before, 2.0, "its claim")
+    client.wait_for(lambda: beats, 2.0, "a beat")
+
+
+def test_the_claim_of_a_node_that_was_killed_is_gone_within_two_seconds(client, planner):
+    client.wait_for(lambda: claims(client.node, PLANNER), WAIT_S)
+    client.wait_quietly(2.5, lambda: 0)  # and it stays
+    assert claims(client.node, PLANNER)
+    planner.kill()
+    client.wait_for(lambda: not claims(client.node, PLANNER), 2.5, "its death")
+
+
+class Clock:
+    def __init__(self):
+        self.now_s = 100.0
+
+    def __call__(self):
+        return self.now_s
+
+
+def test_a_claim_without_a_sign_of_life_is_not_believed_for_long(client):
+    clock = Clock()
+    signs = SignsOfLife(client.node, clock)
+    assert signs.alive(PLANNER, ["never"]) == {"never"}
+    clock.now_s += 1.9
+    assert signs.alive(PLANNER, ["never"]) == {"never"}
+    clock.now_s += 0.2
+    assert signs.alive(PLANNER, ["never"]) == set()
+    signs.end()
+
+
+def test_a_node_that_gives_no_sign_is_dead_after_a_while_and_alive_again_with_the_next(client):
+    clock = Clock()
+    signs = SignsOfLife(client.node, clock)
+    publisher = publish_life(client.node, "life")
+
+    def seen():
+        return signs.alive(PLANNER, ["life"]) == {"life"}
+
+    assert seen()
+    clock.now_s += 10.0  # first seen long ago: only a sign counts now
+    client.wait_for(seen, WAIT_S, "a sign")
+    client.node.destroy_publisher(publisher)
+    client.wait_for(lambda: not signs._signs[PLANNER]["life"]._present or not seen(), WAIT_S)
+    assert seen(), "the observer may have been paused itself"
+    clock.now_s += 0.6
+    assert seen()
+    clock.now_s += 0.2
+    assert not seen()
+    publisher = publish_life(client.node, "life")
+    client.wait_for(seen, WAIT_S, "another sign")
+    signs.end()
+
+
+def test_signs_of_claims_that_are_gone_are_not_kept(client):
+    claim = Claim(client.node, PLANNER)
+    client.wait_for(lambda: claims(client.node, PLANNER), WAIT_S)
+    count = len(list(client.node.subscriptions))
+    claim.release()
+    client.wait_for(lambda: not claims(client.node, PLANNER), WAIT_S)
+    assert len(list(client.node.subscriptions)) == count - 2  # the claim, and the sign of it
+    assert not client.node.count_subscribers(f"{topics.NAMESPACE}/_planner_{claim.id}")
