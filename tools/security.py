@@ -25,6 +25,7 @@ from rclpy.node import Node  # noqa: E402
 from fiber_client import PlaneClient  # noqa: E402
 from fiber_msgs_py import topics  # noqa: E402
 from fiber_msgs_py.topics import Service  # noqa: E402
+from fiber_node import BRIDGE, DISCRETIZER, PLANNER  # noqa: E402
 from fiber_node.ros_environment import own_domain, use_loopback  # noqa: E402
 
 __all__ = ["POLICY", "main", "policy"]
@@ -39,13 +40,18 @@ monitor: clients that only hear. Names are those of a plane without a namespace.
 _Rights: TypeAlias = dict[tuple[str, str, str], set[str]]  # (group, right, kind): names
 _OF_ALL: _Rights = {
     ("topics", "publish", "topic"): {"rosout", "parameter_events"},
-    ("topics", "subscribe", "topic"): {"clock", "parameter_events"},
+    ("topics", "subscribe", "topic"): {
+        "clock",
+        "parameter_events",
+        # signs of life of those that claim a role
+        *(f"{topics.NAMESPACE}/_{role}_alive_session_*" for role in (BRIDGE, PLANNER, DISCRETIZER)),
+    },
 }
 _PARAMETERS = (
     "describe_parameters", "get_parameter_types", "get_parameters", "list_parameters",
     "set_parameters", "set_parameters_atomically",
 )  # fmt: skip
-_CLAIM = re.compile(r"(focal_plane/_[a-z]+_session_)\w+")
+_CLAIM = re.compile(r"(focal_plane/_[a-z_]+_session_)\w+")
 _SERVICES = {each.name for each in vars(topics).values() if isinstance(each, Service)}
 
 

@@ -27,15 +27,16 @@ from rclpy.qos import (
 )
 from std_msgs.msg import Empty
 
-__all__ = ["SignsOfLife", "publish_life"]
+__all__ = ["LIFE_QOS", "SignsOfLife", "publish_life"]
 
 _LEASE_S = 0.9  # the middleware of a living process tells of it each two thirds of this time
 _PATIENCE_S = 0.7  # without a sign until a node is dead: the observer may have been paused itself
 _FIRST_S = 2.0  # until the first sign
 
+_OWN: set[str] = set()  # topics of this process, of which the middleware gives no sign to itself
 _KEPT, _MAKING = "_signs_of_life", threading.Lock()
 
-_QOS = QoSProfile(
+LIFE_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
@@ -47,7 +48,8 @@ _QOS = QoSProfile(
 
 def publish_life(node: Node, topic: str) -> Publisher:
     """Return a publisher of a topic that carries nothing; its liveliness is a sign of life."""
-    return node.create_publisher(Empty, topic, _QOS)
+    _OWN.add(topic)
+    return node.create_publisher(Empty, topic, LIFE_QOS)
 
 
 class _Sign:
@@ -57,7 +59,7 @@ class _Sign:
         self._node, self._clock = node, clock
         self._dead_from_s = clock() + _FIRST_S
         self._present = True
-        self._subscription = node.create_subscription(Empty, topic, lambda _: None, _QOS)
+        self._subscription = node.create_subscription(Empty, topic, lambda _: None, LIFE_QOS)
         with self._subscription.handle:
             self._event = rclpy_implementation.EventHandle(
                 self._subscription.handle,
@@ -71,7 +73,7 @@ class _Sign:
         self._present = status is not None and status.alive_count > 0
         if self._present:
             self._dead_from_s = now_s
-        elif before and self._dead_from_s < now_s:
+        elif before and self._dead_from_s <= now_s:
             self._dead_from_s = now_s + _PATIENCE_S
         return self._present or now_s < self._dead_from_s
 
@@ -119,6 +121,8 @@ class SignsOfLife:
             return {topic for topic in topics if self._is_alive(signs, topic)}
 
     def _is_alive(self, signs: dict[str, _Sign], topic: str) -> bool:
+        if topic in _OWN:
+            return True
         try:
             if topic not in signs:
                 signs[topic] = _Sign(self._node, topic, self._clock)

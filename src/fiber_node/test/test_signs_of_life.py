@@ -8,9 +8,8 @@ import sys
 import pytest
 from std_msgs.msg import Empty
 
-from fiber_msgs_py import topics
 from fiber_node import PLANNER, Claim, RosClient, claims
-from fiber_node.signs_of_life import SignsOfLife, publish_life
+from fiber_node.signs_of_life import LIFE_QOS, SignsOfLife
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -99,31 +98,46 @@ def test_a_claim_without_a_sign_of_life_is_not_believed_for_long(client):
 def test_a_node_that_gives_no_sign_is_dead_after_a_while_and_alive_again_with_the_next(client):
     clock = Clock()
     signs = SignsOfLife(client.node, clock)
-    publisher = publish_life(client.node, "life")
+    others = RosClient("others")  # the middleware gives no sign of a node to itself
+    publisher = others.node.create_publisher(Empty, "life", LIFE_QOS)
 
     def seen():
         return signs.alive(PLANNER, ["life"]) == {"life"}
 
-    assert seen()
-    clock.now_s += 10.0  # first seen long ago: only a sign counts now
-    client.wait_for(seen, WAIT_S, "a sign")
-    client.node.destroy_publisher(publisher)
-    client.wait_for(lambda: not signs._signs[PLANNER]["life"]._present or not seen(), WAIT_S)
+    def given():
+        seen()
+        return signs._signs[PLANNER]["life"]._present
+
+    client.wait_for(given, WAIT_S, "a sign")
+    clock.now_s += 10.0
+    assert seen(), "the present counts, not what was before"
+    others.node.destroy_publisher(publisher)
+    client.wait_for(lambda: not given(), WAIT_S, "its end")
     assert seen(), "the observer may have been paused itself"
     clock.now_s += 0.6
     assert seen()
     clock.now_s += 0.2
     assert not seen()
-    publisher = publish_life(client.node, "life")
+    others.node.create_publisher(Empty, "life", LIFE_QOS)
     client.wait_for(seen, WAIT_S, "another sign")
     signs.end()
+    others.close()
 
 
 def test_signs_of_claims_that_are_gone_are_not_kept(client):
+    signs, count = SignsOfLife(client.node), len(list(client.node.subscriptions))
+    signs.alive(PLANNER, ["one", "other"])
+    assert len(list(client.node.subscriptions)) == count + 2
+    signs.alive(PLANNER, ["other"])
+    assert len(list(client.node.subscriptions)) == count + 1
+    signs.end()
+    assert len(list(client.node.subscriptions)) == count
+
+
+def test_a_claim_of_this_process_lives_until_it_is_released(client):
     claim = Claim(client.node, PLANNER)
-    client.wait_for(lambda: claims(client.node, PLANNER), WAIT_S)
-    count = len(list(client.node.subscriptions))
+    client.wait_for(lambda: claims(client.node, PLANNER) == [claim.id], WAIT_S)
+    client.wait_quietly(3.5, lambda: 0)
+    assert claims(client.node, PLANNER) == [claim.id]
     claim.release()
     client.wait_for(lambda: not claims(client.node, PLANNER), WAIT_S)
-    assert len(list(client.node.subscriptions)) == count - 2  # the claim, and the sign of it
-    assert not client.node.count_subscribers(f"{topics.NAMESPACE}/_planner_{claim.id}")
