@@ -13,7 +13,7 @@ from fiber_core.outcomes import Outcome, Reason
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_discretizer import joint_corridors
-from fiber_msgs_py import PlanStamp, joint_states, layout, outcome, progress, topics
+from fiber_msgs_py import PlanStamp, joint_states, layout, outcome, progress, targets, topics
 from fiber_node import BRIDGE, Claim, RosClient
 from fiber_recording import EventKind
 from fiber_recording.node import RecorderNode, recording_name
@@ -126,14 +126,23 @@ class Bridge:
     """What a recorder hears of a bridge: a plane at rest, and plans that end."""
 
     def __init__(self, peer):
-        self.plane, node = preset("desi", 7), peer.node
-        self.now_ns, self.session = node.get_clock().now().nanoseconds, Claim(node, BRIDGE).id
-        self._ended = topics.OUTCOME.publisher(node)
-        layouts, states = topics.LAYOUT.publisher(node), topics.JOINT_STATES.publisher(node)
+        self.plane = preset("desi", 7)
+        self._ended = topics.OUTCOME.publisher(peer.node)
+        self.kept = topics.LAYOUT.publisher(peer.node), topics.JOINT_STATES.publisher(peer.node)
+        self.begin(peer.node)
+
+    def begin(self, node):
+        self.claim = Claim(node, BRIDGE)
+        self.now_ns, self.session = node.get_clock().now().nanoseconds, self.claim.id
+        layouts, states = self.kept
         ids, still, units = self.plane.ids, np.zeros((7, 2)), WireUnits.for_plane(self.plane)
         layouts.publish(layout.encode(self.plane, units, PlanStamp(self.now_ns), self.session))
         states.publish(joint_states.encode(ids, still + 3.0, still, self.now_ns, self.session))
-        self.kept = layouts, states
+
+    def restart(self, peer):
+        """Be another bridge, with a session of its own."""
+        self.claim.release()
+        self.begin(peer.node)
 
     def end(self, stamp):
         held = np.full(7, Outcome.HELD), np.full(7, Reason.NO_TARGET), np.full(7, np.nan)
@@ -174,6 +183,30 @@ def test_an_outcome_that_is_told_again_leaves_the_recording_as_it_is(tmp_path):
             bridge.end(stamp)
         peer.wait_for(paths[1].exists, 60.0, "a recording of the next plan")
         assert not paths[0].exists()
+
+
+def test_another_plan_with_the_stamp_of_an_earlier_one_has_a_recording_of_its_own(tmp_path):
+    with RosClient("bridge") as peer:
+        bridge = Bridge(peer)
+        peer.add_node(RecorderNode, folder=str(tmp_path))
+        sender = topics.TARGETS.publisher(peer.node)
+        peer.wait_for(sender.get_subscription_count, 60.0, "the recorder")
+        stamp = PlanStamp(bridge.now_ns + 3600 * 10**9)
+
+        def ask():
+            xy_mm = bridge.plane.centers + 3.0
+            sender.publish(targets.encode(bridge.plane.ids, xy_mm, stamp, bridge.session))
+            peer.wait_quietly(0.5, lambda: 0)
+
+        first, second = (tmp_path / recording_name(stamp, number) for number in (1, 2))
+        ask()
+        bridge.end(stamp)
+        peer.wait_for(first.exists, 60.0, "a recording")
+        bridge.restart(peer)  # and its clock was set back
+        ask()
+        bridge.end(stamp)
+        peer.wait_for(second.exists, 60.0, "a recording of the other plan")
+        assert sorted(path.name for path in tmp_path.iterdir()) == sorted([first.name, second.name])
 
 
 def test_a_plan_that_the_recorder_missed_is_named_and_keeps_the_recording_it_may_have(tmp_path):

@@ -14,7 +14,7 @@ from fiber_node.signs_of_life import LIFE_QOS, SignsOfLife
 pytestmark = pytest.mark.timeout(300)
 
 WAIT_S = 60.0
-PAUSE_S = 3.0
+PAUSE_S = 1.0  # after its death is known, and less than the lease
 # many endpoints that come and go: its peers ask often for the list of them
 PLANNER_SCRIPT = """
 import time

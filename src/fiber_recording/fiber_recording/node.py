@@ -5,8 +5,8 @@ The recorder is a process of its own, which publishes nothing that the plan depe
 robots move it only keeps messages; it builds the recording after the plan has ended.
 """
 
+import itertools
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,6 +38,7 @@ from fiber_msgs_py import (
     measured,
     outcome,
     progress,
+    session_of,
     targets,
     topics,
     trajectory,
@@ -58,9 +59,14 @@ _HEARD = 64
 _NO_FRAMES_S = 1.0  # an ended plan without frames for this long had none
 
 
-def recording_name(stamp: PlanStamp) -> str:
-    """Return the file name of the recording of a plan."""
-    return f"plan-{stamp}.npz"
+def recording_name(stamp: PlanStamp, number: int = 1) -> str:
+    """Return the file name of the recording of a plan.
+
+    Args:
+        stamp: names the plan.
+        number: of the plans with this stamp, of which a clock that was set back makes more.
+    """
+    return f"plan-{stamp}.npz" if number == 1 else f"plan-{stamp}.{number}.npz"
 
 
 @dataclass(frozen=True)
@@ -119,12 +125,16 @@ class RecorderNode(PlaneNode):
         self._states: JointState | None = None
         self._states_at_rest: JointState | None = None
         self._received, self._images = ReceivedPlans(), ImagesOfPlans()
-        self._heard: deque[PlanStamp] = deque(maxlen=_HEARD)  # plans whose outcome has come
+        # plans whose outcome has come, with the session of their targets
+        self._heard: dict[PlanStamp, str | None] = {}
+        self._paths: dict[PlanStamp, Path] = {}  # of recordings, the last of each stamp
         self._began_ns = self.get_clock().now().nanoseconds
         self._report = Reporter(self, "recorder")
         # a recording takes a second to write, in which the default group serves parameters
         work = MutuallyExclusiveCallbackGroup()
-        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic), work)
+        gate = self._gate = SessionGate(
+            self, lambda topic, text: self._report.refuse(text, topic), work
+        )
         self._accepted = AcceptedAttempts(self, gate, work)
         for topic, observe in (
             (topics.LAYOUT, self._on_layout),
@@ -181,12 +191,28 @@ class RecorderNode(PlaneNode):
         except FiberError:
             return  # the planner refuses them
         self._received.announce(attempt)
+        self._forget_same_stamp(attempt, session_of(message))
         if attempt.number == 1:  # later attempts have some of these targets again
             straight = targets.decode_straight(message)
             self._accepted.when_accepted(
                 attempt.stamp, lambda accepted, _: self._images.begin(accepted.plan, straight)
             )
             self._received.plan(attempt.plan).targets = message
+
+    def _forget_same_stamp(self, attempt: Attempt, session: str | None) -> None:
+        """Take targets of another open session with the stamp of a plan that has ended for new.
+
+        A bridge tells again how a plan has ended, but never sends its targets.
+        """
+        stamp = attempt.stamp
+        if attempt.number != 1 or self._heard.get(stamp, session) == session or session is None:
+            return
+        if self._gate.is_open(session):
+            del self._heard[stamp]
+            self._report.info(
+                f"plan {stamp} is another one with the stamp of an earlier plan: was the clock set "
+                "back? Both are recorded"
+            )
 
     def _on_progress(self, message: DiagnosticStatus) -> None:
         self._received.announce(progress.decode(message).attempt)
@@ -210,8 +236,10 @@ class RecorderNode(PlaneNode):
         ended = PlanOutcome(stamp.ns, *outcome.decode(message))
         if stamp in self._heard:
             return  # a bridge tells again how the last plan of the bridge before has ended
-        self._heard.append(stamp)
         plan = self._received.plan(stamp)
+        self._heard[stamp] = None if plan.targets is None else session_of(plan.targets)
+        for old in list(self._heard)[:-_HEARD]:
+            del self._heard[old]
         plan.outcome, plan.outcome_s = ended, time.monotonic()
         self._report.debug(f"plan {stamp} has ended: waits for the last frames")
 
@@ -254,8 +282,8 @@ class RecorderNode(PlaneNode):
 
     def _write_images(self) -> None:
         for stamp, tables in self._images.waiting():
-            path = Path(self._config.value.folder) / recording_name(stamp)
-            if not path.exists():
+            path = self._paths.get(stamp)
+            if path is None or not path.exists():
                 continue  # its recording is not written yet, or was moved away
             self._images.take(stamp)
             try:
@@ -324,9 +352,15 @@ class RecorderNode(PlaneNode):
         )
         folder = Path(config.folder)
         folder.mkdir(parents=True, exist_ok=True)
-        path = folder / recording_name(stamp)
+        path = self._paths[stamp] = _free_path(folder, stamp)
         save_recording(path, recording)
         self._report.done(Attempt.first(stamp), f"recorded in {path}")
+
+
+def _free_path(folder: Path, stamp: PlanStamp) -> Path:
+    """The file of the next recording of a stamp: none takes the place of another plan's."""
+    paths = (folder / recording_name(stamp, number) for number in itertools.count(1))
+    return next(path for path in paths if not path.exists())
 
 
 def _is_explained(attempts: PlanAttempts, ended: PlanOutcome, now: _PlaneWithStates) -> bool:
