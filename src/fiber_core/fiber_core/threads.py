@@ -79,11 +79,11 @@ def started_pool(count: int, name: str = "") -> ThreadPoolExecutor:
     try:
         for _ in range(count):  # each waits until all have begun, so that none takes two
             pool.submit(begun.wait)
-    except RuntimeError:
+        begun.wait()
+    except BaseException:  # threads that wait on would keep an interrupted process from ending
         begun.abort()
         pool.shutdown(cancel_futures=True)
         raise
-    begun.wait()
     return pool
 
 

@@ -119,3 +119,21 @@ def test_a_pool_that_cannot_begin_says_so_and_leaves_no_thread(monkeypatch):
     with pytest.raises(RuntimeError, match="can't start new thread"):
         started_pool(2)
     assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("begun", [1, 2, 3])
+def test_an_interrupt_while_a_pool_begins_leaves_no_thread(monkeypatch, begun):
+    before, start, started = threading.active_count(), threading.Thread.start, []
+
+    def interrupted(thread):
+        start(thread)
+        started.append(thread)
+        if len(started) == begun:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(threading.Thread, "start", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        started_pool(3)
+    for thread in started:
+        thread.join(30.0)
+    assert threading.active_count() == before
