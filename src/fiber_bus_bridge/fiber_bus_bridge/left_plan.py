@@ -68,9 +68,9 @@ class LeftPlan:
         """
         error = kinematics.on_target(plane.with_fibre(self.fibre), angles, self.goals).error_mm
         asked, before = np.all(np.isfinite(self.goals), axis=1), self.result
-        failed = (before.outcome == Outcome.FAILED) | (self.started & np.isin(cause, _FAULTS))
-        reached = asked & sure & ~failed & (error <= tolerance_mm)
         now = self.started | (before.outcome == Outcome.REACHED)  # only a reading tells of these
+        failed = (before.outcome == Outcome.FAILED) | (now & np.isin(cause, _FAULTS))
+        reached = asked & sure & ~failed & (error <= tolerance_mm)
         off = np.where(asked, Reason.OFF_TARGET, Reason.NO_TARGET)
         reason = np.where(now, np.where(cause == Reason.OK, off, cause), before.reason)
         outcome = np.where(now, np.where(failed, Outcome.FAILED, Outcome.HELD), before.outcome)

@@ -198,7 +198,8 @@ class Session:
     def look_back(self, note_ends: Callable[[Mask], None] | None) -> None:
         """Let `configure` find out why each robot rests, for a plan that an earlier session left.
 
-        The Reasons are in the column `cause`, OK for a robot that carried out its orders.
+        The Reasons are in the column `rest_cause`, OK for a robot that carried out its orders. A
+        robot that does not tell remains unknown: it is not configured, so that it forgets nothing.
 
         Args:
             note_ends: called with the robots that were read at rest, shape (n,), before the first

@@ -91,20 +91,17 @@ class KeptPlan:
         if self._path is None or own is None or own.stamp_ns != stamp.ns:
             self._outgoing.publish_outcome(result, stamp)
             return
-        self._save(replace(own, result=result, ended=True))
+        self._save_ended(replace(own, result=result, ended=True))
         self._outgoing.publish_outcome(result, stamp)
         self._own = None
-        try:
-            self._path.unlink(missing_ok=True)
-        except OSError as error:
-            self._reporter.refuse(f"plan under way {self._path} stays: {error}")
+        self._remove()
 
     def _note_ends(self, at_rest: Mask) -> None:
         # as `configure` has read the robots, before it deletes why they rest
         session, left = self._session, self._left
         if left is not None and not left.ended:
             self._left = left.noted(
-                session.plane, session.angles, at_rest, session.robots["cause"],
+                session.plane, session.angles, at_rest, session.robots["rest_cause"],
                 session.config.tolerance_mm,
             )  # fmt: skip
             self._save(self._left)
@@ -131,16 +128,30 @@ class KeptPlan:
             robots = session.robots
             left = left.found(
                 session.plane, session.angles, session.usable & ~robots["lost"],
-                robots["cause"], session.config.tolerance_mm,
+                robots["rest_cause"], session.config.tolerance_mm,
             )  # fmt: skip
-            self._save(left)
+            self._save_ended(left)
         stamp, result = PlanStamp(left.stamp_ns), left.result
         self._outgoing.publish_outcome(result, stamp)
         self._reporter.info(f"plan {stamp}, whose bridge died, has ended: {result.summary}")
 
-    def _save(self, plan: LeftPlan) -> None:
+    def _save_ended(self, plan: LeftPlan) -> None:
+        # without these results in it the next bridge would find others: better none than two
+        if not self._save(plan):
+            self._remove()
+
+    def _save(self, plan: LeftPlan) -> bool:
         assert self._path is not None  # a plan was kept
         try:
             save_left_plan(self._path, plan, self._plane)
         except BridgeError as error:
             self._reporter.refuse(str(error))
+            return False
+        return True
+
+    def _remove(self) -> None:
+        assert self._path is not None  # a plan was kept
+        try:
+            self._path.unlink(missing_ok=True)
+        except OSError as error:
+            self._reporter.refuse(f"plan under way {self._path} stays: {error}")

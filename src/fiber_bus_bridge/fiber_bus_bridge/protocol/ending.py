@@ -36,6 +36,7 @@ def configure(c: Context) -> Event:
     robots["known"] = False
     if c.note_ends is not None:
         _find_causes(c, rows)
+        rows = rows[robots["state"][rows] != 0]  # others would forget what they did not tell
         c.note_ends(_rests(c))
     read_rows: list[Rows] = []
     sequences: list[Ints] = []
@@ -79,7 +80,7 @@ def _find_causes(c: Context, rows: Rows) -> None:
         c.read(moving, c.transactions.now_s + _PATIENCE * c.silence_s)
     booted, before = np.zeros(len(robots), dtype=bool), robots["boot"][rows]
     booted[rows] = status.ok & (before >= 0) & (status.boot != before)
-    robots["cause"] = resting_cause(robots, booted, c.cut_off)
+    robots["rest_cause"] = resting_cause(robots, booted, c.cut_off)
 
 
 def _rests(c: Context) -> Mask:
@@ -96,7 +97,7 @@ def look(c: Context) -> Mask:
     if len(rows):
         c.read(rows, c.t)
         nothing = np.zeros(len(robots), dtype=bool)
-        robots["cause"][rows] = resting_cause(robots, nothing, c.cut_off)[rows]
+        robots["rest_cause"][rows] = resting_cause(robots, nothing, c.cut_off)[rows]
     return robots["state"] == RobotState.MOVING
 
 
@@ -158,9 +159,6 @@ def end_plan(c: Context) -> PlanResult | None:
     c.plan = c.phase = c.watch = None
     if plan is None:
         return None
-    if plan.within_mm is not None:
-        end_turn(c)
-    restore_turns(c)
     if loaded_plan is not None:
         # the robot's own fault, as just read, says more than that it was late
         fault = own_fault(robots, c.cut_off)
@@ -171,6 +169,10 @@ def end_plan(c: Context) -> PlanResult | None:
         c.plane, plan, loaded_plan, robots["counts"], robots["known"],
         robots["arrived"], robots["cause"], c.stop_reason, c.config.tolerance_mm,
     )  # fmt: skip
+    # what follows judges outlines: an error there must not lose the result
+    if plan.within_mm is not None:
+        end_turn(c)
+    restore_turns(c)
     return c.result
 
 

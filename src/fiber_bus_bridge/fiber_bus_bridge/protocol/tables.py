@@ -47,6 +47,7 @@ ROBOT = np.dtype(
         ("alerts", "i8"),
         ("read_s", "f8"),  # time of the last status [s]
         ("velocity", "f8", (2,)),  # mean joint speeds between the last two statuses [rad/s]
+        ("rest_cause", "i8"),  # Reason for which it rested, of a plan of an earlier session, or OK
         # of a plan
         ("cause", "i8"),  # Reason for which it failed although it was started, else OK
         # of a phase
