@@ -47,9 +47,9 @@ __all__ = ["fuzz_positioner", "fuzz_replies", "main"]
 _UNITS = WireUnits()
 _ROBOT = Addresses(np.array([0]), np.array([300]), np.array([True]))
 _LISTED = with_drive(preset("desi", 7), "desi")
-_LISTS = Speeds.of(_LISTED, WireUnits.for_plane(_LISTED))[
-    :1
-]  # of the robot, in half of the batches
+_ALL_LISTS = Speeds.of(_LISTED, WireUnits.for_plane(_LISTED))
+assert _ALL_LISTS is not None  # DESI's motors have listed speeds
+_LISTS = _ALL_LISTS[:1]  # of the robot, in half of the batches
 _BATCH = 5000
 
 

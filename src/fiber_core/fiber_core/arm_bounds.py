@@ -63,19 +63,19 @@ def _theta_lever(plane: FocalPlane) -> Floats:
     return np.hypot(*np.moveaxis(plane.theta_vertices, -1, 0)).max(axis=1) + plane.theta_radius
 
 
-def turn_within(plane: FocalPlane, gap_mm: float) -> Floats:
+def turn_within(plane: FocalPlane, gap_mm: ArrayLike) -> Floats:
     """Return how far theta of all robots may turn at once so that none uses up half of its gap.
 
     It holds wherever the arms are: no point is farther from its theta axis than the lever.
 
     Args:
         plane: the focal plane.
-        gap_mm: gap that the outlines keep before the turn [mm].
+        gap_mm: gap that the outlines keep before the turn [mm], shape (n,) or one number.
 
     Returns:
         The turn of each robot [rad], shape (n,).
     """
-    return 0.5 * gap_mm / levers_of(plane)[:, 0]
+    return 0.5 * np.asarray(gap_mm) / levers_of(plane)[:, 0]
 
 
 def grown(plane: FocalPlane, interval_rad: Angles, tip_mm: ArrayLike = np.nan) -> FocalPlane:

@@ -72,7 +72,7 @@ def read_history(path: str | os.PathLike[str], plane: FocalPlane) -> tuple[Angle
     points = int(point.max(initial=0)) + 1
     count = np.zeros((points, plane.n), dtype=np.int64)
     np.add.at(count, (point, rows), 1)
-    there = count.any(axis=0)
+    there = np.any(count > 0, axis=0)
     wrong = np.argwhere((count != 1) & there)
     if len(wrong):
         at, row = wrong[0]
