@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import BridgeError
 from fiber_core import bounds
-from fiber_core.array_types import Angles, Floats, Ints
+from fiber_core.array_types import Angles, Floats, Ints, Mask
 from fiber_core.validation import frozen_array
 
 __all__ = ["NEVER", "MechanicalErrors", "Mechanics", "draw_mechanics"]
@@ -101,6 +101,12 @@ class Mechanics:
     def n(self) -> int:
         """Number of robots."""
         return len(self.scale)
+
+    @property
+    def sticking(self) -> Mask:
+        """Robots with a joint that does not turn in some movement, shape (n,)."""
+        first = np.minimum(self.still_in, self.stuck_from)
+        return np.asarray((first < NEVER).any(axis=1))
 
     @classmethod
     def ideal(cls, n: int) -> "Mechanics":
