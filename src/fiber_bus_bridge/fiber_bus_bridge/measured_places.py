@@ -97,20 +97,18 @@ def widen_outlines(
     context.pairs = neighbour_pairs(context.plane)
 
 
-def learn_intervals(
-    session: Session, exact: FocalPlane, theta_mm: ArrayLike, phi_mm: ArrayLike
-) -> None:
+def learn_intervals(session: Session, theta_mm: ArrayLike, phi_mm: ArrayLike) -> None:
     """Take over how far robots at known places are apart, for test turns after a loss of power.
 
     Args:
         session: the session with the robots.
-        exact: the plane with outlines as they are.
         theta_mm, phi_mm: as for widen_outlines, as known by the last image alone.
     """
-    wide = replace(
-        exact, theta_radius=exact.theta_radius + theta_mm, phi_radius=exact.phi_radius + phi_mm
-    )
-    learn_gaps(session.protocol, wide)
+    context = session.protocol
+    context.known_mm = np.stack(np.broadcast_arrays(theta_mm, phi_mm, np.zeros(context.plane.n)))[
+        :2
+    ].T.astype(float)
+    learn_gaps(context)
 
 
 def require_rest(session: Session, what: str) -> None:

@@ -16,18 +16,19 @@ from pathlib import Path
 
 import numpy as np
 
-from fiber_bus_bridge.checked_file import int_column, read_checked, write_checked
+from fiber_bus_bridge.checked_file import float_column, int_column, read_checked, write_checked
 from fiber_bus_bridge.errors import BridgeError
-from fiber_core.array_types import Codes, Counts, Ints, Mask
+from fiber_core.array_types import Codes, Counts, Floats, Ints, Mask
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
 
-__all__ = ["RobotMemory", "fingerprint", "load_memory", "save_memory"]
+__all__ = ["RobotMemory", "fingerprint", "load_memory", "plant_name", "save_memory"]
 
 _NAME = "memory of the robots"
 _FORMAT = "robot memory of fiber_bus_bridge, 1"
 _COLUMNS = ("theta", "phi", "placed", "lost", "boot", "failed")
 _TURNS = ("turn_down", "turn_up")
+_KNOWN = ("theta_mm", "phi_mm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,11 @@ class RobotMemory:
         moving: whether robots move by orders of the controller, so that a STOP found later is its
             own, after a failure, if no other was asked for.
         turn_limit: how far theta may turn down and up while the place of a robot is unknown
-            [quanta], shape (n, 2); None in files of earlier versions.
+            [quanta], shape (n, 2); None where counters are believed, and in files of earlier
+            versions: no robot may turn.
+        unplaced: robots at unknown places, shape (n,); None in files of earlier versions.
+        known_mm: how far points of both outlines may be from where the counters put them, by the
+            last image [mm], shape (n, 2); None in files of earlier versions.
     """
 
     counts: Counts
@@ -57,6 +62,8 @@ class RobotMemory:
     stopped: bool = False
     moving: bool = False
     turn_limit: Counts | None = None
+    unplaced: Mask | None = None
+    known_mm: Floats | None = None
 
     def same(self, other: "RobotMemory") -> bool:
         """Return whether another memory has the same content."""
@@ -74,7 +81,9 @@ def fingerprint(plane: FocalPlane) -> str:
     ]
 
 
-def save_memory(path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad: int) -> None:
+def save_memory(
+    path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad: int, plant: str = ""
+) -> None:
     """Replace the file as a whole, on disk before the call returns.
 
     Args:
@@ -82,6 +91,7 @@ def save_memory(path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad
         memory: the memory.
         plane: the focal plane.
         quantum_prad: one quantum [1e-12 rad].
+        plant: names the process of simulated robots, as from `plant_name`; empty for none.
 
     Raises:
         BridgeError: the file cannot be written.
@@ -90,6 +100,7 @@ def save_memory(path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad
         "format": _FORMAT,
         "plane": fingerprint(plane),
         "quantum_prad": quantum_prad,
+        "plant": plant,
         "ids": plane.ids.tolist(),
         "theta": memory.counts[:, 0].tolist(),
         "phi": memory.counts[:, 1].tolist(),
@@ -104,24 +115,46 @@ def save_memory(path: Path, memory: RobotMemory, plane: FocalPlane, quantum_prad
     if memory.turn_limit is not None:
         for name, column in zip(_TURNS, memory.turn_limit.T, strict=True):
             content[name] = column.tolist()
+    if memory.unplaced is not None:
+        content["unplaced"] = memory.unplaced.astype(int).tolist()
+    if memory.known_mm is not None:
+        for name, known_mm in zip(_KNOWN, memory.known_mm.T, strict=True):
+            content[name] = known_mm.tolist()
     write_checked(path, content, _NAME)
 
 
-def load_memory(path: Path, plane: FocalPlane, quantum_prad: int, buses: int) -> RobotMemory | None:
-    """Return the memory in a file, None if there is no file.
+def plant_name(socket: Path | None) -> str:
+    """Return a name of the process that listens at a socket, whatever clocks say; "" for none.
+
+    Raises:
+        OSError: the socket is not there.
+    """
+    if socket is None:
+        return ""
+    made = socket.stat()
+    return f"{made.st_ino}-{made.st_mtime_ns}"
+
+
+def load_memory(
+    path: Path, plane: FocalPlane, quantum_prad: int, buses: int, plant: str = ""
+) -> RobotMemory | None:
+    """Return the memory in a file, None if there is no file, or it is of another plant.
 
     Args:
         path: the file.
         plane: the focal plane.
         quantum_prad: one quantum [1e-12 rad].
         buses: number of buses.
+        plant: as for save_memory.
 
     Raises:
         BridgeError: the file is damaged, or of another plane; names what is wrong.
     """
     try:
         content = read_checked(path, _FORMAT)
-        return None if content is None else _memory(content, plane, quantum_prad, buses)
+        if content is None or content.get("plant", "") != plant:
+            return None
+        return _memory(content, plane, quantum_prad, buses)
     except BridgeError as error:
         raise BridgeError(f"{_NAME} {path}: {error}") from error
 
@@ -151,6 +184,8 @@ def _memory(
         _flag(content, "stopped"),
         _flag(content, "moving"),
         _turn_limit(content, plane.n),
+        int_column(content, "unplaced", plane.n).astype(bool) if "unplaced" in content else None,
+        _known_mm(content, plane.n),
     )
 
 
@@ -161,6 +196,15 @@ def _turn_limit(content: dict[str, object], n: int) -> Counts | None:
     if (limit < 0).any():
         raise BridgeError("turn_down or turn_up holds a number below 0")
     return limit
+
+
+def _known_mm(content: dict[str, object], n: int) -> Floats | None:
+    if not any(name in content for name in _KNOWN):
+        return None
+    known_mm = np.stack([float_column(content, name, n) for name in _KNOWN], axis=1)
+    if not (known_mm >= 0.0).all():
+        raise BridgeError("theta_mm or phi_mm holds no length")
+    return known_mm
 
 
 def _flag(content: dict[str, object], name: str) -> bool:

@@ -25,7 +25,7 @@ from fiber_bus_bridge.protocol import (
 )
 from fiber_bus_bridge.protocol.ending import end_plan, look, so_far
 from fiber_bus_bridge.protocol.loading import begin_plan
-from fiber_bus_bridge.protocol.turn_limits import full_turn, known_again
+from fiber_bus_bridge.protocol.turn_limits import full_turn, learn_gaps
 from fiber_bus_bridge.robot_memory import RobotMemory
 from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.session_memory import recall, remember
@@ -188,6 +188,15 @@ class Session:
         """
         return remember(self.protocol, failed, starting)
 
+    def save_with(self, save: Callable[[], None]) -> None:
+        """Let what is remembered be saved before robots forget that a joint did not follow.
+
+        Args:
+            save: called before the first CONFIG or CLEAR of a call, where counters do not outlive
+                a joint that did not follow; an error that it raises ends the call.
+        """
+        self.protocol.save = save
+
     def so_far(self) -> PlanResult:
         """Return the result of the plan if its controller dies after the GO that is about to go.
 
@@ -262,7 +271,7 @@ class Session:
         self.robots["placed"][rows], self.robots["lost"][rows] = True, False
         for column in ("unplaced", "recalled", "seen", "guessed"):
             self.robots[column][rows] = False
-        known_again(self.protocol, self.robots["placed"] & ~self.robots["unplaced"])
+        learn_gaps(self.protocol)
 
     def configure(self, t: float) -> float:
         """Identify the robots, and send units, limits and speeds to them.

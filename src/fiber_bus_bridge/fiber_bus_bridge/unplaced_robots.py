@@ -23,10 +23,10 @@ _LEAST = 2  # a camera tells little of a turn that is shorter than a full one ov
 def turn_unplaced(session: Session, t: float, may_go: Callable[[], bool] = lambda: True) -> float:
     """Turn theta of the robots at unknown places, so little that nothing can touch.
 
-    All of them stopped under a certificate, which left its margin between outlines. No point of
-    an arm moves by more than half of that from there, wherever the arms are, in all turns together
-    (`protocol.turn_limits`). All turn one way, that in which more robots may turn: lights
-    that two robots reach then move in different directions. A robot that may not, rests.
+    No point of an arm moves by more than half of the gap that the last certificate left, wherever
+    the arms are, in all turns together (`protocol.turn_limits`). All turn one way, that in which
+    more robots may turn: lights that two robots reach then move in different directions. A robot
+    that may not, rests.
 
     Args:
         session: the session with the robots.
@@ -64,8 +64,9 @@ def turns_of(session: Session) -> tuple[Ints, Mask]:
         session: the session with the robots.
 
     Returns:
-        The turns of theta [quanta], 0 for none, and the robots at unknown places that rest as turns
-        before have used up half of their gaps, or their ranges end, shape (n,) each.
+        The turns of theta [quanta], 0 for none, and the robots at unknown places that rest: turns
+        before have used up half of their gaps, or their ranges end, the way that most may turn,
+        shape (n,) each.
     """
     c, robots = session.protocol, session.robots
     chosen = robots["unplaced"] & ~robots["seen"] & robots["known"] & session.plane.enabled
@@ -77,7 +78,7 @@ def turns_of(session: Session) -> tuple[Ints, Mask]:
     far = (may * _LEAST >= full[:, None]) & chosen[:, None]
     way = int(np.argmax(far.sum(axis=0)[::-1]))  # up where as many robots may
     turn = np.where(far[:, 1 - way], may[:, 1 - way], 0)
-    return turn if way == 0 else -turn, chosen & ~far.any(axis=1)
+    return turn if way == 0 else -turn, chosen & (turn == 0)
 
 
 def refused_text(session: Session, refused: Mask) -> str:
@@ -91,7 +92,7 @@ def refused_text(session: Session, refused: Mask) -> str:
     degrees = np.degrees(session.units.quantum_rad)
     down, up = session.robots["turn_limit"][at] * degrees
     return (
-        f"{refused.sum()} robots at unknown places rest, as turns before have used up half of "
-        f"their gaps: robot {session.plane.ids[at]} may turn by {down:.3f} deg down and "
+        f"{refused.sum()} robots at unknown places rest, as their gaps allow no longer turn the "
+        f"way of the others: robot {session.plane.ids[at]} may turn by {down:.3f} deg down and "
         f"{up:.3f} deg up of {full_turn(session.protocol)[at] * degrees:.3f} deg"
     )

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Test turns of robots at unknown places: what they add up to, and what vouches for a robot."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from session_rig import Rig
 
-from fiber_bus_bridge import SessionConfig
+from fiber_bus_bridge import SessionConfig, SessionState
 from fiber_bus_bridge.checked_file import read_checked, write_checked
-from fiber_bus_bridge.errors import SessionError
+from fiber_bus_bridge.errors import BridgeError, SessionError
 from fiber_bus_bridge.measured_places import learn_intervals, place_robots
 from fiber_bus_bridge.robot_memory import load_memory, save_memory
-from fiber_bus_bridge.unplaced_robots import turn_unplaced
+from fiber_bus_bridge.unplaced_robots import turn_unplaced, turns_of
 from fiber_core.clearance import Safety, gaps, levers_of, neighbour_pairs
 from fiber_core.outcomes import Reason
 
@@ -40,7 +42,7 @@ def cut_power(rig, rows):
 def place(rig, counts, chosen, turn_known=True):
     """Tell robots where a camera has seen them, without an error."""
     place_robots(rig.session, counts, chosen, rig.t, turn_known)
-    learn_intervals(rig.session, rig.plane, 0.0, 0.0)
+    learn_intervals(rig.session, 0.0, 0.0)
 
 
 def remembered(rig, path, starting=False):
@@ -239,3 +241,278 @@ def test_a_robot_that_was_only_seen_gets_no_orders_and_does_not_go_home():
     rig.run()
     assert np.array_equal(rig.where()[rows], before[rows])
     assert (rig.where() != before).any()
+
+
+def break_turn_off(rig, rows, share):
+    """Let robots lose their power when a test turn is made in part; return what they turned."""
+    before = rig.where()
+    rig.t = turn_unplaced(rig.session, rig.t)
+    loaded = rig.session.loaded_plan
+    rig.t = loaded.start_s + share * loaded.makespan_s
+    rig.session.advance(rig.t)
+    turned = (rig.where() - before)[:, 0]
+    rig.robots.power(rows, False, rig.t)
+    rig.run()
+    return turned
+
+
+def recalled_rig():
+    rig = new_rig()
+    place(rig, rig.where(), ALL)
+    cut_power(rig, np.arange(N))
+    assert rig.session.robots["recalled"].all()
+    return rig
+
+
+def test_robots_that_are_dark_after_each_restart_turn_no_farther_than_their_gaps(tmp_path):
+    rig = recalled_rig()
+    total, most = np.zeros(N), np.zeros(N)
+    for night in range(4):
+        try:
+            total += break_turn_off(rig, np.arange(N), 0.97)
+            most = np.maximum(most, np.abs(total))
+        except SessionError as refusal:
+            assert night > 0 and "robot 0 may turn by 0.000 deg down" in str(refusal)
+            break
+        rig = new_rig(rig, remembered(rig, tmp_path / "robots.json"))  # no robot answers
+        assert rig.session.robots["lost"].all()
+        rig.robots.power(np.arange(N), True, rig.t)
+        rig.t += 0.1
+        rig.call("configure")
+    moved_mm = most * rig.units.quantum_rad * levers_of(rig.plane)[:, 0]
+    assert (moved_mm > 0.9 * HALF_MM).all() and (moved_mm <= HALF_MM + 1e-9).all()
+    assert night < 3
+
+
+def test_a_robot_that_loses_its_power_in_a_test_turn_does_not_rest_where_it_did(tmp_path):
+    rig = recalled_rig()
+    place(rig, rig.where(), np.arange(N) != 0)  # all but one are found
+    break_turn_off(rig, [0], 0.9)
+    assert not rig.session.robots["recalled"][0]
+    with pytest.raises(SessionError, match="robot 0 cannot be vouched for"):
+        rig.session.vouch([0])
+    memory = remembered(rig, tmp_path / "robots.json")
+    assert not memory.placed[0] and memory.lost[0]
+    later = new_rig(rig, memory)  # the robot stays dark
+    later.session.submit(later.orders(0, -400))
+    later.call("start")
+    beside = neighbour_pairs(rig.plane)
+    beside = np.unique(beside[(beside == 0).any(axis=1) & (beside < N).all(axis=1)])
+    started = later.session.loaded_plan.started
+    assert not started[beside].any() and started.any()
+
+
+def test_the_file_tells_before_the_go_that_a_turning_robot_rests_at_no_known_place(tmp_path):
+    rig = recalled_rig()
+    kept = []
+
+    def may_go():
+        kept.append(remembered(rig, tmp_path / "robots.json", starting=True))
+        return True
+
+    rig.t = turn_unplaced(rig.session, rig.t, may_go)
+    kept.append(remembered(rig, tmp_path / "robots.json"))  # and while they turn
+    for memory in kept:
+        assert not memory.placed.any() and memory.lost.all()
+    rig.run()
+    arrived = remembered(rig, tmp_path / "robots.json")
+    assert arrived.placed.all()  # the counters tell how far they have turned
+
+
+def test_robots_that_were_read_at_rest_get_back_what_they_have_not_turned():
+    rig = new_rig()
+    full = rig.session.robots["turn_limit"].copy()
+    turned = break_turn_off(rig, [3], 0.3)
+    others = np.arange(N) != 3
+    limit = rig.session.robots["turn_limit"]
+    # they went on until all were stopped
+    down, up = (limit - full)[others].T
+    assert np.array_equal(down, -up) and (down >= turned[others]).all()
+    assert (up > -full[others, 1]).all()
+    assert limit[3, 0] == full[3, 0] and limit[3, 1] < full[3, 1] // 50
+    rig.robots.power([3], True, rig.t)
+    rig.t += 0.1
+    rig.call("configure")
+    before = rig.where()
+    rig.t = turn_unplaced(rig.session, rig.t)  # no robot is left stopped
+    rig.run()
+    assert (rig.where() != before).any(axis=1).all()
+
+
+def moving_pair(path):
+    """A rig of which two neighbours that are close move together, the pair, and what was kept."""
+    for first, second in ((1500, 1500), (-1500, -1500), (1500, -1500), (-1500, 1500)):
+        rig = new_rig()
+        counts, pair = close_pair(rig, 0.075)
+        place(rig, counts, ALL)
+        velocity = np.zeros(N)
+        velocity[list(pair)] = first, second
+        rig.session.submit(rig.orders(velocity, 0, ticks=40))
+        kept = []
+
+        def may_go(rig=rig, kept=kept):
+            kept.append(remembered(rig, path, starting=True))
+            return True
+
+        rig.call("start", may_go)
+        if rig.session.loaded_plan.started[list(pair)].all():
+            return rig, list(pair), kept[0]
+    raise AssertionError("no pair that is so close moves")
+
+
+def test_a_motion_that_is_broken_off_leaves_gaps_for_the_turns_that_are_on_disk(tmp_path):
+    rig, pair, memory = moving_pair(tmp_path / "robots.json")
+    loaded = rig.session.loaded_plan
+    # one stops a stop skew before the other, anywhere on the way
+    steps = np.linspace(0.0, loaded.makespan_s, 400)
+    angles = np.stack([loaded.motion.decoded()(t) for t in steps])
+    late = round(Safety().stop_skew_s / steps[1])
+    broken_off = []
+    for a in pair:
+        mixed = angles[:-late].copy()
+        mixed[:, a] = angles[late:, a]
+        broken_off.append(gaps(rig.plane, [pair], each)[0] for each in mixed)
+    least_mm = min(map(min, broken_off))
+    rad = memory.turn_limit[pair].max(axis=1) * rig.units.quantum_rad
+    assert (rad * levers_of(rig.plane)[pair, 0]).sum() <= least_mm < 2.0 * HALF_MM
+    assert np.array_equal(memory.turn_limit, rig.session.robots["turn_limit"])
+    rig.run()
+    at_rest_mm = gaps(rig.plane, [pair], rig.session.angles)[0]
+    rad = rig.session.robots["turn_limit"][pair].max(axis=1) * rig.units.quantum_rad
+    assert (rad * levers_of(rig.plane)[pair, 0]).sum() <= at_rest_mm
+
+
+def test_intervals_of_an_image_outlive_a_restart(tmp_path):
+    rig = new_rig()
+    counts, pair = close_pair(rig, 0.055)
+    place_robots(rig.session, counts, ALL, rig.t)
+    learn_intervals(rig.session, np.full(N, 0.03), 0.03)
+    limit = rig.session.robots["turn_limit"].copy()
+    assert not limit[list(pair)].any()
+    later = new_rig(rig, remembered(rig, tmp_path / "robots.json"))
+    assert later.session.usable.all()
+    assert np.array_equal(later.session.robots["turn_limit"], limit)
+
+
+def test_places_that_are_vouched_for_make_the_limits_of_close_pairs_smaller():
+    rig = new_rig()
+    counts, pair = close_pair(rig, 0.01)
+    later = Rig(N, start=rig.units.to_angles(counts), config=CONFIG, volatile=True)
+    later.robots.power(np.arange(N), False, 0.0)
+    later.call("configure")
+    later.session.vouch(later.plane.ids)
+    limit = later.session.robots["turn_limit"][list(pair)]
+    used_mm = limit.max(axis=1) * rig.units.quantum_rad * levers_of(rig.plane)[list(pair), 0]
+    assert 0.0 < used_mm.sum() <= gaps(rig.plane, [list(pair)], later.session.angles)[0]
+
+
+def test_a_session_that_believes_counters_keeps_no_turns_for_one_that_does_not(tmp_path):
+    rig = Rig(N, config=SessionConfig(), volatile=True)
+    rig.call("configure")
+    memory = remembered(rig, tmp_path / "robots.json")
+    assert memory.turn_limit is None
+    rig.robots.power(np.arange(N), False, rig.t)
+    rig.robots.power(np.arange(N), True, rig.t)
+    rig.t += 0.1
+    later = new_rig(rig, memory)
+    with pytest.raises(SessionError, match="robot 0 may turn by 0.000 deg down"):
+        turn_unplaced(later.session, later.t)
+
+
+def test_gaps_hold_what_the_drive_leaves_unknown():
+    def limits(uncertainty_rad):
+        rig = new_rig()
+        counts, pair = close_pair(rig, 0.055)
+        c = rig.session.protocol
+        c.plane = replace(
+            c.plane, drive=replace(c.plane.drive, uncertainty_rad=np.full((N, 2), uncertainty_rad))
+        )
+        place(rig, counts, ALL)
+        return rig.session.robots["turn_limit"][list(pair)]
+
+    assert (limits(2e-3) < limits(0.0)).all()
+
+
+def test_a_robot_that_may_turn_only_the_other_way_is_named():
+    rig = new_rig()
+    rig.session.robots["turn_limit"][:3, 1] = 0
+    rig.session.robots["turn_limit"][3:8, 0] = 0
+    turn, refused = turns_of(rig.session)
+    assert np.array_equal(turn == 0, refused) and refused.sum() == 3
+
+
+def jammed_rig(path):
+    """A rig of which a joint of robot 5 did not follow, and the memory from before the GO."""
+    rig = Rig(N, config=replace(CONFIG, resumes=0), volatile=True)
+    rig.call("configure")
+    place(rig, rig.where(), ALL)
+    rig.session.submit(rig.orders(400, 0))
+    kept = []
+
+    def may_go():
+        kept.append(remembered(rig, path, starting=True))
+        return True
+
+    rig.call("start", may_go)
+    rig.robots.memory["jam_s"][5] = rig.t + 0.1
+    rig.run()
+    assert rig.session.robots["unplaced"][5]
+    return rig, kept[0]
+
+
+def next_rig(rig, memory, path):
+    """A session after the one that remembered something; it keeps its memory in a file."""
+    later = Rig(N, config=CONFIG, robots=rig.robots, volatile=True)
+    later.t = rig.t
+    later.session.recall(memory)
+    later.session.save_with(lambda: remembered(later, path))
+    later.call("configure")
+    return later
+
+
+def load(rig, path):
+    return load_memory(path, rig.plane, rig.units.quantum_prad, len(rig.session.buses))
+
+
+@pytest.mark.parametrize("restarts", [1, 2, 3])
+def test_a_joint_that_did_not_follow_is_not_forgotten_by_bridges_that_die(tmp_path, restarts):
+    path = tmp_path / "robots.json"
+    rig, memory = jammed_rig(path)
+    for _ in range(restarts):
+        rig = next_rig(rig, memory, path)
+        memory = load(rig, path)  # what was on disk before the last CONFIG or CLEAR
+        assert rig.session.robots["unplaced"][5] and not rig.session.usable[5]
+    beside = neighbour_pairs(rig.plane)
+    beside = np.unique(beside[(beside == 5).any(axis=1) & (beside < N).all(axis=1)])
+    assert not memory.turn_limit[beside].any() and memory.turn_limit.any()
+
+
+def test_a_joint_that_did_not_follow_is_on_disk_before_robots_are_cleared(tmp_path):
+    path = tmp_path / "robots.json"
+    rig, _ = jammed_rig(path)
+    rig.session.save_with(lambda: remembered(rig, path))
+    rig.call("clear")
+    later = next_rig(rig, load(rig, path), path)
+    assert later.session.robots["unplaced"][5] and later.session.state is SessionState.STOPPED
+
+
+def test_robots_are_neither_configured_nor_cleared_without_a_place_on_disk(tmp_path):
+    rig, memory = jammed_rig(tmp_path / "robots.json")
+
+    def full():
+        raise BridgeError("no space left on device")
+
+    rig.session.save_with(full)
+    alerts = rig.robots.memory["alerts"].copy()
+    with pytest.raises(BridgeError, match="no space left"):
+        rig.call("clear")
+    later = Rig(N, config=CONFIG, robots=rig.robots, volatile=True)
+    later.t = rig.t
+    later.session.recall(memory)
+    later.session.save_with(full)
+    with pytest.raises(BridgeError, match="no space left"):
+        later.call("configure")
+    assert np.array_equal(rig.robots.memory["alerts"], alerts) and alerts[5]
+    later.session.save_with(lambda: None)
+    later.call("configure")
+    assert later.session.robots["unplaced"][5]

@@ -252,7 +252,7 @@ class Attempts:
             f"plan {attempt}: ended; {int(robots.sum())} robots could be tried again"
         )
         last = last or self._stopping.is_set() or not robots.any()
-        if last or stamp is None or not self._is_noted(combined):
+        if last or stamp is None or not (self._is_noted(combined) and self._is_cleared()):
             self._outgoing.publish_layout()
             self._publish_outcome(attempt.plan, combined)
         else:
@@ -267,6 +267,15 @@ class Attempts:
             return False
         return True
 
+    def _is_cleared(self) -> bool:
+        """Clear the robots, which reads the positions of all, of failed robots too."""
+        try:
+            self._session.clear(self._now_s())
+        except BridgeError as error:
+            self._reporter.refuse(f"the plan ends without another attempt: {error}")
+            return False
+        return True
+
     def _combined(self, before: Replanning, attempt: Attempt, result: PlanResult) -> PlanResult:
         xy_mm = self.inputs.targets(attempt.stamp)
         asked = False if xy_mm is None else np.all(np.isfinite(xy_mm), axis=1)
@@ -276,8 +285,6 @@ class Attempts:
         self, last_attempt: Attempt, stamp: PlanStamp, robots: Mask, result: PlanResult
     ) -> None:
         """Request the next attempt of a plan for some robots; all others are obstacles."""
-        # reads the positions of all robots, of failed robots too if they answer
-        self._session.clear(self._now_s())
         now_ns = self._outgoing.now_ns()
         attempt = self.awaited = last_attempt.next(stamp, since_ns=now_ns)
         self._made = {made for made in self._made if self.inputs.knows(made)} | {stamp}

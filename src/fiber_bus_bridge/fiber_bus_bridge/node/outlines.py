@@ -62,9 +62,13 @@ class Outlines:
         self._session, self._exact, self._outgoing = session, exact, outgoing
         half_rad = interval_of_tips(exact, errors.blind_sigmas * errors.blind_um * 1e-3)
         self._blind_mm = np.stack(arms_within(exact, half_rad), axis=1)
-        self.known_mm: Floats = np.zeros((exact.n, 2))  # what the last image left unknown
         self._grown_mm: Floats = np.zeros((exact.n, 2))
         self._seen = False  # whether an image was taken since the last blind move
+
+    @property
+    def known_mm(self) -> Floats:
+        """What the last image left unknown, also one of an earlier session [mm], shape (n, 2)."""
+        return self._session.protocol.known_mm
 
     def use(self, straight: bool) -> None:
         """Grow the outlines for a plan; publish the layout if they change.
@@ -102,8 +106,8 @@ class Outlines:
                 infinite.
         """
         self._grow(known_mm, straight=False)
-        self.known_mm, self._seen = known_mm, True
-        learn_intervals(self._session, self._exact, *known_mm.T)
+        self._seen = True
+        learn_intervals(self._session, *known_mm.T)
 
     def _wear(self, straight: bool) -> None:
         if self._grow(self.known_mm, straight and self._seen):

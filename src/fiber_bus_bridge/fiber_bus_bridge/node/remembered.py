@@ -10,7 +10,13 @@ from fiber_bus_bridge.availability import Availability
 from fiber_bus_bridge.errors import BridgeError
 from fiber_bus_bridge.node.hardware import Hardware
 from fiber_bus_bridge.node.stop_note import StopNote
-from fiber_bus_bridge.robot_memory import RobotMemory, fingerprint, load_memory, save_memory
+from fiber_bus_bridge.robot_memory import (
+    RobotMemory,
+    fingerprint,
+    load_memory,
+    plant_name,
+    save_memory,
+)
 from fiber_bus_bridge.session import Session
 
 __all__ = ["MemoryConfig", "Remembered", "memory_path"]
@@ -70,7 +76,11 @@ class Remembered:
         self._saved: RobotMemory | None = None
         self._warn = warn
         self.stop_note = StopNote(path, warn)
+        session.save_with(self.save)
+        self._plant = ""
         if path is None:
+            if hardware.robots_outlive:
+                self._forget_turns("memory is none, and turns of earlier bridges are not known")
             return
         memory = self._load(path, hardware, warn)
         if memory is not None:
@@ -84,11 +94,12 @@ class Remembered:
     ) -> RobotMemory | None:
         session = self._session
         try:
-            plant = hardware.plant
-            if plant is not None and path.exists() and path.stat().st_mtime < plant.stat().st_mtime:
-                return None  # of the robots of an earlier plant
-            quantum = session.units.quantum_prad
-            return load_memory(path, hardware.plane, quantum, len(session.buses))
+            self._plant = plant_name(hardware.plant)
+            quantum, buses = session.units.quantum_prad, len(session.buses)
+            memory = load_memory(path, hardware.plane, quantum, buses, self._plant)
+            if memory is None and path.exists():  # of the robots of an earlier plant
+                self._forget_turns(f"{path} is of another plant; remove it if robots are others")
+            return memory
         except (BridgeError, OSError) as error:
             warn(
                 f"{error}; no robot that does not answer is believed to be where it was, and its "
@@ -97,6 +108,11 @@ class Remembered:
             )
             session.forget_turns()
             return None
+
+    def _forget_turns(self, why: str) -> None:
+        if not self._session.config.counters_kept:
+            self._session.forget_turns()
+            self._warn(f"robots at unknown places do not turn: {why}")
 
     def save_or_warn(self) -> None:
         """Save what has changed; tell when the file cannot be written."""
@@ -118,7 +134,8 @@ class Remembered:
             return
         memory = self._session.memory(self._availability.failed, starting)
         if self._saved is None or not memory.same(self._saved):
-            save_memory(self._path, memory, self._session.plane, self._session.units.quantum_prad)
+            quantum = self._session.units.quantum_prad
+            save_memory(self._path, memory, self._session.plane, quantum, self._plant)
             self._saved = memory
         if not memory.moving:
             self.stop_note.remove()

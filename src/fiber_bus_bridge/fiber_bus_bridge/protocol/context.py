@@ -9,11 +9,13 @@ import numpy as np
 
 from fiber_bus_bridge.plan_result import LoadedPlan, Plan, PlanResult
 from fiber_bus_bridge.poll_scheduler import PollScheduler
+from fiber_bus_bridge.protocol.decisions import neighbours_of
 from fiber_bus_bridge.protocol.states import Event, State
 from fiber_bus_bridge.protocol.tables import Buses, Robots, new_buses, new_robots, observe
 from fiber_bus_bridge.session_config import SessionConfig
 from fiber_bus_bridge.transactions import Transactions
 from fiber_bus_bridge.wire import (
+    Alert,
     Frames,
     Gears,
     Opcode,
@@ -24,7 +26,7 @@ from fiber_bus_bridge.wire import (
     roll_call_bytes,
     roll_call_slots,
 )
-from fiber_core.array_types import Bools, Counts, Ints, Mask, Rows
+from fiber_core.array_types import Bools, Counts, Floats, Ints, Mask, Rows
 from fiber_core.clearance import Certificate, Safety, neighbour_pairs
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -69,6 +71,7 @@ class Phase:
         resumed: robots that this phase shall resume, shape (n,); None in a first phase.
         oversized: robots of the phase before with more segments than an order carries, shape (n,).
         before: the phase before; None in a first phase.
+        turn_limit: limits of test turns wherever this phase ends, shape (n, 2); None before its GO.
     """
 
     motion: WireMotion
@@ -87,6 +90,7 @@ class Phase:
     resumed: Mask | None = None
     oversized: Mask | None = None
     before: LoadedPlan | None = None
+    turn_limit: Ints | None = None
 
 
 @dataclass(eq=False)
@@ -141,6 +145,9 @@ class Context:
     was_moving: bool = False  # an earlier session moved robots; a STOP since then was its own
     # called with the robots that were read at rest, before they forget how an earlier plan ended
     note_ends: Callable[[Mask], None] | None = None
+    # called before messages that let robots forget that a joint did not follow, where counters
+    # do not outlive that; an error lets none of them be sent
+    save: Callable[[], None] = lambda: None
     log: list[Transition] = field(default_factory=list)
     t: float = -np.inf  # earliest time of the next message [s]
     now_s: float = -np.inf  # time of the last transition [s]
@@ -176,6 +183,9 @@ class Context:
         self.slot: Ints = roll_call_slots(addresses)
         self.roll_call_bytes: Ints = roll_call_bytes(np.bincount(self.bus))
         self.pairs = neighbour_pairs(self.plane)
+        self.exact_mm: Floats = np.stack([self.plane.theta_radius, self.plane.phi_radius], axis=1)
+        # how far points of both outlines may be from where the counters put them, by the last image
+        self.known_mm: Floats = np.zeros((self.plane.n, 2))
         # rounded inwards, so that every order that a robot accepts keeps the limits and speeds
         self.limits: Ints = self.units.range_counts(self.plane)
         speed = np.floor(self.plane.speeds / self.units.velocity_rad_s).astype(np.int64)
@@ -217,8 +227,16 @@ class Context:
         ok = status.ok
         if not ok.all():
             rows, status = rows[ok], status.select(ok)
-        kept = self.config.counters_kept
+        kept, before = self.config.counters_kept, self.robots["unplaced"][rows]
         observe(self.robots, rows, status, t, self.units.quantum_rad, kept)
+        if kept:
+            return
+        # a joint that did not follow was under no certificate: nothing is known of gaps beside it
+        stalled = rows[~before & (status.alerts & Alert.STALLED != 0)]
+        if len(stalled):
+            beside = np.isin(np.arange(len(self.robots)), stalled)
+            beside |= neighbours_of(beside, self.pairs)
+            self.robots["turn_limit"][beside] = 0
 
     def read(self, rows: Rows, t: float) -> Statuses:
         """Read robots; a robot without a reply has state 0 and keeps its last position."""

@@ -142,19 +142,21 @@ def silent_stop_s(buses: Buses, bus: Ints, silence_s: float) -> Floats:
     return 0.5 * (buses["called_before_s"][bus] + buses["called_s"][bus] + silence_s)
 
 
-def able_to_resume(robots: Robots, bus: Ints, moved: Mask) -> Mask:
+def able_to_resume(robots: Robots, bus: Ints, moved: Mask, turns: bool = False) -> Mask:
     """Return the robots that have stopped in order, by state and alerts, shape (n,).
 
     Args:
         robots: the robots, as read after the stop.
         bus: place of the bus of each robot, shape (n,).
         moved: robots that were moving before the stop, shape (n,).
+        turns: whether it was a test turn of robots at unknown places, which is ended then.
     """
     # faults may be of frames garbled in the meantime; alerts stay
     state, alerts = robots["state"], robots["alerts"]
     silent = (state == RobotState.FAULT) & (alerts & Alert.SILENT != 0)
     able = (state == RobotState.STOPPED) | silent
-    able &= (alerts & (Alert.STALLED | Alert.REBOOTED) == 0) & ~robots["lost"]
+    able &= alerts & (Alert.STALLED | Alert.REBOOTED) == 0
+    able &= ~robots["lost"] | (turns & robots["unplaced"])
     # a robot without heartbeats on a bus with heartbeats would miss the next ones too
     with_heartbeats = np.unique(bus[moved & (state == RobotState.STOPPED)])
     return able & ~(silent & np.isin(bus, with_heartbeats))

@@ -9,7 +9,7 @@ from fiber_bus_bridge.protocol.decisions import own_fault, resting_cause
 from fiber_bus_bridge.protocol.loading import not_started
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import begin_sequences
-from fiber_bus_bridge.protocol.turn_limits import end_turn, restore_turns
+from fiber_bus_bridge.protocol.turn_limits import end_turn, learn_gaps
 from fiber_bus_bridge.wire import (
     Configuration,
     Opcode,
@@ -34,9 +34,12 @@ def configure(c: Context) -> Event:
     identity = transactions.identities(np.arange(c.plane.n), t)
     rows = np.flatnonzero(identity.ok & (identity.serial == c.plane.ids))
     robots["known"] = False
-    if c.note_ends is not None:
+    if c.note_ends is not None or not c.config.counters_kept:
         _find_causes(c, rows)
         rows = rows[robots["state"][rows] != 0]  # others would forget what they did not tell
+    if not c.config.counters_kept:
+        rows = _saved_at_rest(c, rows)
+    if c.note_ends is not None:
         c.note_ends(_rests(c))
     read_rows: list[Rows] = []
     sequences: list[Ints] = []
@@ -60,7 +63,7 @@ def configure(c: Context) -> Event:
     _place_unplaced(c, t)
     # where a robot is that was never read, and that nothing vouches for, is not known
     robots["lost"] |= ~robots["placed"]
-    restore_turns(c)
+    learn_gaps(c)
     begin_sequences(c.buses, c.bus[np.concatenate(read_rows)], np.concatenate(sequences))
     if c.note_ends is not None:  # some may have stopped meanwhile, and may be cleared now
         c.note_ends(_rests(c))
@@ -81,6 +84,17 @@ def _find_causes(c: Context, rows: Rows) -> None:
     booted, before = np.zeros(len(robots), dtype=bool), robots["boot"][rows]
     booted[rows] = status.ok & (before >= 0) & (status.boot != before)
     robots["rest_cause"] = resting_cause(robots, booted, c.cut_off)
+
+
+def _saved_at_rest(c: Context, rows: Rows) -> Rows:
+    """Save what was just read; return the robots that may forget why they rest.
+
+    CONFIG and CLEAR delete the alert of a joint that did not follow, which alone tells that its
+    counter is false. So a robot gets them after it was read at rest, and that is on disk.
+    """
+    state = c.robots["state"][rows]
+    c.save()
+    return rows[(state != 0) & (state != RobotState.MOVING)]
 
 
 def _rests(c: Context) -> Mask:
@@ -130,20 +144,24 @@ def _found(c: Context) -> Event:
     stopped = known & (state == RobotState.STOPPED)
     if c.was_moving:
         alone, stopped = alone | stopped, np.zeros_like(stopped)
-        c.was_moving = False
     if c.was_stopped or stopped.any() or (alone.any() and (state == RobotState.MOVING).any()):
+        c.was_stopped, c.was_moving = True, False
         return Event.FOUND_STOPPED
+    c.was_moving &= bool(alone.any())  # until they are cleared
     return Event.FOUND_ALONE if alone.any() else Event.CONFIGURED
 
 
 def clear(c: Context) -> Event:
     """Delete orders and faults; robots stay where they are."""
     end_plan(c)
-    c.was_stopped = False
     c.transactions.revive()
     rows = c.known_or_all
+    if not c.config.counters_kept:
+        c.read(rows, c.t)
+        rows = _saved_at_rest(c, rows)
     c.transactions.command(Opcode.CLEAR, rows, c.t)
     c.read(rows, c.t)
+    c.was_stopped = c.was_moving = False
     return Event.CLEARED if c.robots["known"].any() else Event.NONE_KNOWN
 
 
@@ -172,7 +190,7 @@ def end_plan(c: Context) -> PlanResult | None:
     # what follows judges outlines: an error there must not lose the result
     if plan.within_mm is not None:
         end_turn(c)
-    restore_turns(c)
+    learn_gaps(c)
     return c.result
 
 

@@ -19,7 +19,6 @@ from fiber_bus_bridge.protocol.context import Context, Phase
 from fiber_bus_bridge.protocol.decisions import neighbours_of, not_loaded
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import SEQUENCES, Robots, begin_phase
-from fiber_bus_bridge.protocol.turn_limits import use_up_turn
 from fiber_bus_bridge.wire import Frames, Opcode, RobotState, Speeds, decode_load, encode_load
 from fiber_core.array_types import Bools, Codes, Mask, Rows
 from fiber_core.clearance import Certificate
@@ -176,8 +175,8 @@ def commit(c: Context, phase: Phase) -> LoadedPlan:
         started, not_started(robots, phase), c.buses["sequence"][c.bus], frames[rows], loaded,
         certificate, phase.go_s, phase.start_s,
     )  # fmt: skip
-    if c.plan is not None and c.plan.within_mm is not None:
-        use_up_turn(c)
+    if started.any() and phase.turn_limit is not None:
+        robots["turn_limit"] = np.minimum(robots["turn_limit"], phase.turn_limit)
     c.loaded_plan = loaded_plan
     c.loaded_plans.append(loaded_plan)
     robots["lost"] |= started

@@ -21,6 +21,7 @@ from fiber_bus_bridge.protocol.loading import commit
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.stopping import stop_all
 from fiber_bus_bridge.protocol.supervision import supervise, watch_from
+from fiber_bus_bridge.protocol.turn_limits import limits_after_go
 from fiber_bus_bridge.wire import COUNTDOWN_S, Opcode, RobotState, encode_command, general_call
 from fiber_core.outcomes import Reason
 
@@ -32,6 +33,7 @@ _GO_SHARE = 0.5  # part of a step that GOs to single robots may take
 
 def go(c: Context, phase: Phase) -> Event:
     """Ask whether to start, then start the verified robots of all buses with one GO."""
+    phase.turn_limit = limits_after_go(c)
     if not c.may_go():
         return Event.REFUSED
     robots, transactions = c.robots, c.transactions

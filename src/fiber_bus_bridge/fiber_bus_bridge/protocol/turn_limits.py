@@ -4,65 +4,57 @@
 Each robot has a limit down and a limit up, from where it is. For every pair of neighbours the turns
 within their limits use up less than the gap between them:
 
-- both places known: half of the gap of the outlines, and at most half of the margin;
-- a turn that is carried out moves both limits; a turn of which the end is not known makes one
-  smaller and leaves the other one as it was;
-- a place that becomes known anew beside one that is not: the smaller of old and new.
+- both places known: half of the gap of the outlines, and at most half of the margin. The outlines
+  hold what the drive and the last image leave unknown;
+- a plan that is about to start: half of what a motion leaves that is broken off, if that is less;
+- a turn that is carried out, in part or as a whole, moves both limits; a turn of which the end is
+  not known makes one smaller and leaves the other one as it was;
+- a place that becomes known anew beside one that is not: the smaller of old and new;
+- beside a joint that did not follow: nothing (`Context.observe`).
 
 A robot of which nothing was ever known stopped under a certificate: half of the margin.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from fiber_bus_bridge.protocol.context import Context
+from fiber_bus_bridge.protocol.decisions import own_fault
+from fiber_bus_bridge.wire import RobotState
 from fiber_core.arm_bounds import turn_within
-from fiber_core.array_types import Floats, Ints, Mask
-from fiber_core.clearance import gaps
+from fiber_core.array_types import Floats, Gaps, Ints, Mask, Pairs
+from fiber_core.clearance import certify, gaps, levers_of, point_speeds
+from fiber_core.drive import carried_out
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.motion import SegmentMotion
+from fiber_core.outcomes import Reason
 
-__all__ = [
-    "end_turn",
-    "full_turn",
-    "known_again",
-    "learn_gaps",
-    "restore_turns",
-    "turn_used_up",
-    "use_up_turn",
-]
+__all__ = ["end_turn", "full_turn", "known_again", "learn_gaps", "limits_after_go", "turning"]
 
 
 def full_turn(c: Context) -> Ints:
     """Return the turn of theta that moves no point by more than half of the margin, (n,)."""
-    return np.floor(turn_within(c.plane, c.safety.margin_mm) / c.units.quantum_rad).astype(np.int64)
+    return _turn(c, c.safety.margin_mm)
 
 
-def learn_gaps(c: Context, plane: FocalPlane) -> None:
-    """Take over the gaps between robots at known places after an image.
+def _turn(c: Context, gap_mm: Floats | float) -> Ints:
+    return np.floor(turn_within(c.plane, gap_mm) / c.units.quantum_rad).astype(np.int64)
 
-    Args:
-        c: the controller.
-        plane: the plane with outlines that hold the arms wherever they may be.
-    """
+
+def learn_gaps(c: Context) -> None:
+    """Take over the gaps between robots at known places; only this makes limits larger."""
     if c.config.counters_kept:
         return
-    known, beside, gap_mm = _gaps(c, plane)
-    turn = turn_within(c.plane, gap_mm) / c.units.quantum_rad
-    limit = np.repeat(np.floor(turn).astype(np.int64)[:, None], 2, axis=1)
-    before = c.robots["turn_limit"]
-    limit = np.where(beside[:, None], np.minimum(before, limit), limit)
-    c.robots["turn_limit"] = np.where(known[:, None], limit, before)
-
-
-def restore_turns(c: Context) -> None:
-    """Let robots that keep the margin to all neighbours, at known places, turn as far as it allows.
-
-    A certified motion brings no pair closer than the margin, or than it was: other limits hold on.
-    """
-    if c.config.counters_kept:
-        return
-    known, beside, gap_mm = _gaps(c, c.plane)
-    apart = known & ~beside & (gap_mm >= c.safety.margin_mm)
-    c.robots["turn_limit"][apart] = full_turn(c)[apart, None]
+    robots = c.robots
+    known = _known(c)
+    pairs, others = _pairs_of(c, known)
+    limit = np.minimum(_turn(c, _least_gap(c, pairs, _gaps(c, pairs))), full_turn(c))[:, None]
+    beside = np.zeros(c.plane.n + c.plane.fixtures, dtype=bool)
+    beside[others] = True
+    before = robots["turn_limit"]
+    limit = np.where(beside[: c.plane.n, None], np.minimum(before, limit), limit)
+    robots["turn_limit"] = np.where(known[:, None], limit, before)
 
 
 def known_again(c: Context, chosen: Mask) -> None:
@@ -71,49 +63,113 @@ def known_again(c: Context, chosen: Mask) -> None:
     limit[chosen] = np.minimum(limit, full_turn(c)[:, None])[chosen]
 
 
-def _gaps(c: Context, plane: FocalPlane) -> tuple[Mask, Mask, Floats]:
-    """Robots at known places, those beside unknown places, and gaps up to the margin, (n,) each."""
-    robots, n, all_bodies = c.robots, c.plane.n, c.plane.n + c.plane.fixtures
-    known = robots["placed"] & ~robots["lost"] & (~robots["unplaced"] | robots["seen"])
+def _known(c: Context) -> Mask:
+    """Robots that rest at known places, shape (n,)."""
+    robots = c.robots
+    return robots["placed"] & ~robots["lost"] & (~robots["unplaced"] | robots["seen"])
+
+
+def _pairs_of(c: Context, known: Mask) -> tuple[Pairs, Pairs]:
+    """Pairs of bodies at known places, and the other pairs."""
     there = np.append(known, np.ones(c.plane.fixtures, dtype=bool))[c.pairs]
     both = there.all(axis=1)
-    apart = gaps(plane, c.pairs[both], c.units.to_angles(robots["counts"]))
-    gap_mm, beside = np.full(all_bodies, c.safety.margin_mm), np.zeros(all_bodies, dtype=bool)
-    np.minimum.at(gap_mm, c.pairs[both], np.maximum(apart, 0.0)[:, None])
-    beside[c.pairs[~both]] = True
-    return known, beside[:n], gap_mm[:n]
+    return c.pairs[both], c.pairs[~both]
 
 
-def turn_used_up(limit: Ints, turn: Ints, chosen: Mask) -> Ints:
-    """Return limits after turns that were carried out, in part or not at all, shape (n, 2).
+def _gaps(c: Context, pairs: Pairs) -> Gaps:
+    """Gaps of pairs where their counters put them, less what is not known of the arms [mm]."""
+    return gaps(_grown(c), pairs, c.units.to_angles(c.robots["counts"]))
 
-    Args:
-        limit: limits before, shape (n, 2).
-        turn: ordered turns [quanta], shape (n,).
-        chosen: robots that were told to turn, shape (n,).
+
+def _grown(c: Context) -> FocalPlane:
+    theta, phi = (c.exact_mm + c.known_mm).T
+    plane = c.plane
+    wider = np.maximum(plane.theta_radius, theta), np.maximum(plane.phi_radius, phi)
+    return replace(plane, theta_radius=wider[0], phi_radius=wider[1])
+
+
+def _least_gap(c: Context, pairs: Pairs, gap_mm: Gaps) -> Floats:
+    """Smallest of some gaps for each robot, at most the margin [mm], shape (n,)."""
+    least = np.full(c.plane.n + c.plane.fixtures, c.safety.margin_mm)
+    np.minimum.at(least, pairs, np.maximum(gap_mm, 0.0)[:, None])
+    return least[: c.plane.n]
+
+
+def limits_after_go(c: Context) -> Ints:
+    """Return limits that hold wherever the motion that is about to start ends, shape (n, 2).
+
+    A motion that is broken off leaves less than the margin: its robots stop up to h apart
+    (`Safety.stop_skew_s`). It takes as long as a certificate, so no robot may move meanwhile.
     """
+    limit, plan, chosen = c.robots["turn_limit"], c.plan, c.robots["verified"]
+    assert plan is not None and c.phase is not None and c.phase.loaded is not None
+    loaded = c.phase.loaded
+    if plan.within_mm is not None:
+        return _turn_used_up(limit, (loaded.end - loaded.start)[:, 0], chosen)
+    if c.config.counters_kept or not chosen.any():
+        return limit
+    pairs, _ = _pairs_of(c, _known(c))
+    moves = np.append(loaded.moves, np.zeros(c.plane.fixtures, dtype=bool))
+    pairs = pairs[moves[pairs].any(axis=1)]
+    left_mm = _left_mm(c, loaded.decoded(), pairs)
+    return np.minimum(limit, _turn(c, _least_gap(c, pairs, left_mm))[:, None])
+
+
+def _left_mm(c: Context, motion: SegmentMotion, pairs: Pairs) -> Gaps:
+    """Gaps that a motion leaves wherever it is broken off [mm], shape (p,)."""
+    plane, safety, s = _grown(c), c.safety, c.safety
+    late = replace(
+        safety,
+        start_skew_s=s.start_skew_s + s.stop_skew_s, stop_skew_s=0.0,
+        border_start_skew_s=s.border_start_skew_s + s.border_stop_skew_s,
+        border_stop_skew_s=0.0,
+    )  # fmt: skip
+    true_motion = carried_out(plane.drive, motion)
+    speeds = point_speeds(levers_of(plane), true_motion.fastest)
+    # a pair at t_a and t_b, |t_a - t_b| <= 2 e T + s + h: min(V_a, V_b) |t_a - t_b| less
+    asked_mm = late.required_at(speeds, true_motion.makespan_s, pairs, sector=plane.sector)
+    least_mm = certify(plane, motion, late, pairs).gap_mm
+    return least_mm - (asked_mm - safety.margin_mm)
+
+
+def _turn_used_up(limit: Ints, turn: Ints, chosen: Mask) -> Ints:
+    """Limits after turns [quanta] that were carried out, in part or not at all, shape (n, 2)."""
     turn = np.where(chosen, turn, 0)
     return np.maximum(limit - np.stack([np.maximum(-turn, 0), np.maximum(turn, 0)], axis=1), 0)
 
 
-def use_up_turn(c: Context) -> None:
-    """Take the turns of the robots that are about to be started from their limits."""
-    robots = c.robots
-    robots["turn_limit"] = turn_used_up(robots["turn_limit"], _turns(c), robots["verified"])
+def turning(c: Context, starting: bool) -> Mask:
+    """Return the robots that carry out a test turn, shape (n,).
+
+    Args:
+        c: the controller.
+        starting: whether the verified robots are about to be sent a GO.
+    """
+    robots, turns = c.robots, np.zeros(c.plane.n, dtype=bool)
+    if c.plan is None or c.plan.within_mm is None or c.phase is None:
+        return turns
+    for loaded_plan in c.loaded_plans:
+        turns |= loaded_plan.started
+    return turns | robots["started"] | (robots["verified"] if starting else False)
 
 
 def end_turn(c: Context) -> None:
-    """Give robots that have carried out their turns what they may turn back."""
-    robots, loaded = c.robots, c.loaded_plan
-    if loaded is None or len(c.loaded_plans) != 1:
+    """Give robots that were read at rest what they have not turned, and what they may turn back.
+
+    Of the others neither the turn nor the place is known any more, nor does anything vouch for it.
+    """
+    if not c.loaded_plans:
         return
-    motion = loaded.motion
-    turn = np.where(loaded.started & robots["arrived"], (motion.end - motion.start)[:, 0], 0)
-    back = np.stack([np.maximum(turn, 0), np.maximum(-turn, 0)], axis=1)
-    robots["turn_limit"] += back
-
-
-def _turns(c: Context) -> Ints:
-    assert c.phase is not None and c.phase.loaded is not None  # orders are loaded
-    loaded = c.phase.loaded
-    return (loaded.end - loaded.start)[:, 0]
+    robots, first = c.robots, c.loaded_plans[0]
+    turn = (first.motion.end - first.motion.start)[:, 0]
+    read = np.isin(robots["state"], (RobotState.IDLE, RobotState.STOPPED, RobotState.FAULT))
+    read &= own_fault(robots, c.cut_off) == Reason.OK
+    made = np.where(robots["arrived"], turn, robots["counts"][:, 0] - first.motion.start[:, 0])
+    within = (made * np.sign(turn) >= 0) & (np.abs(made) <= np.abs(turn))
+    sure = first.started & (robots["arrived"] | read) & within
+    # of one that was ordered to turn up: the rest of it up again, and what was made of it down
+    back = np.stack([np.maximum(-turn, 0) + made, np.maximum(turn, 0) - made], axis=1)
+    robots["turn_limit"] += np.where(sure[:, None], back, 0)
+    unsure = first.started & ~sure
+    robots["recalled"] &= ~unsure
+    robots["guessed"] |= unsure & robots["unplaced"]
