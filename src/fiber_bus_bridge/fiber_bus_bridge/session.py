@@ -188,15 +188,6 @@ class Session:
         """
         return remember(self.protocol, failed, starting)
 
-    def save_with(self, save: Callable[[], None]) -> None:
-        """Let what is remembered be saved before robots forget that a joint did not follow.
-
-        Args:
-            save: called before the first CONFIG or CLEAR of a call, where counters do not outlive
-                a joint that did not follow; an error that it raises ends the call.
-        """
-        self.protocol.save = save
-
     def so_far(self) -> PlanResult:
         """Return the result of the plan if its controller dies after the GO that is about to go.
 

@@ -339,29 +339,38 @@ def test_robots_that_were_read_at_rest_get_back_what_they_have_not_turned():
     assert (rig.where() != before).any(axis=1).all()
 
 
-def moving_pair(path):
-    """A rig of which two neighbours that are close move together, the pair, and what was kept."""
-    for first, second in ((1500, 1500), (-1500, -1500), (1500, -1500), (-1500, 1500)):
-        rig = new_rig()
-        counts, pair = close_pair(rig, 0.075)
-        place(rig, counts, ALL)
-        velocity = np.zeros(N)
-        velocity[list(pair)] = first, second
-        rig.session.submit(rig.orders(velocity, 0, ticks=40))
-        kept = []
+def following_pair(path):
+    """A rig in which a robot follows its neighbour closely, the pair, and what was kept."""
+    rig = new_rig()
+    counts, pair = close_pair(rig, 0.06)
+    pair = list(pair)
+    place(rig, counts, ALL)
+    step_rad, angles = 1e-5, np.array(rig.session.angles)
+    gap_mm, slope = gaps(rig.plane, [pair], angles)[0], []
+    for robot in pair:
+        turned = angles.copy()
+        turned[robot, 0] += step_rad
+        slope.append((gaps(rig.plane, [pair], turned)[0] - gap_mm) / step_rad)
+    # one withdraws a little faster than the other comes
+    rate = np.array([1.05, -1.0]) / slope
+    speed = rig.session.protocol.speed[pair, 0]
+    velocity = np.zeros(N)
+    velocity[pair] = np.trunc(0.5 * rate * (speed / np.abs(rate)).min())
+    ticks = round(0.03 / (rig.units.tick_us * 1e-6))
+    rig.session.submit(rig.orders(velocity, 0, ticks=ticks))
+    kept = []
 
-        def may_go(rig=rig, kept=kept):
-            kept.append(remembered(rig, path, starting=True))
-            return True
+    def may_go():
+        kept.append(remembered(rig, path, starting=True))
+        return True
 
-        rig.call("start", may_go)
-        if rig.session.loaded_plan.started[list(pair)].all():
-            return rig, list(pair), kept[0]
-    raise AssertionError("no pair that is so close moves")
+    rig.call("start", may_go)
+    assert rig.session.loaded_plan.started[pair].all()
+    return rig, pair, kept[0]
 
 
 def test_a_motion_that_is_broken_off_leaves_gaps_for_the_turns_that_are_on_disk(tmp_path):
-    rig, pair, memory = moving_pair(tmp_path / "robots.json")
+    rig, pair, memory = following_pair(tmp_path / "robots.json")
     loaded = rig.session.loaded_plan
     # one stops a stop skew before the other, anywhere on the way
     steps = np.linspace(0.0, loaded.makespan_s, 400)
@@ -465,7 +474,7 @@ def next_rig(rig, memory, path):
     later = Rig(N, config=CONFIG, robots=rig.robots, volatile=True)
     later.t = rig.t
     later.session.recall(memory)
-    later.session.save_with(lambda: remembered(later, path))
+    later.session.protocol.save = lambda: remembered(later, path)
     later.call("configure")
     return later
 
@@ -490,7 +499,7 @@ def test_a_joint_that_did_not_follow_is_not_forgotten_by_bridges_that_die(tmp_pa
 def test_a_joint_that_did_not_follow_is_on_disk_before_robots_are_cleared(tmp_path):
     path = tmp_path / "robots.json"
     rig, _ = jammed_rig(path)
-    rig.session.save_with(lambda: remembered(rig, path))
+    rig.session.protocol.save = lambda: remembered(rig, path)
     rig.call("clear")
     later = next_rig(rig, load(rig, path), path)
     assert later.session.robots["unplaced"][5] and later.session.state is SessionState.STOPPED
@@ -502,17 +511,17 @@ def test_robots_are_neither_configured_nor_cleared_without_a_place_on_disk(tmp_p
     def full():
         raise BridgeError("no space left on device")
 
-    rig.session.save_with(full)
+    rig.session.protocol.save = full
     alerts = rig.robots.memory["alerts"].copy()
     with pytest.raises(BridgeError, match="no space left"):
         rig.call("clear")
     later = Rig(N, config=CONFIG, robots=rig.robots, volatile=True)
     later.t = rig.t
     later.session.recall(memory)
-    later.session.save_with(full)
+    later.session.protocol.save = full
     with pytest.raises(BridgeError, match="no space left"):
         later.call("configure")
     assert np.array_equal(rig.robots.memory["alerts"], alerts) and alerts[5]
-    later.session.save_with(lambda: None)
+    later.session.protocol.save = lambda: None
     later.call("configure")
     assert later.session.robots["unplaced"][5]

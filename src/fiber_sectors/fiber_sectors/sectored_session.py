@@ -88,6 +88,11 @@ class SectoredSession(Session):
         self.border_skews_s = terms.border_skews_s(safety)
         safety.check_borders(*self.border_skews_s)
         terms.check_session(config)
+        if not config.counters_kept:
+            raise SectorError(
+                "session.counters_kept is false: a plane of sectors cannot find robots at unknown "
+                "places; one bridge for the plane can"
+            )
         super().__init__(plane, units, safety, _NoBuses(), assumed, config)
         self._terms = terms
         self.sectors = Sectors(self.protocol, terms, links, pace)

@@ -76,7 +76,7 @@ class Remembered:
         self._saved: RobotMemory | None = None
         self._warn = warn
         self.stop_note = StopNote(path, warn)
-        session.save_with(self.save)
+        session.protocol.save = self.save
         self._plant = ""
         if path is None:
             if hardware.robots_outlive:
