@@ -182,7 +182,7 @@ def test_an_error_in_the_gaps_at_its_end_does_not_lose_the_result_of_a_plan(monk
         raise ValueError("gaps")
 
     with monkeypatch.context() as patch:
-        patch.setattr(ending, "restore_turns", fail)
+        patch.setattr(ending, "learn_gaps", fail)
         with pytest.raises(ValueError, match="gaps"):
             rig.run()
     rig.call("stop")
