@@ -62,12 +62,13 @@ def test_unusable_devices_end_the_bridge(tmp_path, devices, problem, message):
         peer.add_node(BridgeNode, devices=devices, problem=path if problem else "")
 
 
-def test_motors_with_a_ramp_are_refused_on_devices(tmp_path):
+@pytest.mark.parametrize("drive", ["accelerated", "desi"])
+def test_motors_with_a_ramp_are_refused_on_devices(tmp_path, drive):
     problem = load_problem(problem_file(tmp_path))
-    ramped = replace(problem, plane=with_drive(problem.plane, "accelerated"))
+    ramped = replace(problem, plane=with_drive(problem.plane, drive))
     save_problem(tmp_path / "ramped.npz", ramped)
     config = SimulationConfig(problem=str(tmp_path / "ramped.npz"))
-    with pytest.raises(BridgeError, match="'accelerated' has a ramp of .* CONFIG does not carry"):
+    with pytest.raises(BridgeError, match=f"'{drive}' has a ramp of .* CONFIG does not carry"):
         device_hardware(config, ["/dev/i2c-0"])
 
 

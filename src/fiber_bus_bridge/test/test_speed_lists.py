@@ -29,6 +29,7 @@ from fiber_core.clearance import Safety
 from fiber_core.drive import Drive, ListedSpeeds, rules_broken
 from fiber_core.drive.listed_units import listed_units
 from fiber_core.drive.named import with_drive
+from fiber_core.errors import LayoutError
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.wire_units import WireMotion, WireUnits
@@ -304,4 +305,16 @@ def test_a_list_that_does_not_fit_its_fields_names_the_robot():
     ticks = listed_units(plane, UNITS).back[7, 0]
     assert ticks > 2**16 - 1
     with pytest.raises(WireError, match=f"robot {PLANE.ids[7]}: {ticks} ticks"):
+        Speeds.of(plane, UNITS)
+
+
+@pytest.mark.parametrize(("units", "both"), [((100.6, 99.6), 100), ((100.4, 99.8), 100)])
+def test_speeds_that_are_one_in_whole_units_are_refused_with_robot_and_values(units, both):
+    speeds = np.array(units) * UNITS.velocity_rad_s
+    listed = ListedSpeeds(speeds, np.zeros(2), np.zeros(2), tolerance_rad_s=UNITS.velocity_rad_s)
+    scale = np.ones((PLANE.n, 2, 2))
+    scale[:4], scale[5:] = 4.0, 4.0
+    plane = replace(PLANE, drive=Drive(PLANE.n, listed=listed, scale=scale))
+    told = f"robot {PLANE.ids[4]}: .* {speeds[0]:.6g} and {speeds[1]:.6g} rad/s .* {both} velocity"
+    with pytest.raises(LayoutError, match=told):
         Speeds.of(plane, UNITS)

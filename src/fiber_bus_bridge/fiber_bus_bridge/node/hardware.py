@@ -242,8 +242,9 @@ def device_hardware(
             "devices need the parameter problem or starts: it holds the robots' assumed angles"
         )
     plane, start, lines = _found(config, part)
-    if plane.drive.ramp_s > 0.0:
-        ramp_s = plane.drive.ramp_s
+    # CONFIG has the rest behind a listed move in ticks, not the ramp, and no robot shows its own
+    ramp_s = plane.drive.longest_ramp_s
+    if ramp_s > 0.0:
         raise BridgeError(
             f"the drive {plane.drive.name!r} has a ramp of {ramp_s:.6g} s: CONFIG does "
             "not carry it, so the robots on devices would not follow the certified curves"

@@ -43,7 +43,8 @@ def listed_units(plane: FocalPlane, units: WireUnits) -> ListedUnits:
         units: size of tick and quantum.
 
     Raises:
-        LayoutError: a speed is below one velocity unit; names the robot.
+        LayoutError: a speed is below one velocity unit, or two speeds are the same whole number of
+            them; names the robot and the values.
     """
     listed, scale = plane.drive.listed, plane.drive.scale[:, None]
     assert listed is not None
@@ -57,6 +58,7 @@ def listed_units(plane: FocalPlane, units: WireUnits) -> ListedUnits:
             f"robot {plane.ids[row]}: a speed of {listed.speeds_rad_s[-1]:.3g} rad/s times "
             f"{scale[row].min():.3g} is below one velocity unit, {units.velocity_rad_s:.3g} rad/s"
         )
+    _check_apart(plane, units, velocity)
     turn = listed.least_rad[:, None, None] * scale / units.quantum_rad
     least = np.maximum(np.ceil(turn / velocity - 1e-9), 1).astype(np.int64)
     rising, joints = (listed.approach_sign > 0.0).astype(np.int64), np.arange(2)
@@ -66,3 +68,19 @@ def listed_units(plane: FocalPlane, units: WireUnits) -> ListedUnits:
     back = -(-quanta // creep[:, joints, 1 - rising]) if listed.returns else np.zeros_like(forth)
     ramp = np.ceil(listed.ramp_s / units.tick_s - 1e-9).astype(np.int64)
     return ListedUnits(velocity, least, ramp, back, forth)
+
+
+def _check_apart(plane: FocalPlane, units: WireUnits, velocity: Ints) -> None:
+    """Refuse lists of which two speeds are one in whole units: robots would refuse them."""
+    same = velocity[:, 1:] >= velocity[:, :-1]
+    if not same.any():
+        return
+    row, slower, joint, way = (int(k) for k in np.argwhere(same)[0])
+    listed, scale = plane.drive.listed, plane.drive.scale[row, joint, way]
+    assert listed is not None
+    fast, slow = listed.speeds_rad_s[slower : slower + 2] * scale
+    raise LayoutError(
+        f"robot {plane.ids[row]}: listed speeds of {fast:.6g} and {slow:.6g} rad/s of "
+        f"{('theta', 'phi')[joint]} are both {velocity[row, slower, joint, way]} velocity units, "
+        f"{units.velocity_rad_s:.3g} rad/s each"
+    )
