@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fiber_sectors.errors import SectorError
 
 __all__ = ["CALL", "MOST_NUMBER", "Call", "Columns", "Kind", "column", "decode_call", "encode_call",
-           "number_of"]  # fmt: skip
+           "number_of", "text_columns"]  # fmt: skip
 
 Columns: TypeAlias = dict[str, NDArray]
 CALL = b"FSC1"  # the first bytes of a call and of its answer
@@ -32,6 +32,7 @@ class Kind(IntEnum):
     STOP = 5
     REFUSED = 6
     VOUCH = 7  # robots that do not answer rest where they were read last
+    LOOK = 8  # tell why the robots rest, before they are configured and forget it
 
 
 class Call(NamedTuple):
@@ -56,6 +57,11 @@ class Call(NamedTuple):
             return ""
         text = self.columns.get("text", np.zeros(0, dtype=np.uint8))
         return text.tobytes().decode(errors="replace") or "refused"
+
+
+def text_columns(text: str) -> Columns:
+    """Return the columns of an answer that refuses its call."""
+    return {"text": np.frombuffer(text.encode(), dtype=np.uint8)}
 
 
 def encode_call(sector: int, kind: Kind, number: int, columns: Mapping[str, NDArray]) -> bytes:

@@ -210,7 +210,8 @@ class Sectors:
                     if answer is None or answer.number != number or answer.sector not in asked:
                         continue
                     asked.discard(answer.sector)
-                    if kind is Kind.CONFIGURE and self._is_behind(answer):
+                    first = kind in (Kind.LOOK, Kind.CONFIGURE)  # calls of a new coordinator
+                    if first and self._is_behind(answer):
                         behind.add(answer.sector)
                     elif self._take(answer, answers, of_run):
                         waiting.discard(answer.sector)

@@ -18,6 +18,7 @@ import numpy as np
 
 from fiber_bus_bridge import Session, SessionState
 from fiber_bus_bridge.protocol.decisions import countdown_s
+from fiber_bus_bridge.protocol.ending import find_causes
 from fiber_core.clearance import Certificate, Safety
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
@@ -32,6 +33,7 @@ from fiber_sectors.calls import (
     decode_call,
     encode_call,
     number_of,
+    text_columns,
 )
 from fiber_sectors.errors import SectorError
 from fiber_sectors.inbox import Inbox
@@ -95,6 +97,7 @@ class Sector:
         self._leased = LeasedBuses(session.transactions.backend, clock) if clock else None
         if self._leased is not None:
             session.transactions.backend = self._leased
+        session.look_back(lambda _: None)  # the coordinator notes it
         self._send, self._clock, self._wall = send, clock, wall
         self._patience_s, self._scale = patience_s, scale
         self.member = Member(number, boot, terms)
@@ -143,7 +146,7 @@ class Sector:
             if self._answered is None:
                 self._answer(columns)
         except FiberError as error:
-            self._answer(_text(str(error)), Kind.REFUSED)
+            self._answer(text_columns(str(error)), Kind.REFUSED)
 
     def _answer_again(self, call: Call, newest: int) -> None:
         """Answer a call that has come again; refuse one from before the newest."""
@@ -151,7 +154,7 @@ class Sector:
             if self._answered is not None:
                 self._send(self._answered)
             return
-        refused = _text(f"call {call.number} comes after call {newest}")
+        refused = text_columns(f"call {call.number} comes after call {newest}")
         columns = refused | {"newest": np.array(newest)}
         self._send(encode_call(self._number, Kind.REFUSED, call.number, columns))
 
@@ -209,9 +212,11 @@ class Sector:
         session = self._session
         if call.kind is Kind.PREPARE:
             self._run(call)
-        elif call.kind is Kind.CONFIGURE:
+        elif call.kind in (Kind.LOOK, Kind.CONFIGURE):
             take_places(session, call.columns, np.flatnonzero(~session.robots["placed"]))
-            if session.state is not SessionState.STOPPED:
+            if call.kind is Kind.LOOK:
+                find_causes(session.protocol, self._now_s())
+            elif session.state is not SessionState.STOPPED:
                 session.configure(self._now_s())
         elif call.kind is Kind.VOUCH:
             self._vouch(call.columns)
@@ -393,7 +398,3 @@ class Sector:
         if now_s >= self._tabled_s + _TABLE_S or now_s < self._tabled_s:
             self._tabled_s = now_s
             self._send(encode_call(self._number, Kind.TABLE, 0, table_of(self._session)))
-
-
-def _text(text: str) -> Columns:
-    return {"text": np.frombuffer(text.encode(), dtype=np.uint8)}

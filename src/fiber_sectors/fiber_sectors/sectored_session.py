@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 from fiber_bus_bridge import Session, SessionConfig
 from fiber_bus_bridge.bus import Recovery, Replies
 from fiber_bus_bridge.protocol import Context, Event, Phase, State, Watch
-from fiber_bus_bridge.protocol.ending import end_plan
+from fiber_bus_bridge.protocol.ending import end_plan, rests
 from fiber_bus_bridge.protocol.loading import certify, commit
 from fiber_bus_bridge.protocol.stopping import judge_stopped, resume_cleared
 from fiber_bus_bridge.protocol.tables import begin_watch
 from fiber_bus_bridge.wire import Frames, encode_load
-from fiber_core.array_types import Ints, Rows
+from fiber_core.array_types import Ints, Mask, Rows
 from fiber_core.clearance import Safety
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Reason
@@ -152,19 +152,39 @@ class SectoredSession(Session):
     # --- steps ---------------------------------------------------------------
 
     def _configure_sectors(self, c: Context) -> Event:
-        answers = self._ask_to_configure(range(self.sectors.number))
-        for text in self.sectors.malformed.values():
-            raise SectorError(text)
+        sectors: Iterable[int] = range(self.sectors.number)
+        if c.note_ends is not None:
+            sectors = self._look(c, c.note_ends)
+        answers = self._ask(Kind.CONFIGURE, sectors)
+        self._check_answers()
         c.robots["lost"] |= ~c.robots["placed"]
+        if c.note_ends is not None:  # some may have stopped meanwhile
+            c.note_ends(rests(c))
         stopped = any(bool(answer["stopped"]) for answer in answers.values())
         return Event.FOUND_STOPPED if stopped or c.was_stopped else Event.CONFIGURED
 
-    def _ask_to_configure(
-        self, sectors: Iterable[int], wait_s: float | None = None
+    def _look(self, c: Context, note_ends: Callable[[Mask], None]) -> list[int]:
+        """Note why the robots rest; return the sectors that have told it.
+
+        Another sector is not configured: its robots would forget what was not noted.
+        """
+        answers = self._ask(Kind.LOOK, range(self.sectors.number))
+        self._check_answers()
+        silent = ~np.isin(c.plane.sector, list(answers))
+        c.robots["state"][silent], c.robots["rest_cause"][silent] = 0, Reason.BUS_FAILED
+        note_ends(rests(c))
+        return list(answers)
+
+    def _ask(
+        self, kind: Kind, sectors: Iterable[int], wait_s: float | None = None
     ) -> dict[int, Columns]:
         """Let sectors find their robots, and tell them where those rest that may not answer."""
         places = {k: place_columns(self.protocol, self.sectors.rows[k]) for k in sectors}
-        return self.sectors.call(Kind.CONFIGURE, places, wait_s)
+        return self.sectors.call(kind, places, wait_s)
+
+    def _check_answers(self) -> None:
+        for text in self.sectors.malformed.values():
+            raise SectorError(text)
 
     def _load(self, c: Context, phase: Phase) -> Event:
         """Let the sectors with robots to move load and verify, side by side."""
@@ -348,7 +368,7 @@ class SectoredSession(Session):
         present = {k: {} for k in range(self.sectors.number) if k not in self.sectors.gone}
         self.sectors.call(Kind.CLEAR, present)
         if self.sectors.gone:  # one that began anew
-            self._ask_to_configure(self.sectors.gone, 1.0)
+            self._ask(Kind.CONFIGURE, self.sectors.gone, 1.0)
         return Event.CLEARED if c.robots["known"].any() else Event.NONE_KNOWN
 
 

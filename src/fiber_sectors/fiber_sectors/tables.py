@@ -41,6 +41,7 @@ _ALWAYS = {
     "fault": ("i8", (), 0, 255),
     "alerts": ("i8", (), 0, 255),
     "velocity": ("f8", (2,), -1e15, 1e15),
+    "rest_cause": ("i8", (), *_REASONS),
 }
 # taken over where the run is at that point
 _OF_RUN = {

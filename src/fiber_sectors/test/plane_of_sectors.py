@@ -66,35 +66,37 @@ class PlaneOfSectors:
         self._inbox = queue.SimpleQueue()
         self.dead, self._ended = set(), threading.Event()
         self.buses, self.sectors, self._threads = [], [], []
-        config = SessionConfig(resumes=0)
+        self._ahead_s = ahead_s
         for k in range(int(plane.sector.max()) + 1):
             part, start = part_of(plane, k), self.start[plane.sector == k]
             counts = self.units.encoder_counts(part, start)
             robots_of = Positioners(addresses_of(part), part.ids, self.units.quantum_prad, counts)
             buses = SimulatedBuses(robots_of, faults=(faults or {}).get(k))
-            clock = self._clock(ahead_s[k]) if slowly else None
-            backend = PacedBuses(buses, clock, self._wait) if clock else buses
-            session = Session(
-                part, self.units, Safety(), backend, start, config, certified_elsewhere
-            )
-            sector = Sector(
-                k, session, Terms(), k + 1, self._sender(k), clock, PATIENCE_S, slowly or 1.0
-            )
-            thread = threading.Thread(target=sector.serve, args=(self._gone(k),), daemon=True)
             self.buses.append(buses)
-            self.sectors.append(sector)
+            self.sectors.append(self._new_sector(k, k + 1))
+            sector = self.sectors[k]
+            thread = threading.Thread(target=sector.serve, args=(self._gone(k),), daemon=True)
             self._threads.append(thread)
             thread.start()
-        own = SessionConfig(tolerance_mm=1e-3)  # folded arms move their tips little
-        self.session = SectoredSession(
-            plane,
-            self.units,
-            Safety(),
-            self.start,
-            own,
-            Terms(),
-            self,
-            Pace(self._clock(0.0) if slowly else None, PATIENCE_S, scale=slowly or 1.0),
+        self.session = self.new_session()
+
+    def _new_sector(self, k, boot):
+        part, slowly = part_of(self.plane, k), self._slowly
+        clock = self._clock(self._ahead_s[k]) if slowly else None
+        backend = PacedBuses(self.buses[k], clock, self._wait) if clock else self.buses[k]
+        start, config = self.start[self.plane.sector == k], SessionConfig(resumes=0)
+        session = Session(part, self.units, Safety(), backend, start, config, certified_elsewhere)
+        return Sector(
+            k, session, Terms(), boot, self._sender(k), clock, PATIENCE_S, slowly or 1.0
+        )  # fmt: skip
+
+    def new_session(self, call_s=120.0):
+        """The session of a coordinator that begins anew."""
+        slowly, own = self._slowly, SessionConfig(tolerance_mm=1e-3)  # folded tips move little
+        clock = self._clock(0.0) if slowly else None
+        pace = Pace(clock, PATIENCE_S, call_s, scale=slowly or 1.0)
+        return SectoredSession(
+            self.plane, self.units, Safety(), self.start, own, Terms(), self, pace
         )
 
     def _clock(self, ahead_s):
@@ -145,6 +147,12 @@ class PlaneOfSectors:
         )
         self._threads[sector] = thread
         thread.start()
+
+    def begin_anew(self, sector):
+        """Let another process take the place of a sector that was cut off and has ended."""
+        self.join(sector)
+        self.sectors[sector] = self._new_sector(sector, 100 + sector)
+        self.revive(sector)
 
     def join(self, sector):
         """Wait until a sector that was cut off has ended."""

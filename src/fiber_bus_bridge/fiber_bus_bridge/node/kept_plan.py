@@ -126,9 +126,11 @@ class KeptPlan:
         session = self._session
         if not left.ended:
             robots = session.robots
+            # a sector that was not configured anew knows robots that do not answer any more
+            sure = session.usable & ~robots["lost"] & (robots["state"] != 0)
             left = left.found(
-                session.plane, session.angles, session.usable & ~robots["lost"],
-                robots["rest_cause"], session.config.tolerance_mm,
+                session.plane, session.angles, sure, robots["rest_cause"],
+                session.config.tolerance_mm,
             )  # fmt: skip
             self._save_ended(left)
         stamp, result = PlanStamp(left.stamp_ns), left.result

@@ -21,7 +21,7 @@ from fiber_bus_bridge.wire import (
 from fiber_core.array_types import Ints, Mask, Rows
 from fiber_core.outcomes import Reason
 
-__all__ = ["clear", "configure", "end", "end_plan", "look", "so_far"]
+__all__ = ["clear", "configure", "end", "end_plan", "find_causes", "look", "rests", "so_far"]
 
 _PATIENCE = 2.0  # in durations without a heartbeat: in which a robot stops without one
 _CONFIGS = 2  # attempts to configure a robot that reports a fault afterwards
@@ -31,8 +31,7 @@ def configure(c: Context) -> Event:
     """Identify the robots, and send units, limits, speeds, gears and lists of speeds to them."""
     transactions, robots, t = c.transactions, c.robots, c.t
     transactions.revive(power=True, t=t)
-    identity = transactions.identities(np.arange(c.plane.n), t)
-    rows = np.flatnonzero(identity.ok & (identity.serial == c.plane.ids))
+    rows = _identify(c)
     robots["known"] = False
     if c.note_ends is not None or not c.config.counters_kept:
         _find_causes(c, rows)
@@ -40,7 +39,7 @@ def configure(c: Context) -> Event:
     if not c.config.counters_kept:
         rows = _saved_at_rest(c, rows)
     if c.note_ends is not None:
-        c.note_ends(_rests(c))
+        c.note_ends(rests(c))
     read_rows: list[Rows] = []
     sequences: list[Ints] = []
     for _ in range(_CONFIGS):
@@ -66,8 +65,20 @@ def configure(c: Context) -> Event:
     learn_gaps(c)
     begin_sequences(c.buses, c.bus[np.concatenate(read_rows)], np.concatenate(sequences))
     if c.note_ends is not None:  # some may have stopped meanwhile, and may be cleared now
-        c.note_ends(_rests(c))
+        c.note_ends(rests(c))
     return _found(c)
+
+
+def _identify(c: Context) -> Rows:
+    identity = c.transactions.identities(np.arange(c.plane.n), c.t)
+    return np.flatnonzero(identity.ok & (identity.serial == c.plane.ids))
+
+
+def find_causes(c: Context, t: float) -> None:
+    """Read why robots rest, from time t [s] on, and send nothing that lets them forget it."""
+    c.t = t
+    c.transactions.revive()
+    _find_causes(c, _identify(c))
 
 
 def _find_causes(c: Context, rows: Rows) -> None:
@@ -97,7 +108,7 @@ def _saved_at_rest(c: Context, rows: Rows) -> Rows:
     return rows[(state != 0) & (state != RobotState.MOVING)]
 
 
-def _rests(c: Context) -> Mask:
+def rests(c: Context) -> Mask:
     """Robots that answered when they were read last, and rest where their encoders say, (n,)."""
     state = c.robots["state"]
     at_rest = (state != 0) & (state != RobotState.MOVING)
