@@ -173,7 +173,9 @@ def test_a_trajectory_of_another_plane_is_refused(rest):
 def test_a_trajectory_is_refused_where_sectors_need_larger_skews_than_are_certified(rest):
     rest.show_plane((2e-3, 30e-3))
     rest.send(9)
-    rest.wait_refusal("safety.border_stop_skew_s is 0.027 s, the terms of the sectors need 0.03 s")
+    kept_s = Safety.border_stop_skew_s
+    text = f"safety.border_stop_skew_s is {kept_s:g} s, the terms of the sectors need 0.03 s"
+    rest.wait_refusal(text)
 
 
 def test_a_value_that_is_not_finite_is_refused_by_robot(rest):

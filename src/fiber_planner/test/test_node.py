@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from fiber_core.clearance import Safety
 from fiber_core.drive.named import with_drive
 from fiber_core.fields import random_problem
 from fiber_core.kinematics import forward
@@ -144,7 +145,9 @@ def test_targets_while_robots_move_are_refused(rest):
 def test_targets_are_refused_where_sectors_need_larger_skews_than_the_planner_keeps(rest):
     rest.show_plane(border_skews_s=(2e-3, 30e-3))
     rest.ask(9)
-    rest.wait_refusal("direct.border_stop_skew_s is 0.027 s, the terms of the sectors need 0.03", 9)
+    kept_s = Safety.border_stop_skew_s
+    text = f"direct.border_stop_skew_s is {kept_s:g} s, the terms of the sectors need 0.03"
+    rest.wait_refusal(text, 9)
 
 
 def test_a_robot_the_plane_does_not_have_is_refused_by_name(rest):

@@ -4,15 +4,19 @@
 import math
 from collections.abc import Callable
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_bus_bridge import Session
 from fiber_bus_bridge.bus import BusBackend, Recovery, Replies
-from fiber_bus_bridge.wire import Frames
-from fiber_core.array_types import Ints
+from fiber_bus_bridge.wire import CALL_PREFIX, Frames, Opcode
+from fiber_core.array_types import Bools, Ints
+from fiber_core.ragged import Parts
 from fiber_sectors.errors import SectorError
 
 __all__ = ["LeaseEnded", "LeasedBuses"]
+
+_HEARTBEAT = int(Opcode.HEARTBEAT)
 
 
 class LeaseEnded(SectorError):
@@ -22,8 +26,11 @@ class LeaseEnded(SectorError):
 class LeasedBuses:
     """The buses of a sector, which refuse what would be sent too late.
 
-    A process that is paused in a step goes on with it, when its lease may have ended. Its
-    heartbeats would let robots move on for as long as they move without heartbeats.
+    A process that is paused in a step goes on with it, when its lease may have ended. So the
+    clock is looked at before each single heartbeat of a bus. A pause between that look and its
+    heartbeat cannot be seen; robots hear a late heartbeat only while they move, so within silence_s
+    of the one before, which was sent before the look. Whatever is paused, robots that were last let
+    to move under a lease rest less than 2 silence_s after its end.
 
     Args:
         buses: the buses.
@@ -61,14 +68,34 @@ class LeasedBuses:
     def transfer(self, frames: Frames, read_bytes: ArrayLike, not_before_s: ArrayLike) -> Replies:
         """Carry a batch of messages; see BusBackend.transfer.
 
+        In a step each bus carries one heartbeat at a time, and waits for the others after it.
+
         Raises:
-            LeaseEnded: it is too late for them; none is sent.
+            LeaseEnded: it is too late for the rest of them, which is not sent.
         """
-        if (now_s := self._clock()) >= self._until_s:
-            raise LeaseEnded(
-                f"a step is {1e3 * (now_s - self._until_s):.3g} ms too late to be sent"
-            )
-        return self._buses.transfer(frames, read_bytes, not_before_s)
+        if math.isinf(self._until_s):
+            return self._buses.transfer(frames, read_bytes, not_before_s)
+        part = _parts(frames)
+        read = np.broadcast_to(np.asarray(read_bytes, dtype=np.int64), (len(frames),))
+        before_s = np.broadcast_to(np.asarray(not_before_s, dtype=float), (len(frames),))
+        offsets = Parts.from_counts(read).offsets
+        joined = Replies(
+            np.zeros(len(frames), dtype=np.int64), np.zeros(len(frames)), np.zeros(len(frames)),
+            offsets, np.zeros(offsets[-1], dtype=np.uint8),
+        )  # fmt: skip
+        for each in np.unique(part):
+            rows = np.flatnonzero(part == each)
+            self._look()
+            replies = self._buses.transfer(frames[rows], read[rows], before_s[rows])
+            joined.ack[rows] = replies.ack
+            joined.start_s[rows], joined.end_s[rows] = replies.start_s, replies.end_s
+            joined.data[Parts(offsets).select(rows)[1]] = replies.data
+        return joined
+
+    def _look(self) -> None:
+        late_s = self._clock() - self._until_s
+        if late_s >= 0.0:
+            raise LeaseEnded(f"a step is {1e3 * late_s:.3g} ms too late to be sent")
 
     def recover(self, bus: int, recovery: Recovery, t: float) -> tuple[float, bool]:
         """Try to free the lines of a bus; see BusBackend.recover."""
@@ -77,3 +104,24 @@ class LeasedBuses:
     def alert_lines(self, t: float) -> Ints:
         """Return the buses with a low alert line; see BusBackend.alert_lines."""
         return self._buses.alert_lines(t)
+
+
+def _parts(frames: Frames) -> Ints:
+    """Return the part in which each frame is sent, shape (f,).
+
+    A heartbeat is alone in its part on its bus, and each bus keeps the order of its frames.
+    """
+    beats, order = _heartbeats(frames), np.argsort(frames.to.bus, kind="stable")
+    bus, so_far = frames.to.bus[order], np.append(0, np.cumsum(beats[order]))
+    part = np.empty(len(frames), dtype=np.int64)
+    # those of the buses before do not count
+    part[order] = 2 * (so_far[1:] - so_far[np.searchsorted(bus, bus)])
+    return part - beats
+
+
+def _heartbeats(frames: Frames) -> Bools:
+    """Return which frames are heartbeats, shape (f,)."""
+    data = np.append(frames.data, np.zeros(2, dtype=np.uint8))
+    first = frames.offsets[:-1]
+    called = data[first] == CALL_PREFIX
+    return (frames.lengths > 0) & (data[first + called] >> 4 == _HEARTBEAT)

@@ -22,10 +22,9 @@ class Terms:
             [s].
         fresh_s: age of the newest beat that each sector has answered, up to which the coordinator
             lets the others move on [s].
-        step_s: longest step of the supervision of a sector [s]: a lease that ends in a step is seen
-            to have ended after it.
-        notice_s: longest time from the decision of a sector to stop until its robots rest [s]: that
-            for which they move without heartbeats, as its process may be paused in that moment.
+        step_s: longest time by which a step of the supervision of a sector may be late while it
+            still answers beats [s].
+        notice_s: longest time for which robots move without heartbeats [s].
         start_error_s: largest error of the instant at which a sector starts, with the error bound
             of the offset between the clocks of two hosts [s].
         drift_ppm: largest difference between the rates of the clocks of two hosts [1e-6].
@@ -82,11 +81,12 @@ class Terms:
 
         A sector that stops at t has answered no beat that was sent after t. So no beat sent after
         t + fresh_s lets another sector move, and a lease ends lease_s after the report that its
-        beat answers, which was sent before the beat. The sector sees that after the step of its
-        supervision in which the lease has ended, and its robots rest notice_s later.
+        beat answers, which was sent before the beat. The last heartbeat that robots hear follows a
+        look at the clock before that end, by less than notice_s (see LeasedBuses), and they rest at
+        most notice_s after it. Each of these times runs on a clock that may be slow.
         """
         drift = 1.0 + 1e-6 * self.drift_ppm
-        return self.fresh_s + drift * self.lease_s + self.step_s + self.notice_s
+        return drift * (self.fresh_s + self.lease_s + 2.0 * self.notice_s)
 
     def border_skews_s(self, safety: Safety) -> tuple[float, float]:
         """Return the skews of start and stop that two robots of different sectors need [s].
@@ -106,7 +106,8 @@ class Terms:
 
         Raises:
             SectorError: robots move for longer than `notice_s` without heartbeats, or without end,
-                or a step lasts longer than `step_s`; names both values.
+                a step lasts longer than `step_s`, or robots rest while their sector still answers
+                beats as one that moves; names the values.
         """
         silence_s = 1e-3 * config.silence_ms
         if not 0.0 < silence_s <= self.notice_s:
@@ -119,4 +120,11 @@ class Terms:
             raise SectorError(
                 f"session.heartbeat_period_s is {config.heartbeat_period_s:g} s, terms.step_s "
                 f"{self.step_s:g} s: a step lasts as long as that period"
+            )
+        # it answers until step_s after the time of the next heartbeats
+        if silence_s < config.heartbeat_period_s + self.step_s:
+            raise SectorError(
+                f"session.silence_ms is {config.silence_ms}, session.heartbeat_period_s "
+                f"{config.heartbeat_period_s:g} s and terms.step_s {self.step_s:g} s: robots must "
+                "move without heartbeats for as long as their sector may wait for its next step"
             )

@@ -198,7 +198,7 @@ def test_a_stop_by_an_operator_stops_all_sectors(plane_of):
 def test_a_certificate_that_does_not_contain_the_terms_is_refused(plane_of):
     plane = plane_of()
     safety = Safety(border_stop_skew_s=20e-3)
-    needs = r"safety.border_stop_skew_s is 0\.02 s, the terms of the sectors need 0\.0265"
+    needs = r"safety.border_stop_skew_s is 0\.02 s, the terms of the sectors need 0\.02900"
     with pytest.raises(MotionError, match=needs):
         SectoredSession(
             plane.plane, plane.units, safety, plane.start, SessionConfig(), Terms(), plane, Pace()

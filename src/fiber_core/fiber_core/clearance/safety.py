@@ -55,7 +55,7 @@ class Safety:
     start_skew_s: float = 200e-6
     stop_skew_s: float = 4e-3
     border_start_skew_s: float = 2.2e-3
-    border_stop_skew_s: float = 27e-3
+    border_stop_skew_s: float = 29.5e-3
 
     def __post_init__(self) -> None:
         bounds.check_ranges(self, self.RANGES, MotionError)
