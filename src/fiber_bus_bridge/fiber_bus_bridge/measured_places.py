@@ -108,6 +108,7 @@ def learn_intervals(session: Session, theta_mm: ArrayLike, phi_mm: ArrayLike) ->
     context.known_mm = np.stack(np.broadcast_arrays(theta_mm, phi_mm, np.zeros(context.plane.n)))[
         :2
     ].T.astype(float)
+    context.blind_mm = np.zeros_like(context.known_mm)
     learn_gaps(context)
 
 

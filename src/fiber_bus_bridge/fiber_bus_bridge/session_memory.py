@@ -15,6 +15,8 @@ __all__ = ["recall", "remember"]
 def remember(c: Context, failed: Codes, starting: bool) -> RobotMemory:
     """Return what must be remembered of the robots; arguments as of Session.memory."""
     robots, state = c.robots, session_state(c.state)
+    # robots that are configured or cleared rest
+    moving = state is SessionState.MOVING and c.state not in (State.CONFIGURING, State.CLEARING)
     unplaced = robots["unplaced"]
     # a robot that rested when it lost its power is where it was, as far as nothing moved it
     recalled = robots["recalled"] & ~turning(c, starting)
@@ -29,7 +31,7 @@ def remember(c: Context, failed: Codes, starting: bool) -> RobotMemory:
     return RobotMemory(
         robots["counts"].copy(), placed, lost, boot, failed.copy(), c.buses["sequence"].copy(),
         state is SessionState.STOPPED or c.was_stopped,
-        starting or state is SessionState.MOVING or c.was_moving,
+        starting or moving or c.was_moving,
         limit, unplaced.copy(), c.known_mm.copy(),
     )  # fmt: skip
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from session_rig import Rig
 from test_node_memory import night, unfolding  # noqa: F401
-from test_turn_limits import CONFIG, N, new_rig
+from test_turn_limits import ALL, CONFIG, N, close_pair, new_rig, place
 
 from fiber_bus_bridge import BridgeError, SessionState
 from fiber_bus_bridge.availability import Availability
+from fiber_bus_bridge.node.outlines import BlindErrors, Outlines
 from fiber_bus_bridge.node.remembered import Remembered
 from fiber_bus_bridge.unplaced_robots import turn_unplaced
 from fiber_msgs_py import topics
@@ -60,6 +61,47 @@ def test_the_memory_of_a_plant_holds_whatever_the_clock_says(tmp_path):
     _, told = remembering(later, path, plant)
     assert not later.session.robots["turn_limit"].any()
     assert "robots.json is of another plant" in told[0]
+
+
+def test_what_is_saved_before_robots_are_configured_tells_of_no_motion(tmp_path):
+    rig = new_rig()
+    rig.call("stop")  # of another controller: no memory tells of it
+    for _ in range(2):
+        later = next_rig(rig)
+        memory, _ = remembering(later, tmp_path / "robots.json")
+        kept = []
+
+        def save(session=later.session, memory=memory, kept=kept):
+            kept.append(session.memory(np.zeros(N, dtype=np.int64)))
+            memory.save()
+
+        later.session.protocol.save = save
+        later.call("configure")
+        assert later.session.state is SessionState.STOPPED
+        assert not kept[0].moving
+    later.call("clear")
+    assert kept[1].stopped and not kept[1].moving
+
+
+def test_until_an_image_is_taken_limits_hold_the_errors_of_blind_moves(tmp_path):
+    rig = new_rig()
+    counts, pair = close_pair(rig, 0.055)
+    place(rig, counts, ALL)
+    memory, _ = remembering(rig, tmp_path / "robots.json")
+    memory.save()
+    limit = rig.session.robots["turn_limit"].copy()
+    later = next_rig(rig)
+    outlines = Outlines(later.session, later.plane, BlindErrors(blind_um=40.0), None)
+    remembering(later, tmp_path / "robots.json")
+    later.call("configure")
+    assert later.session.usable.all()
+    assert not later.session.robots["turn_limit"][list(pair)].any()
+    outlines.learn(np.zeros((N, 2)))
+    # outlines are those of a blind move again, and full turns a little smaller
+    assert (later.session.robots["turn_limit"] > 0.9 * limit).all()
+    outlines.move_blind()
+    later.call("configure")
+    assert not later.session.robots["turn_limit"][list(pair)].any()
 
 
 def unplaced(a_night):

@@ -62,6 +62,7 @@ class Outlines:
         self._session, self._exact, self._outgoing = session, exact, outgoing
         half_rad = interval_of_tips(exact, errors.blind_sigmas * errors.blind_um * 1e-3)
         self._blind_mm = np.stack(arms_within(exact, half_rad), axis=1)
+        session.protocol.blind_mm = self._blind_mm  # no image was taken yet
         self._grown_mm: Floats = np.zeros((exact.n, 2))
         self._seen = False  # whether an image was taken since the last blind move
 
@@ -85,7 +86,7 @@ class Outlines:
 
     def move_blind(self) -> None:
         """Forget that an image was taken: the arms move, and no image tells where they end."""
-        self._seen = False
+        self._seen, self._session.protocol.blind_mm = False, self._blind_mm
 
     def rest(self) -> None:
         """Grow the outlines for a blind move, unless orders wait, robots move or are stopped.

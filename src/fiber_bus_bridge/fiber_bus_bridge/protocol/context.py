@@ -186,6 +186,7 @@ class Context:
         self.exact_mm: Floats = np.stack([self.plane.theta_radius, self.plane.phi_radius], axis=1)
         # how far points of both outlines may be from where the counters put them, by the last image
         self.known_mm: Floats = np.zeros((self.plane.n, 2))
+        self.blind_mm: Floats = np.zeros((self.plane.n, 2))  # and by moves since that image
         # rounded inwards, so that every order that a robot accepts keeps the limits and speeds
         self.limits: Ints = self.units.range_counts(self.plane)
         speed = np.floor(self.plane.speeds / self.units.velocity_rad_s).astype(np.int64)

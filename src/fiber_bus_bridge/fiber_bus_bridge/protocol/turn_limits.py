@@ -82,10 +82,9 @@ def _gaps(c: Context, pairs: Pairs) -> Gaps:
 
 
 def _grown(c: Context) -> FocalPlane:
-    theta, phi = (c.exact_mm + c.known_mm).T
-    plane = c.plane
-    wider = np.maximum(plane.theta_radius, theta), np.maximum(plane.phi_radius, phi)
-    return replace(plane, theta_radius=wider[0], phi_radius=wider[1])
+    """The plane with outlines that hold the arms, wherever they may be."""
+    theta_mm, phi_mm = (c.exact_mm + np.hypot(c.known_mm, c.blind_mm)).T
+    return replace(c.plane, theta_radius=theta_mm, phi_radius=phi_mm)
 
 
 def _least_gap(c: Context, pairs: Pairs, gap_mm: Gaps) -> Floats:
