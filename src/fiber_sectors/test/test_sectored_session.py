@@ -323,3 +323,12 @@ def test_places_that_a_camera_saw_are_refused_with_a_reason(plane_of):
         place_robots(session, session.counts + 5, np.ones(n, dtype=bool), 0.0)
     with pytest.raises(SessionError, match="a camera needs one bridge"):
         widen_outlines(session, session.plane, 0.1, 0.1)
+
+
+def test_a_plane_of_sectors_believes_counters(plane_of):
+    plane = plane_of()
+    with pytest.raises(SectorError, match="session.counters_kept is false: a plane of sectors"):
+        SectoredSession(
+            plane.plane, plane.units, Safety(), plane.start,
+            SessionConfig(counters_kept=False), Terms(), plane, Pace(),
+        )  # fmt: skip

@@ -28,7 +28,8 @@ class MemoryConfig:
 
     Args:
         memory: file with places, failures and sequence numbers of the robots; "auto" for one of
-            this user and plane, where the robots outlive the bridge; "none" for no file.
+            this user and plane, where the robots outlive the bridge; "none" for no file: robots at
+            unknown places that outlive the bridge then do not turn.
     """
 
     memory: str = "auto"
