@@ -8,7 +8,8 @@ the robots stand.
 
 - told, wrong: robots of which it is told which fibre their orders move, and those of which that is
   not true; tellable: robots whose orders move a lit fibre.
-- swaps, swaps_told: robots at the place of another one, half of them of a neighbour.
+- swapped, swapped_told: robots at the place of another one, half of them of a neighbour;
+  swapped_still: those of which the orders move no lit fibre.
 - pairs_told: swapped pairs of which both are told.
 - ambiguous, not_seen: robots that are told so; still: robots whose orders move no lit fibre.
 """
@@ -98,6 +99,7 @@ def run(options: argparse.Namespace, seed: int) -> dict[str, float]:
         "told": int(told.sum()),
         "wrong": int((told & (found.at != moves)).sum()),
         "swapped": int(swapped.sum()),
+        "swapped_still": int((swapped & ~moving).sum()),
         "swapped_told": int((told & swapped).sum()),
         "pairs_told": int(both.sum()) // 2,
         "still": int((~moving).sum()),

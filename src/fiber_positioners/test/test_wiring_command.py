@@ -48,7 +48,8 @@ def test_swapped_robots_are_named_and_written(night, capsys):
     assert main(options) == 0
     *named, counts = capsys.readouterr().out.splitlines()
     assert json.loads(counts) == {
-        "in_place": N - 5, "swapped": 4, "not_seen": 1, "ambiguous": 0
+        "in_place": N - 5, "swapped": 4, "not_seen": 1, "ambiguous": 0, "reversed": 0,
+        "other_joint": 0,
     }  # fmt: skip
     assert [line.split(":")[0] for line in named] == [
         f"robot {100 + k}" for k in (3, 4, 10, 20, 30)
@@ -79,3 +80,18 @@ def test_other_words_tell_nothing_and_bad_lights_are_refused(night, capsys):
     assert "is no image from 0 to 31" in capsys.readouterr().err
     assert main([*options[:3], "--margin-mm", "2", str(target)]) == 2
     assert "--margin-mm 2.0 is not above 0" in capsys.readouterr().err
+
+
+def test_with_present_angles_no_turn_leads_out_of_the_range_of_phi(night):
+    folder, layout, _ = night
+    starts, turns = folder / "starts.csv", folder / "at_the_end.csv"
+    plane = read_layout(layout).plane
+    phi_deg = np.rad2deg(plane.limits[:, 1, 1])
+    with open(starts, "w", newline="") as file:
+        rows = [(robot, 0.0, end) for robot, end in zip(plane.ids, phi_deg)]
+        csv.writer(file).writerows([("id", "theta_deg", "phi_deg"), *rows])
+    options = ["wiring", "--layout", str(layout), "--starts", str(starts), str(turns)]
+    assert main(options) == 0
+    with open(turns, newline="") as file:
+        turned = np.array([float(row["phi_turn_deg"]) for row in csv.DictReader(file)])
+    assert (turned <= 1e-6).all() and (turned < -0.1).any()

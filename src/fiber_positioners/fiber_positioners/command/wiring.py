@@ -8,7 +8,7 @@ import numpy as np
 
 from fiber_core.errors import FiberError
 from fiber_core.presets import PRESETS
-from fiber_formats import kind_of, read_layout, write_table
+from fiber_formats import kind_of, read_layout, read_starts, write_table
 from fiber_metrology import WiringConfig, WiringVerdict, code_words, tell_wiring
 from fiber_positioners.command.arguments import positive
 from fiber_positioners.command.exit_codes import DONE
@@ -20,9 +20,10 @@ SUMMARY = "tell which order moves which fibre: swapped and lost robots, by code 
 DESCRIPTION = """Tell which fibre the orders for each robot move, from images of code words.
 
 Without --lights TABLE becomes the turns: image, id, and phi_turn_deg from where the robot rested
-before the first image. They move no point of an arm by more than half of --margin-mm, so nothing
-can touch where robots stopped under a certificate with that margin. With --lights, a table of what
-each image shows (image, x_mm, y_mm), and the same plane, --seed and --images, TABLE becomes the
+before the first image. They move no point of an arm by more than half of --margin-mm: nothing can
+touch where robots stopped under a certificate with that margin, have made no test turns since, and
+turn phi by their orders of phi. With --starts no turn leads out of the range of phi. With --lights,
+a table of what each image shows (image, x_mm, y_mm), and the same other options, TABLE becomes the
 answer: a verdict for each robot, the robot at whose place its orders move a fibre, and the doubt.
 
 examples:
@@ -37,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("target", metavar="TABLE", help="the table to write: .csv, .ecsv or .fits, also with .gz")
     add("--layout", metavar="FILES", required=True, help="the plane: a file, or several")
     add("--preset", choices=sorted(PRESETS), help="supplies what the layout lacks")
+    add("--starts", metavar="FILES", help="present angles; by default no turn is shortened")
     add("--lights", metavar="TABLE", help="table of the lights of each image")
     add("--images", type=positive, default=32, help="number of images, 16 or 32")
     add("--margin-mm", type=float, default=0.05, help="gap that robots keep at rest [mm]")
@@ -50,7 +52,9 @@ def run(args: argparse.Namespace) -> int:
     if not 0.0 < args.margin_mm <= 1.0:
         raise FiberError(f"--margin-mm {args.margin_mm} is not above 0 and at most 1")
     plane = read_layout(args.layout, args.preset).plane
-    words = code_words(plane, np.random.default_rng(args.seed), args.images, args.margin_mm)
+    phi = None if args.starts is None else read_starts(args.starts, plane).angles[:, 1]
+    rng = np.random.default_rng(args.seed)
+    words = code_words(plane, rng, args.images, args.margin_mm, phi_rad=phi)
     if args.lights is None:
         write_turns(args.target, plane, words)
         print(f"turns of {plane.n} robots before {words.images} images are in {args.target}")
