@@ -9,7 +9,7 @@ import pytest
 from fiber_bus_bridge import Session, SessionState, addresses_of
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses
-from fiber_bus_bridge.wire import Fault, Gears, encode_load
+from fiber_bus_bridge.wire import Configuration, Fault, Gears, encode_config, encode_load
 from fiber_core.clearance import Safety
 from fiber_core.clearance.certificate import limits_broken
 from fiber_core.motors import motors_broken
@@ -80,17 +80,16 @@ def test_robots_with_independent_joints_refuse_gears():
     assert not rig.session.known.any()
 
 
-@pytest.mark.parametrize("place", [5, 20, 45, 60, 75])  # tick, limits, gears
-def test_a_robot_whose_configuration_differs_is_not_started(place):
+def test_robots_with_independent_joints_refuse_gears_that_couple_nothing():
     rig = Geared()
-    rig.call("configure")
-    rig.memory["config"][5, place] ^= 1
-    rig.session.submit(rig.orders([(100, 600)], [(100, 600)]))
-    rig.call("start")
-    loaded = rig.session.loaded_plan
-    assert np.flatnonzero(~loaded.started).tolist() == [5]
-    assert loaded.reason[5] != Reason.OK
-    assert (rig.memory["started_s"] > -np.inf).sum() == PLANE.n - 1
+    rig.memory["coupling"] = 0
+    none = np.zeros((PLANE.n, 2, 2), dtype=int)
+    gears = Gears(none, none, np.zeros((PLANE.n, 2), dtype=int))
+    config = Configuration(
+        UNITS, UNITS.range_counts(PLANE), np.full((PLANE.n, 2), 9), 0, gears=gears
+    )
+    rig.buses.transfer(encode_config(config, addresses_of(PLANE)), 0, 0.0)
+    assert set(rig.memory["fault"]) == {Fault.OTHER_GEARS}
 
 
 def random_orders(rng):

@@ -13,7 +13,6 @@ from fiber_bus_bridge import Session, SessionState, addresses_of
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.simulation import SimulationConfig, simulated_buses
 from fiber_bus_bridge.wire import (
-    CONFIG_BYTES,
     Addresses,
     Configuration,
     Fault,
@@ -238,9 +237,9 @@ def test_robots_carry_out_orders_of_moves():
 
 @pytest.mark.parametrize("number", [0, 1, 3, 11, 19, 29, 45])  # a byte of the list
 def test_a_robot_that_holds_another_list_is_not_started(number):
-    rig, place = Rig(), CONFIG_BYTES + 2 + number
-    assert rig.memory["config_length"][3] == CONFIG_BYTES + 2 + LISTS.content.shape[1] > place
-    rig.memory["config"][3, place] ^= 1
+    rig = Rig()
+    assert rig.memory["listed_bytes"][3] == LISTS.content.shape[1] > number
+    rig.memory["listed"][3, number] ^= 1
     profiles = [[], []] * PLANE.n
     profiles[6:8], profiles[16:18] = simple(3), simple(8)
     rig.submit_and_start(motion_of(profiles))

@@ -19,7 +19,15 @@ from fiber_bus_bridge.protocol.context import Context, Phase
 from fiber_bus_bridge.protocol.decisions import neighbours_of, not_loaded
 from fiber_bus_bridge.protocol.states import Event
 from fiber_bus_bridge.protocol.tables import SEQUENCES, Robots, begin_phase
-from fiber_bus_bridge.wire import Frames, Opcode, RobotState, Speeds, decode_load, encode_load
+from fiber_bus_bridge.wire import (
+    Frames,
+    Opcode,
+    RobotState,
+    Speeds,
+    decode_load,
+    encode_load,
+    place_crcs,
+)
 from fiber_core.array_types import Bools, Codes, Mask, Rows
 from fiber_core.clearance import Certificate
 from fiber_core.motion import SegmentMotion
@@ -226,8 +234,10 @@ def deliver(c: Context, phase: Phase, rows: Rows, frames: Frames) -> Delivery:
         phase.verify_s = max(phase.verify_s, transactions.now_s - begin_s)
         sent = decode_load(c.units, frames[todo], _listed(c, rows[todo]))
         loaded = (status.state == RobotState.LOADED) & (status.sequence == sent.sequence)
-        stored = sent.crc ^ c.robots["config_crc"][rows[todo]]  # the order and the configuration
-        same = (status.order_crc == stored) & (status.boot == boot[rows[todo]])
+        # the order, what the robot was configured by, and where the order begins
+        held = sent.crc ^ c.robots["config_crc"][rows[todo]]
+        held ^= place_crcs(c.robots["counts"][rows[todo]])
+        same = (status.order_crc == held) & (status.boot == boot[rows[todo]])
         verified[todo] = status.ok & loaded & same
         suspect[todo] = ~verified[todo] & (~status.ok | loaded)
         replied[todo] = status.ok

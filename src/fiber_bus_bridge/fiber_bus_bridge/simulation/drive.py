@@ -5,9 +5,9 @@ import numpy as np
 from numba import njit
 
 from fiber_bus_bridge.simulation.memory import NOTHING, Robot
+from fiber_bus_bridge.simulation.working_values import place_crc, working_crc
 from fiber_bus_bridge.wire.codes import MAX_SEGMENTS, Alert, Fault, RobotState
-from fiber_bus_bridge.wire.commands import CONFIG_BYTES, config_crc
-from fiber_bus_bridge.wire.config_blocks import GEAR_UNIT, MOTOR_SPEED_UNIT, Block, block_at
+from fiber_bus_bridge.wire.config_blocks import GEAR_UNIT, MOTOR_SPEED_UNIT
 from fiber_bus_bridge.wire.fields import Bytes, Whole
 from fiber_bus_bridge.wire.frames import frame_crc
 from fiber_bus_bridge.wire.orders import read_order
@@ -16,13 +16,12 @@ from fiber_bus_bridge.wire.speed_block import least_ticks, number_of
 
 __all__ = [
     "advance_robot",
-    "config_crc_of",
     "encoder",
     "halt",
     "order_refusal",
     "reboot",
     "start_order",
-    "stored_crc",
+    "verified_crc",
 ]
 
 _UNCONFIGURED = int(RobotState.UNCONFIGURED)
@@ -31,7 +30,6 @@ _DONE, _FAULT = int(RobotState.DONE), int(RobotState.FAULT)
 _NONE, _OVER_SPEED = int(Fault.NONE), int(Fault.OVER_SPEED)
 _OUTSIDE_LIMITS = int(Fault.OUTSIDE_LIMITS)
 _UNLISTED, _SHORT = int(Fault.UNLISTED_SPEED), int(Fault.SHORT_MOVE)
-_SPEEDS = int(Block.SPEEDS)
 _WATCHDOG, _MEMORY = int(Fault.WATCHDOG), int(Fault.MEMORY)
 _STALL, _SILENCE = int(Fault.STALL), int(Fault.SILENCE)
 _LAPSED, _REBOOTED = int(Alert.LAPSED), int(Alert.REBOOTED)
@@ -133,11 +131,10 @@ def advance_robot(r: Robot, t: float) -> None:
 
 @njit(cache=True)
 def _read(r, data, first, last, counts, ticks, velocity):
-    """Read an order with the stored configuration; return its Fault, or NONE."""
-    listed = block_at(r.config, CONFIG_BYTES, r.config_length, _SPEEDS)
+    """Read an order by the values that the robot works by; return its Fault, or NONE."""
     return read_order(
         r.address, r.ten_bit, data, first, last, r.velocity_bits, r.duration_bits,
-        r.config, listed, counts, ticks, velocity,
+        r.listed, 0 if r.listed_bytes else -1, counts, ticks, velocity,
     )  # fmt: skip
 
 
@@ -160,19 +157,16 @@ def order_refusal(r: Robot, data: Bytes, first: Whole, last: Whole) -> int:
             position += ticks[joint, k] * velocity[joint, k]
             if position < low or position > high:
                 return _OUTSIDE_LIMITS
-    listed = block_at(r.config, CONFIG_BYTES, r.config_length, _SPEEDS)
-    if listed >= 0:
+    if r.listed_bytes:
         for joint in range(2):
-            fault = _list_refusal(
-                r.config, listed, joint, counts[joint], ticks[joint], velocity[joint]
-            )
+            fault = _list_refusal(r.listed, joint, counts[joint], ticks[joint], velocity[joint])
             if fault != _NONE:
                 return fault
     return _motors_refusal(r, counts, ticks, velocity) if r.coupling.any() else _NONE
 
 
 @njit(cache=True)
-def _list_refusal(config, listed, joint, count, ticks, velocity):
+def _list_refusal(listed, joint, count, ticks, velocity):
     """Return the Fault of moves that a motor with listed speeds cannot make, or NONE."""
     k = 0
     while k < count:
@@ -182,10 +176,10 @@ def _list_refusal(config, listed, joint, count, ticks, velocity):
             k += 1
         if way == 0:
             continue
-        speed = number_of(config, listed, way, joint)
+        speed = number_of(listed, 0, way, joint)
         if speed < 0:
             return _UNLISTED
-        if lasts < least_ticks(config, listed, speed, joint, 1 if way > 0 else 0):
+        if lasts < least_ticks(listed, 0, speed, joint, 1 if way > 0 else 0):
             return _SHORT
     return _NONE
 
@@ -234,35 +228,37 @@ def _motors(r, joints):
 
 
 @njit(cache=True)
-def config_crc_of(r: Robot) -> Whole:
-    """Return the checksum over the stored configuration as it is in memory now.
+def verified_crc(r: Robot) -> Whole:
+    """Return the checksums over order, working values and counters as they are in memory now.
 
-    It is added to that of a stored order, so that a VERIFY tells of both; 0 without an order.
+    They are added bit by bit, so that a VERIFY tells of all three; 0 without an order.
     """
     if r.order_length == 0:
         return 0
-    return config_crc(r.config, 0, r.config_length)
+    return _order_crc(r) ^ working_crc(r) ^ place_crc(r)
 
 
 @njit(cache=True)
-def stored_crc(r: Robot) -> Whole:
-    """Return the checksum over the stored order as it is in memory now, 0 without an order."""
-    if r.order_length == 0:
-        return 0
+def _order_crc(r):
+    """Return the checksum over the stored order as it is in memory now."""
     return frame_crc(r.address, r.ten_bit, r.order, 0, r.order_length - 2)
 
 
 @njit(cache=True)
 def start_order(r: Robot, t: float, countdown_s: float) -> None:
-    """Decode the stored order and run it after a countdown, unless its checksum has changed."""
+    """Decode the stored order and run it after a countdown, unless a checksum has changed.
+
+    The values by which the order is decoded are as old as the CONFIG, and a MOVES order means
+    nothing without them: they are checked too.
+    """
     order, last = r.order, r.order_length - 2
     crc = (np.int64(order[last]) << 8) | np.int64(order[last + 1])
-    if stored_crc(r) != crc:
+    damaged = _order_crc(r) != crc or working_crc(r) != r.config_crc
+    if damaged or _read(r, order, 0, last + 2, r.counts, r.ticks, r.velocity) != _NONE:
         r.order_length = 0
         r.state = _FAULT
         r.fault = _MEMORY
         return
-    _read(r, order, 0, r.order_length, r.counts, r.ticks, r.velocity)
     r.started_s = t + countdown_s * 1e6 / (1e6 + r.clock_ppm) + r.start_skew_s
     # the end is known now: it would be looked for in all segments at each heartbeat
     ticks = max(_length(r, 0), _length(r, 1))

@@ -6,15 +6,14 @@ from numba import njit
 
 from fiber_bus_bridge.simulation.drive import (
     advance_robot,
-    config_crc_of,
     encoder,
     halt,
     order_refusal,
     reboot,
     start_order,
-    stored_crc,
+    verified_crc,
 )
-from fiber_bus_bridge.simulation.memory import MAX_CONFIG_BYTES, NOTHING, Robot
+from fiber_bus_bridge.simulation.memory import NOTHING, Robot
 from fiber_bus_bridge.wire.codes import COUNTDOWN_S, VERSION, Alert, Fault, Opcode, RobotState
 from fiber_bus_bridge.wire.commands import (
     ADDRESS_BYTES,
@@ -27,6 +26,7 @@ from fiber_bus_bridge.wire.commands import (
     PLACE_BYTES,
     PLACE_FIELDS,
     command_fault,
+    config_crc,
 )
 from fiber_bus_bridge.wire.config_blocks import Block, block_at, blocks_fault, read_gears
 from fiber_bus_bridge.wire.fields import Bytes, Whole, field_offset, number, signed
@@ -51,13 +51,13 @@ _LOADED, _MOVING = int(RobotState.LOADED), int(RobotState.MOVING)
 _DONE, _STOPPED = int(RobotState.DONE), int(RobotState.STOPPED)
 _FAULT = int(RobotState.FAULT)
 
-_NONE, _BAD_LENGTH = int(Fault.NONE), int(Fault.BAD_LENGTH)
+_NONE = int(Fault.NONE)
 _BAD_VERSION, _BAD_VALUE = int(Fault.BAD_VERSION), int(Fault.BAD_VALUE)
 _NOT_CONFIGURED, _WRONG_STATE = int(Fault.NOT_CONFIGURED), int(Fault.WRONG_STATE)
 _STALE_SEQUENCE, _OTHER_QUANTUM = int(Fault.STALE_SEQUENCE), int(Fault.OTHER_QUANTUM)
 _OTHER_GEARS = int(Fault.OTHER_GEARS)
 _REFUSED = int(Alert.REFUSED)
-_GEARS = int(Block.GEARS)
+_GEARS, _SPEEDS = int(Block.GEARS), int(Block.SPEEDS)
 
 _TICK = field_offset(CONFIG_FIELDS, "tick_us")
 _QUANTUM = field_offset(CONFIG_FIELDS, "quantum_prad")
@@ -149,8 +149,8 @@ def reply(r: Robot, t: float, out: Bytes) -> None:
     else:
         position = (encoder(r, 0, t), encoder(r, 1, t))
         write_status(
-            r.address, r.ten_bit, r.state, r.sequence, stored_crc(r) ^ config_crc_of(r),
-            r.boot, r.fault, r.alerts, position, data,
+            r.address, r.ten_bit, r.state, r.sequence, verified_crc(r), r.boot,
+            r.fault, r.alerts, position, data,
         )  # fmt: skip
         if len(out) >= STATUS_BYTES:
             r.alert_s = np.inf
@@ -229,15 +229,12 @@ def _configure(r, version, data, at, last):
     fault = blocks_fault(data, at + CONFIG_BYTES, last)
     if fault != _NONE:
         return fault
-    if last - at > MAX_CONFIG_BYTES:
-        return _BAD_LENGTH
     if quantum != r.quantum_prad:
         return _OTHER_QUANTUM
     if not _take_gears(r, data, block_at(data, at + CONFIG_BYTES, last, _GEARS)):
         return _OTHER_GEARS
-    r.config_length = last - at
-    for i in range(last - at):
-        r.config[i] = data[at + i]
+    _take_list(r, data, block_at(data, at + CONFIG_BYTES, last, _SPEEDS))
+    r.config_crc = config_crc(data, at, last)
     r.tick_us = tick_us
     r.velocity_bits, r.duration_bits = velocity_bits, duration_bits
     for joint in range(2):
@@ -263,10 +260,18 @@ def _take_gears(r, data, at):
     limits, speed = np.zeros((2, 2), dtype=np.int64), np.zeros(2, dtype=np.int64)
     if at >= 0:
         read_gears(data, at, coupling, limits, speed)
-    if not np.array_equal(coupling, r.coupling):
+    if (at >= 0) != coupling.any() or not np.array_equal(coupling, r.coupling):
         return False
     r.motor_limits[:], r.motor_speed[:] = limits, speed
     return True
+
+
+@njit(cache=True)
+def _take_list(r, data, at):
+    """Take the list of speeds from a block that was checked, or that there is none."""
+    r.listed_bytes = np.int64(data[at - 1]) if at >= 0 else 0
+    for i in range(r.listed_bytes):
+        r.listed[i] = data[at + i]
 
 
 @njit(cache=True)

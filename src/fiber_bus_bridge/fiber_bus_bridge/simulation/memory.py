@@ -8,18 +8,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiber_bus_bridge.wire import MAX_SEGMENTS, NO_SLOT, Addresses, Bytes, RobotState
 from fiber_bus_bridge.wire.fields import Whole
+from fiber_bus_bridge.wire.speed_block import MOST_LISTED_BYTES
 from fiber_core.array_types import Floats, Ints
 
-__all__ = ["MAX_CONFIG_BYTES", "MEMORY", "NOTHING", "ORDER_BYTES", "Memory", "Robot", "new_memory"]
+__all__ = ["MEMORY", "NOTHING", "ORDER_BYTES", "Memory", "Robot", "new_memory"]
 
 Memory: TypeAlias = NDArray[np.void]
 
 NOTHING = 255  # stands for no sequence number
 ORDER_BYTES = 4 + 2 * MAX_SEGMENTS * 4  # longest LOAD frame: 32-bit segments
-MAX_CONFIG_BYTES = 250  # of a CONFIG without checksum
 
-# Orders and configuration are stored as the received bytes, so that the checksum in a status is
-# computed over what is stored; an order is decoded when it is started.
+# Orders are stored as the received bytes, so that the checksum in a status is computed over what
+# is stored; an order is decoded when it is started. Of a configuration only the values are stored
+# by which the robot works: their checksum is computed as that of a CONFIG with them.
 MEMORY = np.dtype(
     [
         # construction
@@ -67,8 +68,9 @@ MEMORY = np.dtype(
         ("counts", "i8", (2,)),  # segments of the running order
         ("ticks", "i8", (2, MAX_SEGMENTS)),
         ("velocity", "i8", (2, MAX_SEGMENTS)),
-        ("config_length", "i8"),
-        ("config", "u1", (MAX_CONFIG_BYTES,)),
+        ("config_crc", "i8"),  # of the CONFIG that was taken last
+        ("listed_bytes", "i8"),  # of the list of speeds, 0 without one
+        ("listed", "u1", (MOST_LISTED_BYTES,)),  # content of the block SPEEDS
         ("motor_limits", "i8", (2, 2)),  # of coupled motors [quanta]
         ("motor_speed", "i8", (2,)),  # [MOTOR_SPEED_UNIT]
     ],
@@ -120,8 +122,9 @@ class Robot(Protocol):
     counts: Ints
     ticks: Ints
     velocity: Ints
-    config_length: Whole
-    config: Bytes
+    config_crc: Whole
+    listed_bytes: Whole
+    listed: Bytes
     motor_limits: Ints
     motor_speed: Ints
 

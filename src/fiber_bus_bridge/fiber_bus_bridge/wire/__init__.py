@@ -28,6 +28,7 @@ from fiber_bus_bridge.wire.commands import (
     encode_command,
     encode_config,
     encode_place,
+    place_crcs,
 )
 from fiber_bus_bridge.wire.config_blocks import Block, Gears, gear_counts
 from fiber_bus_bridge.wire.fields import Bytes
@@ -91,6 +92,7 @@ __all__ = [
     "Speeds",
     "Statuses",
     "config_crcs",
+    "place_crcs",
     "decode_command",
     "decode_config",
     "decode_identity",

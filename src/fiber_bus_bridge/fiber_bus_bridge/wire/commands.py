@@ -18,7 +18,7 @@ from fiber_bus_bridge.wire.config_blocks import (
     blocks_fault,
 )
 from fiber_bus_bridge.wire.crc import CRC16_INIT, crc16
-from fiber_bus_bridge.wire.fields import Bytes, Whole, filled
+from fiber_bus_bridge.wire.fields import Bytes, Whole, field_offset, filled
 from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc, frame_pec
 from fiber_bus_bridge.wire.roll_call import NO_SLOT
 from fiber_bus_bridge.wire.speed_block import Speeds
@@ -40,6 +40,7 @@ __all__ = [
     "command_fault",
     "config_crc",
     "config_crcs",
+    "place_crcs",
     "decode_command",
     "decode_config",
     "encode_address",
@@ -220,6 +221,29 @@ def config_crc(data: Bytes, first: Whole, last: Whole) -> Whole:
     for i in range(first, last):
         crc = crc16(crc, data[i])
     return crc
+
+
+def place_crcs(position: ArrayLike) -> Ints:
+    """Return the checksum over two encoders as in a PLACE, without the rest of it, shape (f,).
+
+    Args:
+        position: encoders theta, phi [quanta], shape (f, 2).
+
+    Raises:
+        WireError: a position does not fit its field.
+    """
+    position = np.asarray(position)
+    rows = filled(len(position), PLACE_FIELDS, {"position": position})
+    first = field_offset(PLACE_FIELDS, "position")
+    return _row_crcs(rows[:, first : field_offset(PLACE_FIELDS, "crc")])
+
+
+@njit(cache=True)
+def _row_crcs(rows):
+    crcs = np.empty(len(rows), dtype=np.int64)
+    for f in range(len(rows)):
+        crcs[f] = config_crc(rows[f], 0, rows.shape[1])
+    return crcs
 
 
 def decode_command(payload: bytes, address: int, ten_bit: bool) -> tuple[Opcode, int]:

@@ -21,6 +21,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 
 __all__ = [
+    "MOST_LISTED_BYTES",
     "MOST_SPEEDS",
     "Speeds",
     "approach_ticks",
@@ -34,6 +35,7 @@ __all__ = [
 
 MOST_SPEEDS = 6  # that a move of an order can name
 _HEAD, _SPEED = 10, 18  # bytes before the speeds, and of each
+MOST_LISTED_BYTES = _HEAD + _SPEED * MOST_SPEEDS
 _MOST = 2**16 - 1
 _NONE, _BAD_LENGTH, _BAD_VALUE = int(Fault.NONE), int(Fault.BAD_LENGTH), int(Fault.BAD_VALUE)
 
