@@ -12,15 +12,11 @@ from fiber_bus_bridge.bus import BusBackend, Recovery, Replies
 from fiber_bus_bridge.wire import CALL_PREFIX, Frames, Opcode
 from fiber_core.array_types import Bools, Ints
 from fiber_core.ragged import Parts
-from fiber_sectors.errors import SectorError
+from fiber_sectors.paced import LeaseEnded, PacedBuses
 
 __all__ = ["LeaseEnded", "LeasedBuses"]
 
 _HEARTBEAT = int(Opcode.HEARTBEAT)
-
-
-class LeaseEnded(SectorError):
-    """A step was late: its messages would have been sent after the end of the lease."""
 
 
 class LeasedBuses:
@@ -30,7 +26,8 @@ class LeasedBuses:
     clock is looked at before each single heartbeat of a bus. A pause between that look and its
     heartbeat cannot be seen; robots hear a late heartbeat only while they move, so within silence_s
     of the one before, which was sent before the look. Whatever is paused, robots that were last let
-    to move under a lease rest less than 2 silence_s after its end.
+    to move under a lease rest less than 2 silence_s after its end. Simulated buses carry a batch at
+    the times that follow from one look, whatever is paused: one look is enough for them.
 
     Args:
         buses: the buses.
@@ -68,13 +65,20 @@ class LeasedBuses:
     def transfer(self, frames: Frames, read_bytes: ArrayLike, not_before_s: ArrayLike) -> Replies:
         """Carry a batch of messages; see BusBackend.transfer.
 
-        In a step each bus carries one heartbeat at a time, and waits for the others after it.
+        In a step each real bus carries one heartbeat at a time, and waits for the others after it.
 
         Raises:
             LeaseEnded: it is too late for the rest of them, which is not sent.
         """
         if math.isinf(self._until_s):
             return self._buses.transfer(frames, read_bytes, not_before_s)
+        if isinstance(self._buses, PacedBuses):
+            return self._buses.transfer(frames, read_bytes, not_before_s, self._until_s)
+        return self._one_by_one(frames, read_bytes, not_before_s)
+
+    def _one_by_one(
+        self, frames: Frames, read_bytes: ArrayLike, not_before_s: ArrayLike
+    ) -> Replies:
         part = _parts(frames)
         read = np.broadcast_to(np.asarray(read_bytes, dtype=np.int64), (len(frames),))
         before_s = np.broadcast_to(np.asarray(not_before_s, dtype=float), (len(frames),))
@@ -85,17 +89,12 @@ class LeasedBuses:
         )  # fmt: skip
         for each in np.unique(part):
             rows = np.flatnonzero(part == each)
-            self._look()
+            LeaseEnded.check(self._clock(), self._until_s)
             replies = self._buses.transfer(frames[rows], read[rows], before_s[rows])
             joined.ack[rows] = replies.ack
             joined.start_s[rows], joined.end_s[rows] = replies.start_s, replies.end_s
             joined.data[Parts(offsets).select(rows)[1]] = replies.data
         return joined
-
-    def _look(self) -> None:
-        late_s = self._clock() - self._until_s
-        if late_s >= 0.0:
-            raise LeaseEnded(f"a step is {1e3 * late_s:.3g} ms too late to be sent")
 
     def recover(self, bus: int, recovery: Recovery, t: float) -> tuple[float, bool]:
         """Try to free the lines of a bus; see BusBackend.recover."""

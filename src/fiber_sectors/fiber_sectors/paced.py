@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated buses whose time is that of a clock: what they carry takes as long as on real ones."""
 
+import math
 import time
 from collections.abc import Callable
 
@@ -10,8 +11,19 @@ from numpy.typing import ArrayLike
 from fiber_bus_bridge.bus import BusBackend, Recovery, Replies
 from fiber_bus_bridge.wire import Frames
 from fiber_core.array_types import Ints
+from fiber_sectors.errors import SectorError
 
-__all__ = ["PacedBuses"]
+__all__ = ["LeaseEnded", "PacedBuses"]
+
+
+class LeaseEnded(SectorError):
+    """A step was late: its messages would have been sent after the end of the lease."""
+
+    @classmethod
+    def check(cls, now_s: float, limit_s: float) -> None:
+        """Raise LeaseEnded at `limit_s` or later."""
+        if now_s >= limit_s:
+            raise cls(f"a step is {1e3 * (now_s - limit_s):.3g} ms too late to be sent")
 
 
 class PacedBuses:
@@ -36,9 +48,25 @@ class PacedBuses:
         self._buses, self._clock, self._wait = buses, clock, wait
         self._origin_s = clock() if origin_s is None else origin_s
 
-    def transfer(self, frames: Frames, read_bytes: ArrayLike, not_before_s: ArrayLike) -> Replies:
-        """Carry a batch of messages; see BusBackend.transfer."""
-        begin_s = np.maximum(np.asarray(not_before_s, dtype=float), self._clock())
+    def transfer(
+        self,
+        frames: Frames,
+        read_bytes: ArrayLike,
+        not_before_s: ArrayLike,
+        limit_s: float = math.inf,
+    ) -> Replies:
+        """Carry a batch of messages; see BusBackend.transfer.
+
+        Args:
+            frames, read_bytes, not_before_s: the batch.
+            limit_s: time at which or later none begins [s].
+
+        Raises:
+            LeaseEnded: it is too late for them; none is sent.
+        """
+        now_s = self._clock()
+        LeaseEnded.check(now_s, limit_s)
+        begin_s = np.maximum(np.asarray(not_before_s, dtype=float), now_s)
         replies = self._buses.transfer(frames, read_bytes, begin_s - self._origin_s)
         start_s, end_s = replies.start_s + self._origin_s, replies.end_s + self._origin_s
         self._until(float(end_s.max(initial=-np.inf)))

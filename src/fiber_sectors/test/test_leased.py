@@ -9,6 +9,7 @@ from fiber_bus_bridge.wire import Addresses, Frames, Opcode, encode_command, gen
 from fiber_core.ragged import Parts
 from fiber_sectors import Terms
 from fiber_sectors.leased import LeasedBuses
+from fiber_sectors.paced import PacedBuses
 
 SILENCE_S = Terms.notice_s
 MESSAGE_S = 2e-5
@@ -103,3 +104,35 @@ def test_a_lease_that_ends_in_a_step_ends_its_heartbeats():
     robots, _, in_time = step([0.0, 0.0, 0.0, 2e-4], 1e-4)
     assert not in_time
     assert len(robots.sent) == 4  # the pause came between the look and the last of these
+
+
+class Simulated(Robots):
+    """Robots whose messages follow each other from the time of the first on."""
+
+    def transfer(self, frames, read_bytes, not_before_s):
+        self.now_s = float(np.max(not_before_s))
+        return super().transfer(frames, read_bytes, not_before_s)
+
+
+@pytest.mark.parametrize(
+    "paused_s", [0.0, 0.5e-4, 2e-4, 0.98 * SILENCE_S, SILENCE_S, 3 * SILENCE_S]
+)
+@pytest.mark.parametrize("before_look", range(4))
+def test_simulated_robots_hear_a_whole_batch_under_the_lease_or_none(paused_s, before_look):
+    looks, lease_s = [0], 1e-4
+    now_s = [0.0]
+
+    def clock():
+        now_s[0] += paused_s if looks[0] == before_look else 0.0
+        looks[0] += 1
+        return now_s[0]
+
+    def wait(clock_s):
+        now_s[0] += clock_s
+
+    robots = Simulated([])
+    leased = LeasedBuses(PacedBuses(robots, clock, wait, origin_s=0.0), clock)
+    in_time = leased.advance_one_step(OneBatch(leased), 0.0, lease_s)
+    assert len(robots.sent) == (len(BATCH) if in_time else 0)
+    lasts_s = len(BATCH) * MESSAGE_S
+    assert robots.rest_s <= lease_s + lasts_s + SILENCE_S  # a pause lets none move longer
