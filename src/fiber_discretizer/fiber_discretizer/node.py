@@ -177,7 +177,8 @@ class DiscretizerNode(ManagedNode):
                 f"to something that does not move either"
             )
         moving = int(wire.moves.sum())
-        clearance = f"{certificate.min_gap_mm:.4f}"
+        least_mm, nearer = certificate.of_moving(wire.moves, safety.margin_mm)
+        clearance = f"{least_mm:.4f}"
         self.reporter.counters |= {
             "plan": attempt,
             "moving": moving,
@@ -188,7 +189,8 @@ class DiscretizerNode(ManagedNode):
         self.reporter.done(
             attempt,
             f"{moving} robots move, {is_held.sum()} held, {len(wire.ticks)} segments, "
-            f"least clearance {clearance} mm",
+            f"least clearance {clearance} mm"
+            + (f", {nearer} pairs nearer from the start" if nearer else ""),
         )
         if corridors_wanted:
             found = joint_corridors(plane, wire.decoded(), safety)

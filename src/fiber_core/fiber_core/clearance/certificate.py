@@ -88,6 +88,23 @@ class Certificate:
         """Smallest gap of all pairs [mm], a lower bound within the tolerance; inf without pairs."""
         return float(self.gap_mm.min(initial=np.inf))
 
+    def of_moving(self, moves: Mask, margin_mm: float) -> tuple[float, int]:
+        """Return what a motion keeps apart, and how many pairs it finds nearer.
+
+        The smallest gap [mm], a lower bound, of the pairs of which a robot moves and that keep the
+        whole margin, inf without such pairs; and the number of pairs that are nearer than the
+        margin from the start: both rest, or one leaves the other (decision 8).
+
+        Args:
+            moves: robots that move, shape (n,).
+            margin_mm: the margin.
+        """
+        bodies = np.zeros(int(self.pairs.max(initial=len(moves) - 1)) + 1, dtype=bool)
+        bodies[: len(moves)] = moves
+        kept = bodies[self.pairs].any(axis=1) & (self.required_mm >= margin_mm)
+        nearer = int((~kept & (self.gap_mm < margin_mm)).sum())
+        return float(self.gap_mm[kept].min(initial=np.inf)), nearer
+
     @property
     def min_pair(self) -> tuple[int, ...]:
         """Rows a, b of the pair with the smallest gap; empty without pairs."""
