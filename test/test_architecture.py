@@ -134,11 +134,13 @@ ARROWS = {
         "closed_loop",
         "correction_field",
         "drive_checker",
+        "linear_robots",
         "listed_checker",
         "motors_table",
     },
     "bench.motors_table": {"numpy"},
     "bench.geometry": {"bench", "gap_judge", "motor_judge"},
+    "bench.linear_robots": {"bench", "closed_loop"},
     "bench.listed_checker": {"gap_judge", "numpy"},  # neither
     "bench.motor_judge": {"numpy"},  # neither
     "bench.kaiju_adapter": {"kaiju", "numpy"},  # runs in the Python of the rival
