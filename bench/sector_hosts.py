@@ -6,6 +6,7 @@ each message here; a host is cut off by taking its link down.
 """
 
 import ctypes
+import math
 import multiprocessing
 import os
 import socket
@@ -103,10 +104,10 @@ class TrueBuses(PacedBuses):
         super().__init__(buses, clock, lambda clock_s: time.sleep(clock_s / scale))
         self._host_clock = clock
 
-    def transfer(self, frames, read_bytes, not_before_s):
-        """Carry a batch of messages; see BusBackend.transfer."""
+    def transfer(self, frames, read_bytes, not_before_s, limit_s=math.inf):
+        """Carry a batch of messages; see PacedBuses.transfer."""
         self._origin_s = self._host_clock() - self._host_clock.true_s()
-        return super().transfer(frames, read_bytes, not_before_s)
+        return super().transfer(frames, read_bytes, not_before_s, limit_s)
 
 
 class Faults(NamedTuple):

@@ -244,7 +244,8 @@ def _likeliest(
         np.stack([pairs.row, pairs.light]), axis=1, return_index=True, return_inverse=True
     )
     owner = owner.ravel()
-    total = np.bincount(owner, pairs.weight, len(first))
+    total = np.zeros(len(first))
+    np.add.at(total, owner, pairs.weight)
     found, doubt = most_likely(pair[0], pair[1], total, n, lights, config.none)
     order = np.lexsort([-pairs.weight, owner])
     likeliest = order[np.unique(owner[order], return_index=True)[1]]
