@@ -34,11 +34,12 @@ from fiber_recording import load_recording
 
 REPORT_KEYS = [
     "planner", "seed", "plane", "drive", "robots", "enabled", "asked", "reached", "held", "failed",
-    "reasons", "makespan_s", "lower_bound_s", "makespan_ratio", "power_bound_s", "motors_on",
-    "motors_on_peak", "drive_violations", "certified", "close_at_rest_ids",
+    "reasons", "makespan_s", "lower_bound_s", "makespan_ratio", "supply_bound_s",
+    "power_bound_s", "motors_on", "motors_on_peak", "drive_violations", "certified",
+    "close_at_rest_ids",
     "min_clearance_mm", "min_clearance_ids", "min_clearance_time_s",
     "segments_mean", "segments_max", "segments_bound",
-    "end_error_um_rms", "end_error_um_max", "reachable_at_once", "pair_bound_s",
+    "end_error_um_rms", "end_error_um_max", "held_by_drive", "reachable_at_once", "pair_bound_s",
     "pair_bound_proven", "makespan_to_pair_bound", "bytes_mean", "bytes_bound", "bus_time_s",
     "countdown_s", "plan_s", "discretize_s", "upload_s", "certify_s", "encode_s",
 ]  # fmt: skip
