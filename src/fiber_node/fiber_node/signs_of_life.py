@@ -25,6 +25,7 @@ from rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
+from rclpy.type_support import check_is_valid_msg_type
 from std_msgs.msg import Empty
 
 __all__ = ["LIFE_QOS", "SignsOfLife", "publish_life"]
@@ -53,16 +54,21 @@ def publish_life(node: Node, topic: str) -> Publisher:
 
 
 class _Sign:
-    # of one publisher, as one node sees it
+    # Of one publisher, as one node sees it. The subscription is in no wait set: where liveliness
+    # has changed it would wake the executor at once, again and again, until the change is taken.
 
     def __init__(self, node: Node, topic: str, clock: Callable[[], float]):
-        self._node, self._clock = node, clock
+        self._clock = clock
         self._dead_from_s = clock() + _FIRST_S
         self._present = True
-        self._subscription = node.create_subscription(Empty, topic, lambda _: None, LIFE_QOS)
-        with self._subscription.handle:
+        check_is_valid_msg_type(Empty)  # loads what the middleware knows of the type
+        with node.handle:
+            self._subscription = rclpy_implementation.Subscription(
+                node.handle, Empty, topic, LIFE_QOS.get_c_qos_profile()
+            )
+        with self._subscription:
             self._event = rclpy_implementation.EventHandle(
-                self._subscription.handle,
+                self._subscription,
                 QoSSubscriptionEventType.RCL_SUBSCRIPTION_LIVELINESS_CHANGED,
             )
 
@@ -79,7 +85,7 @@ class _Sign:
 
     def end(self) -> None:
         self._event.destroy_when_not_in_use()
-        self._node.destroy_subscription(self._subscription)
+        self._subscription.destroy_when_not_in_use()
 
 
 class SignsOfLife:

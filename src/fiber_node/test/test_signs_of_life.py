@@ -4,11 +4,13 @@
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
+import rclpy
 from std_msgs.msg import Empty
 
-from fiber_node import PLANNER, Claim, RosClient, claims
+from fiber_node import PLANNER, Claim, RosClient, ThreadExecutor, claims
 from fiber_node.signs_of_life import LIFE_QOS, SignsOfLife
 
 pytestmark = pytest.mark.timeout(300)
@@ -125,13 +127,48 @@ def test_a_node_that_gives_no_sign_is_dead_after_a_while_and_alive_again_with_th
 
 
 def test_signs_of_claims_that_are_gone_are_not_kept(client):
-    signs, count = SignsOfLife(client.node), len(list(client.node.subscriptions))
+    signs, count = SignsOfLife(client.node), client.node.count_subscribers
     signs.alive(PLANNER, ["one", "other"])
-    assert len(list(client.node.subscriptions)) == count + 2
+    client.wait_for(lambda: count("one") == count("other") == 1, WAIT_S)
     signs.alive(PLANNER, ["other"])
-    assert len(list(client.node.subscriptions)) == count + 1
+    client.wait_for(lambda: count("one") == 0, WAIT_S)
+    assert count("other") == 1
     signs.end()
-    assert len(list(client.node.subscriptions)) == count
+    client.wait_for(lambda: count("other") == 0, WAIT_S)
+
+
+class CountingExecutor(ThreadExecutor):
+    """Counts how often it looks what is ready."""
+
+    looks = 0
+
+    def get_nodes(self):
+        self.looks += 1
+        return super().get_nodes()
+
+
+def test_a_sign_that_nobody_asks_for_does_not_wake_the_executor(client, planner):
+    client.wait_for(lambda: claims(client.node, PLANNER), WAIT_S)
+    context = client.node.context
+    beats, executor = [], CountingExecutor(2, context)
+    observer = rclpy.create_node("another_observer", context=context)
+    observer.create_subscription(Empty, "beat", beats.append, 10)
+    executor.add_node(observer)
+    loop = threading.Thread(target=executor.spin)
+    loop.start()
+    try:
+        assert claims(observer, PLANNER)  # the sign comes later
+        client.wait_for(lambda: len(beats) > 10, WAIT_S)
+        beats.clear()
+        before = executor.looks
+        client.wait_for(lambda: len(beats) >= 20, WAIT_S)
+        assert executor.looks - before < 10 * len(beats)
+    finally:
+        executor.stop()
+        loop.join()
+        SignsOfLife.of(observer).end()
+        executor.shutdown()
+        observer.destroy_node()
 
 
 def test_a_claim_of_this_process_lives_until_it_is_released(client):
