@@ -147,7 +147,7 @@ class CountingExecutor(ThreadExecutor):
         return super().get_nodes()
 
 
-def test_a_sign_that_nobody_asks_for_does_not_wake_the_executor(client, planner):
+def test_a_sign_that_is_not_asked_for_does_not_wake_the_executor(client, planner):
     client.wait_for(lambda: claims(client.node, PLANNER), WAIT_S)
     context = client.node.context
     beats, executor = [], CountingExecutor(2, context)
