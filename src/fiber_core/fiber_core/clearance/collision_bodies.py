@@ -16,6 +16,11 @@ __all__ = ["Bodies", "bodies_of"]
 X, Y, ARM1, THETA, PHI = range(5)  # THETA holds the column of the theta record
 COUNT, RADIUS, DISC, VERTICES = 0, 1, 2, 5  # columns of a record from its first
 
+# A vertex that makes a turn of less than this (of its sine) is left out: it is farther out than the
+# hull by 1e-10 mm at most, and the search for the distance of two hulls goes astray where only
+# rounding makes a turn.
+_STRAIGHT = 1e-12
+
 # the bodies of every plane in use; a plane never changes
 _known: WeakKeyDictionary[FocalPlane, "Bodies"] = WeakKeyDictionary()
 
@@ -174,7 +179,9 @@ def _hull(points: Points, out: Points) -> int:
             p = points[order[step if side == 0 else most - 1 - step]]
             while size - base >= 2:
                 u, v = chain[size - 2], chain[size - 1]
-                if (v[0] - u[0]) * (p[1] - u[1]) - (v[1] - u[1]) * (p[0] - u[0]) > 0.0:
+                right = (v[0] - u[0]) * (p[1] - u[1])
+                left = (v[1] - u[1]) * (p[0] - u[0])
+                if right - left > _STRAIGHT * (abs(right) + abs(left)):
                     break
                 size -= 1
             chain[size, 0], chain[size, 1] = p[0], p[1]
