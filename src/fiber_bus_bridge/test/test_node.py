@@ -84,6 +84,25 @@ def test_a_stop_waits_for_a_hundredth_of_a_second_of_the_buses_at_most(rest, mon
     assert len(until_s) > 50 and np.diff(until_s).max() < 0.0101
 
 
+def test_a_tick_that_a_stop_waits_for_publishes_nothing(rest, monkeypatch):
+    bridge, told = rest.bridge, []
+    advance, publish = bridge._session.advance, bridge._outgoing.publish_encoders
+
+    def advance_as_a_stop_comes(t):
+        advance(t)
+        told.clear()
+        bridge._stop_requested.set()
+
+    rest.ready(9, turning(ticks=200))
+    monkeypatch.setattr(bridge._session, "advance", advance_as_a_stop_comes)
+    monkeypatch.setattr(bridge._outgoing, "publish_encoders", lambda: told.append(1) or publish())
+    assert rest.call(topics.START).success
+    rest.until(bridge._stop_requested.is_set)
+    assert not told
+    assert rest.call(topics.STOP).success and told
+    rest.end(9)
+
+
 def test_a_capture_is_written_of_each_plan(tmp_path):
     pytest.importorskip("vcd", reason="pyvcd is not installed: no captures")
     with RosClient("rest") as peer:

@@ -99,7 +99,9 @@ class Motion:
     def _on_tick(self) -> None:
         if self._session.state is SessionState.MOVING:
             self._advance()
-            self.publish_changes()
+            moving = self._session.state is SessionState.MOVING
+            if not (moving and self._stopping.is_set()):  # a stop waits for the lock, and publishes
+                self.publish_changes()
         else:
             # in this thread and never in the one that serves stop: a timer that is cancelled
             # when it is due fails in rclpy as it is taken, with its whole callback group
