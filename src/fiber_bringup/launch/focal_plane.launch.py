@@ -26,6 +26,7 @@ from launch.substitutions import (
     EqualsSubstitution,
     LaunchConfiguration,
     NotSubstitution,
+    OrSubstitution,
     PathJoinSubstitution,
 )
 from launch_ros.actions import Node, PushRosNamespace, SetParameter
@@ -51,6 +52,11 @@ _ARGUMENTS = {
         "0.0",
         "seconds of the sectors' buses in one of their hosts, 1: real time; 0: time goes on when "
         "all sectors have come to one instant",
+    ),
+    "sectors_here": (
+        "all",
+        "what this host starts of a plane of sectors: 0-2,5: these sectors alone; none: all nodes "
+        "but the sectors, which other hosts start; all: everything",
     ),
     "planner": ("direct", "name of the planner, such as direct, dnf_priority, dnf"),
     "time_scale": ("1.0", "simulated seconds per second; 0: as fast as possible"),
@@ -86,6 +92,11 @@ _ARGUMENTS = {
 
 _REFUSED = 2  # exit code of a node whose parameters are refused
 _MANAGED: Mapping[str, type] = {"autostart": bool}
+_ALL, _NONE = "all", "none"
+_OF_PLANE: Mapping[str, type] = {
+    "preset": str, "robots": int, "seed": int, "layout": str, "starts": str,
+    "spacing_mm": float, "problem": str,
+}  # fmt: skip
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -96,11 +107,22 @@ def generate_launch_description() -> LaunchDescription:
         PushRosNamespace(LaunchConfiguration("namespace")),
         SetParameter("use_sim_time", LaunchConfiguration("use_sim_time")),
         OpaqueFunction(function=_check_camera),
-        _plant(),
-        *_control(),
-        *_camera(),
         OpaqueFunction(function=_sectors),
-        *_observers(),
+        GroupAction(
+            [
+                _plant(),
+                *_control(),
+                *_camera(),
+                OpaqueFunction(function=_coordinator),
+                *_observers(),
+            ],
+            condition=IfCondition(
+                OrSubstitution(
+                    EqualsSubstitution(LaunchConfiguration("sectors_here"), _ALL),
+                    EqualsSubstitution(LaunchConfiguration("sectors_here"), _NONE),
+                )
+            ),
+        ),
     ]
     return LaunchDescription([*_arguments(), GroupAction(scope)])
 
@@ -289,31 +311,54 @@ def _check_camera(context: LaunchContext) -> None:
 
 
 def _sectors(context: LaunchContext) -> list[Node]:
-    """Return the sectors of the plane and their coordinator, none with one bridge."""
-    shares = LaunchConfiguration("sectors").perform(context)
-    if shares == "0":
+    """Return the sectors of the plane that this host starts, none with one bridge."""
+    shared = _shared_out(context)
+    return [
+        _node(
+            "fiber_sectors", "sector", {**_OF_PLANE, "faults": str}, namespace=f"sector_{k}",
+            also=shared | {"sectors.number": k},
+        )
+        for k in _sectors_here(context)
+    ]  # fmt: skip
+
+
+def _coordinator(context: LaunchContext) -> list[Node]:
+    """Return the coordinator of the sectors, nothing with one bridge."""
+    if not (shared := _shared_out(context)):
         return []
-    number = int(shares) if shares.isdigit() else len(shares.split(";"))
-    of_plane = {
-        "preset": str, "robots": int, "seed": int, "layout": str, "starts": str,
-        "spacing_mm": float, "problem": str,
-    }  # fmt: skip
+    given = {**_OF_PLANE, "time_scale": float, "disabled_file": str} | _MANAGED
+    return [_node("fiber_sectors", "coordinator", given, name="bridge", also=shared)]
+
+
+def _shared_out(context: LaunchContext) -> dict[str, ParameterValue]:
+    """Return the parameters by which sectors and coordinator share the plane; none for a bridge."""
+    shares = LaunchConfiguration("sectors").perform(context)
     scale = ParameterValue(LaunchConfiguration("sectors_clock"), value_type=float)
     own = {
         "sectors.shares": ParameterValue(shares, value_type=str),
         "sectors.clock_scale": scale,
     }
-    of_coordinator = of_plane | {"time_scale": float, "disabled_file": str, "autostart": bool}
-    return [
-        *(
-            _node(
-                "fiber_sectors", "sector", of_plane | {"faults": str}, namespace=f"sector_{k}",
-                also=own | {"sectors.number": k},
-            )
-            for k in range(number)
-        ),
-        _node("fiber_sectors", "coordinator", of_coordinator, name="bridge", also=own),
-    ]  # fmt: skip
+    return {} if shares == "0" else own
+
+
+def _sectors_here(context: LaunchContext) -> list[int]:
+    """Return the numbers of the sectors that this host starts.
+
+    Raises:
+        RuntimeError: `sectors_here` names none, or one that the plane does not have.
+    """
+    shares = LaunchConfiguration("sectors").perform(context)
+    here = LaunchConfiguration("sectors_here").perform(context)
+    number = int(shares) if shares.isdigit() else len(shares.split(";"))
+    if here == _ALL or here == _NONE:
+        return list(range(number)) if here == _ALL else []
+    named = [each.strip().partition("-") for each in here.split(",")]
+    if not all(a.isdigit() and (b.isdigit() if dash else not b) for a, dash, b in named):
+        raise RuntimeError(f"sectors_here:={here} is neither all nor none nor numbers as 0-2,5")
+    chosen = sorted({k for a, _, b in named for k in range(int(a), int(b or a) + 1)})
+    if not chosen or chosen[-1] >= number:
+        raise RuntimeError(f"sectors_here:={here} with sectors:={shares}: it has {number} sectors")
+    return chosen
 
 
 def _observers() -> list[Node]:

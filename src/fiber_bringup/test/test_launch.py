@@ -3,16 +3,12 @@
 
 import array
 import json
-import runpy
-import sys
-import types
-from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import rclpy
 import yaml
+from launch_stand_ins import SHARE, all_of, load
 from rclpy.context import Context
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
@@ -28,70 +24,20 @@ from fiber_msgs_py import FRAME_ID
 from fiber_msgs_py.topics import JOINT_STATES, VIEW_ARMS, VIEW_PLANE, VIEW_TARGETS
 from fiber_viewer.node import WATCHED
 
-SHARE = Path(__file__).parents[1]
 VIEWS = VIEW_ARMS, VIEW_PLANE, VIEW_TARGETS, WATCHED
-PATH = SHARE / "launch" / "focal_plane.launch.py"
-
-
 _NOTED = {("recorder", "seed"), ("recorder", "planner")}
 # a bridge alone simulates its robots itself
 _OF_LAUNCH = {("bridge", "plant")}
 
 
-class Made:
-    """What a class of launch would be: its name, and the values that it was given."""
-
-    def __init__(self, kind, *args, **given):
-        self.kind, self.args, self.given = kind, args, given
-
-    def perform(self, context):
-        return context.configurations[self.args[0]]
-
-    def __eq__(self, other):
-        return isinstance(other, Made) and vars(self) == vars(other)
-
-
-class Module(types.ModuleType):
-    """A module of launch, which is not among the wheels."""
-
-    def __getattr__(self, name):
-        return partial(Made, name)
-
-
 @pytest.fixture(scope="module")
 def launch_file():
-    """The launch file as a module, and its description made of `Made`."""
-    names = ["launch", "launch.actions", "launch.conditions", "launch.events"]
-    names += ["launch.events.process", "launch.substitutions", "launch_ros"]
-    names += [
-        f"launch_ros.{name}" for name in ("actions", "parameter_descriptions", "substitutions")
-    ]
-    with pytest.MonkeyPatch.context() as patch:
-        for name in names:
-            patch.setitem(sys.modules, name, Module(name))
-        module = runpy.run_path(str(PATH))
-        return module, module["generate_launch_description"]()
+    return load()
 
 
 @pytest.fixture(scope="module")
 def description(launch_file):
     return launch_file[1]
-
-
-def everything(made):
-    """All that a value is made of."""
-    if isinstance(made, Made):
-        yield made
-        yield from everything([*made.args, *made.given.values()])
-    elif isinstance(made, (list, tuple)):
-        for each in made:
-            yield from everything(each)
-    elif isinstance(made, dict):
-        yield from everything(list(made.values()))
-
-
-def all_of(description, kind):
-    return [each for each in everything(description) if each.kind == kind]
 
 
 def _plain(value):
@@ -154,7 +100,8 @@ def declared(new_domain):
 def test_every_argument_is_declared_and_used(description, defaults, nodes, plant_arguments):
     of_nodes = {name for typed in nodes.values() for name in typed}
     of_all = {"namespace", "params_file", "use_sim_time", "log_level", "use_respawn"}
-    of_all |= {"sectors", "sectors_clock", "camera", "console"}  # which nodes are started
+    # which nodes are started
+    of_all |= {"sectors", "sectors_clock", "sectors_here", "camera", "console"}
     used = {each.args[0] for each in all_of(description, "LaunchConfiguration")}
     used |= {"sectors_clock"}  # by _sectors, which is called at the launch
     assert of_all <= used == set(defaults)
@@ -245,27 +192,6 @@ def test_the_plant_has_the_options_that_the_launch_file_gives_it(
     assert served[0].clock == "1M" and served[0].time_scale == 0.5
     (tmp_path / "wrong.yaml").write_text("plant: {ros__parameters: {clocks: 1M}}")
     assert main.main([f"--params-file={tmp_path / 'wrong.yaml'}"]) == 2
-
-
-@pytest.mark.parametrize(("shares", "sectors"), [("0", 0), ("3", 3), ("0-4; 5; 6,7", 3)])
-def test_a_plane_of_sectors_has_a_node_for_each_and_a_coordinator(launch_file, shares, sectors):
-    context = SimpleNamespace(configurations={"sectors": shares})
-    nodes = [each.given for each in launch_file[0]["_sectors"](context)]
-    if not sectors:
-        assert not nodes
-        return
-    *others, coordinator = nodes
-    assert [each["namespace"] for each in others] == [f"sector_{k}" for k in range(sectors)]
-    assert {each["executable"] for each in others} == {"sector"}
-    own = [each["parameters"][1] for each in others]
-    assert [each["sectors.number"] for each in own] == list(range(sectors))
-    assert {each["sectors.shares"].args[0] for each in own} == {shares}
-    scales = [each["sectors.clock_scale"].args[0] for each in own]
-    assert {each.args[0] for each in scales} == {"sectors_clock"}
-    # for clients the coordinator is the bridge
-    assert (coordinator["executable"], coordinator["name"]) == ("coordinator", "bridge")
-    setup = (SHARE.parent / "fiber_sectors" / "setup.py").read_text()
-    assert all(f'"{each["executable"]} = fiber_sectors.' in setup for each in nodes)
 
 
 def test_files_of_the_launch_file_are_installed(description):
