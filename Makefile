@@ -113,6 +113,13 @@ console: inputs build ## a simulated plane in a browser until Ctrl-C, into out/l
 reconfigure: build ## take a running plane to new targets (TARGETS=random:1 or a file)
 	@$(call command,fiber_client,reconfigure) $(or $(TARGETS),random:0) $(ARGS)
 
+.PHONY: recover wiring
+recover: build ## find robots at unknown places of a running plane with its camera
+	@$(call command,fiber_client,recover) $(ARGS)
+
+wiring: build ## tell swapped plugs of a running plane with its camera (TABLE=wiring.csv for a row a robot)
+	@$(call command,fiber_client,wiring) $(TABLE) $(ARGS)
+
 .PHONY: show
 show: build ## print a topic of a running plane as a table (TOPIC=outcome)
 	@$(call command,fiber_client,show) $(or $(TOPIC),outcome) $(ARGS)

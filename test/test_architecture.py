@@ -62,6 +62,7 @@ ARROWS = {
     "fiber_sectors": {"fiber_bus_bridge"},
     "fiber_sectors.node": {"fiber_sectors", "fiber_bus_bridge.node", "fiber_node"} | ROS,
     "fiber_client": {"fiber_node", "fiber_formats", "rich"} | ROS,
+    "fiber_client.wiring": {"fiber_client", "fiber_metrology"},
     "fiber_client.gateway": {"fiber_client", "fiber_interfaces"},
     "fiber_recording": {"fiber_bus_bridge"},
     "fiber_recording.node": {

@@ -18,6 +18,7 @@ setup(
     install_requires=[
         "fiber_core",
         "fiber_formats",
+        "fiber_metrology",
         "fiber_msgs_py",
         "fiber_node",
         "numpy",
@@ -32,6 +33,7 @@ setup(
             "enable = fiber_client.disable:enable",
             "vouch = fiber_client.vouch:vouch",
             "recover = fiber_client.recover:main",
+            "wiring = fiber_client.wiring:main",
             "show = fiber_client.show:main",
             "gateway = fiber_client.gateway:main",
             "robot_model = fiber_client.robot_model:main",

@@ -8,12 +8,15 @@ import pytest
 from night import COMPILE_S, WAIT_S, Night
 from rclpy.parameter import Parameter
 
+from fiber_bus_bridge.plant import touching
 from fiber_client.errors import PlaneError, PlaneRefusal
 from fiber_client.reconfigure import main as reconfigure
+from fiber_client.wiring import main as wiring
 from fiber_core.arm_bounds import arms_within, interval_of_tips
+from fiber_core.clearance import neighbour_pairs
 from fiber_core.outcomes import Outcome, Reason, Verdict
 from fiber_metrology import ImageError
-from fiber_msgs_py import PlanStamp, layout, spots, targets, topics
+from fiber_msgs_py import PlanStamp, layout, spots, targets, topics, turns
 from fiber_recording import load_recording
 from fiber_recording.node import recording_name
 
@@ -315,3 +318,58 @@ def test_impossible_loops_are_refused(night):
     for tolerance_um, iterations in ((0.0, 1), (np.nan, 1), (5.0, -1)):
         with pytest.raises(PlaneError, match="tolerance|iterations"):
             night.loop(tolerance_um, iterations)
+
+
+def test_code_words_tell_swapped_plugs_on_a_running_plane(night, first, monkeypatch, capfd):
+    client, camera, plane = night.client, night.camera, night.client.plane
+    night.loop().take_image()  # with it robots at rest are known best
+    usable, pairs = plane.enabled & camera._lit, neighbour_pairs(plane)
+    pairs = pairs[(pairs < plane.n).all(axis=1)]
+    a, b = pairs[usable[pairs].all(axis=1)][3]
+    before, counted = night.true_fibres(), client.angles
+    swapped = np.arange(plane.n)
+    swapped[[a, b]] = b, a
+    exact, truth = night.graph.nodes[0]._hardware.plane, camera._truth.since(0)
+    since, touched = truth.next, touching(exact, truth, camera._mechanics).unsafe
+    camera._arm_of, own = swapped, camera._arm_of
+    images = client.measured.copy()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(night.domain))
+    code = wiring(["--timeout", str(COMPILE_S), "--images", "16"])
+    told, ids = capfd.readouterr().out, plane.ids
+    assert code == 1 and "image 16 of 16" in told
+    for one, other in ((a, b), (b, a)):
+        assert f"robot {ids[one]}: orders move the fibre at the place of robot {ids[other]}" in told
+    assert told.count("these two are swapped") == 2 and "three robots" not in told
+    counts = json.loads(told.splitlines()[-1])
+    assert counts["not_turned"] == 0 and counts["swapped"] == 2
+    assert counts["in_place"] >= 0.9 * usable.sum() - 2
+    # all are back, whatever moved them, nothing was learned of it, and no true arms have touched
+    off_um = 1e3 * np.hypot(*(night.true_fibres() - before).T)
+    assert off_um.max() < 10.0 and np.abs(client.angles - counted).max() < 1e-4
+    assert client.measured.keys() == images.keys()
+    truth = camera._truth.since(0)
+    row = truth.moves.row.copy()
+    row[since:] = swapped[row[since:]]
+    moved = truth._replace(moves=truth.moves._replace(row=row))
+    assert not (touching(exact, moved, camera._mechanics).unsafe & ~touched).any()
+    camera._arm_of = own
+
+
+def test_turns_of_another_session_or_plane_are_refused_and_none_waits(night, first):
+    client = night.client
+    publisher = topics.TURNS.publisher(client.node)
+    client.wait_for(lambda: publisher.get_subscription_count() > 0, WAIT_S)
+    for ns, ids, session, why in (
+        (71, [1], f"session_{7:024x}", "turns: of session_0"),
+        (72, [99_999], client.session, "robot 99999"),
+    ):
+        publisher.publish(turns.encode(ids, [1], PlanStamp(ns), session))
+        with pytest.raises(PlaneRefusal, match=why):
+            client.wait_until_ready(PlanStamp(ns), WAIT_S)
+    with pytest.raises(PlaneRefusal, match="no robot that can be commanded is at an unknown"):
+        client.call_service(topics.TURN, WAIT_S)
+    publisher.publish(turns.encode(client.plane.ids[:1], [1], PlanStamp(73), client.session))
+    client.wait_until_ready(PlanStamp(73), WAIT_S)
+    client.call_service(topics.CLEAR, WAIT_S)  # and forgets it
+    with pytest.raises(PlaneRefusal, match="no robot that can be commanded is at an unknown"):
+        client.call_service(topics.TURN, WAIT_S)

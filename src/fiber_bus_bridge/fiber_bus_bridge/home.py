@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motions of one segment a joint: home, and a test turn of robots at unknown places."""
+"""Motions of one segment a joint: home, and test turns."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiber_core.array_types import Counts, Ints, Mask
+from fiber_core.array_types import Angles, Counts, Ints, Mask
 from fiber_core.clearance import Certificate, Safety, hold_until_safe, levers_of
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -36,18 +36,19 @@ def home_motion(
 
 
 def turn_motion(
-    units: WireUnits, start: Counts, turn: Ints, speed: Ints, chosen: Mask
+    units: WireUnits, start: Counts, turn: Ints, speed: Ints, chosen: Mask, joint: int = 0
 ) -> WireMotion:
-    """Return the motion that turns theta of robots with one segment each.
+    """Return the motion that turns one joint of robots with one segment each.
 
     Args:
         units: tick, quantum and widths.
         start: joint positions now [quanta], shape (n, 2).
-        turn: turn of each theta; a little less of it is ordered, never more [quanta], shape (n,).
-        speed: speeds of theta [velocity units], shape (n,).
+        turn: turn of each joint; a little less of it is ordered, never more [quanta], shape (n,).
+        speed: speeds of the joint [velocity units], shape (n,).
         chosen: robots to turn, shape (n,).
+        joint: 0 for theta, 1 for phi.
     """
-    return _one_segment(units, start, 0, np.where(chosen, turn, 0), np.maximum(speed, 1))
+    return _one_segment(units, start, joint, np.where(chosen, turn, 0), np.maximum(speed, 1))
 
 
 def _one_segment(
@@ -63,7 +64,11 @@ def _one_segment(
 
 
 def hold_beyond(
-    plane: FocalPlane, motion: SegmentMotion, safety: Safety, within_mm: ArrayLike
+    plane: FocalPlane,
+    motion: SegmentMotion,
+    safety: Safety,
+    within_mm: ArrayLike,
+    about: Angles | None = None,
 ) -> tuple[SegmentMotion, Mask, Certificate]:
     """Hold robots of which a point could move farther than a distance, wherever their arms are.
 
@@ -74,12 +79,16 @@ def hold_beyond(
         motion: joint profiles of all robots, as ordered.
         safety: the timing errors.
         within_mm: the distance of each robot [mm], shape (n,) or one number.
+        about: joint angles from which the distance counts [rad], shape (n, 2); by default the start
+            of the motion. Robots that rest are not judged.
 
     Returns:
         As of hold_until_safe, with a certificate without pairs.
     """
-    travel = np.maximum(motion.highest - motion.start, motion.start - motion.lowest)
+    about = motion.start if about is None else about
+    travel = np.maximum(motion.highest - about, about - motion.lowest)
     far = (travel * levers_of(plane)).sum(axis=1) > np.asarray(within_mm) + _ROUNDING_MM
+    far &= motion.counts.any(axis=1)
     none = np.zeros((0, 2), dtype=np.int64)
     rest, held, certificate = hold_until_safe(plane, motion.without(far), safety, none)
     return rest, held | far, certificate

@@ -46,6 +46,7 @@ def place_robots(
     counts, chosen = np.asarray(counts, dtype=np.int64), np.asarray(chosen, dtype=bool)
     if counts.shape != session.counts.shape or chosen.shape != (session.plane.n,):
         raise SessionError(f"places of shape {counts.shape} for {session.plane.n} robots")
+    session.protocol.words = None
     told = chosen & session.known & (counts != session.counts).any(axis=1)
     rows = np.flatnonzero(told)
     if len(rows):
@@ -108,7 +109,7 @@ def learn_intervals(session: Session, theta_mm: ArrayLike, phi_mm: ArrayLike) ->
     context.known_mm = np.stack(np.broadcast_arrays(theta_mm, phi_mm, np.zeros(context.plane.n)))[
         :2
     ].T.astype(float)
-    context.blind_mm = np.zeros_like(context.known_mm)
+    context.blind_mm, context.words = np.zeros_like(context.known_mm), None
     learn_gaps(context)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.wire import MAX_SEGMENTS, Frames
 from fiber_core import kinematics
-from fiber_core.array_types import Codes, Counts, Floats, Ints, Mask, Points
+from fiber_core.array_types import Angles, Codes, Counts, Floats, Ints, Mask, Points
 from fiber_core.clearance import Certificate
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome, Reason, first_reason
@@ -34,12 +34,15 @@ class Plan:
         within_mm: distance beyond which no point of a robot moves, wherever its arms are [mm],
             shape (n,), so that robots at unknown places may move; None for a plan of robots at
             known places.
+        about: joint angles from which `within_mm` counts [rad], shape (n, 2), of robots at known
+            places; None for the start of the motion.
     """
 
     motion: WireMotion
     goals: Points
     fibre: Ints
     within_mm: Floats | None = None
+    about: Angles | None = None
 
     @classmethod
     def of(

@@ -21,7 +21,8 @@ from fiber_metrology.polynomials import PolynomialMap, fit_map
 from fiber_metrology.recovery import Recovered, RecoveryConfig, recover, turn_within_margin
 from fiber_metrology.spots import Spots, checked_spots
 from fiber_metrology.trends import Trend, trend_of
-from fiber_metrology.wiring import Wiring, WiringConfig, WiringVerdict, tell_wiring
+from fiber_metrology.wiring import WiringConfig, tell_wiring
+from fiber_metrology.wiring_answer import Wiring, WiringVerdict
 
 __all__ = [
     "NUMBERS",

@@ -17,7 +17,6 @@ Of a robot that moves the arm of another one it is told only if it is told what 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -25,14 +24,15 @@ from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
 from fiber_core import bounds
-from fiber_core.array_types import Bools, Codes, Floats, Ints, Points
+from fiber_core.array_types import Bools, Floats, Ints, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_metrology.code_words import CodeWords
 from fiber_metrology.errors import MetrologyError
 from fiber_metrology.exposures import Lights
 from fiber_metrology.identify import most_likely
+from fiber_metrology.wiring_answer import Wiring, WiringVerdict
 
-__all__ = ["Wiring", "WiringConfig", "WiringVerdict", "tell_wiring"]
+__all__ = ["WiringConfig", "tell_wiring"]
 
 _CHUNK = 256  # lights whose movement along all words is fitted at once
 _LARGEST = 600.0  # of a logarithm of evidence
@@ -45,22 +45,7 @@ _TRACK_MM = 0.06  # a light is the one nearest to where it was first, within
 _LEAST_IMAGES = 4  # with the bit, and without, in which a light must be seen
 
 
-class WiringVerdict(IntEnum):
-    """What the images say about the robot that an order is for."""
-
-    IN_PLACE = 0  # it moves a light about its own axis
-    SWAPPED = 1  # it moves a light about the axis of another robot
-    NOT_SEEN = 2  # no light moves by its word: dark, stuck, or it does not answer
-    AMBIGUOUS = 3  # a light may move by its word, and what is true of it is not certain
-    REVERSED = 4  # it turns phi of a robot the other way
-    OTHER_JOINT = 5  # its orders of phi turn theta of a robot
-
-
 _HOWS = np.array([WiringVerdict.IN_PLACE, WiringVerdict.REVERSED, WiringVerdict.OTHER_JOINT])
-_HOW = {
-    WiringVerdict.REVERSED: "orders turn phi the other way",
-    WiringVerdict.OTHER_JOINT: "orders of phi turn theta",
-}
 
 
 @dataclass(frozen=True)
@@ -100,50 +85,6 @@ class WiringConfig:
 
     def __post_init__(self) -> None:
         bounds.check_ranges(self, self.RANGES, MetrologyError)
-
-
-@dataclass(frozen=True, eq=False)
-class Wiring:
-    """Which robot each order moves.
-
-    Args:
-        verdict: WiringVerdict of each robot, shape (n,).
-        at: row of the robot about whose axis the light moves, -1 where none is told, shape (n,).
-        places: place of the light, at the middle of its turns [mm], shape (n, 2), nan where none is
-            told.
-        doubt: probability of anything else, shape (n,); 1 for a robot that moves several lights, or
-            one in a way that none explains, or an arm that another robot may move too.
-        lights: number of lights that move by the word of each robot, shape (n,); a faint movement
-            is not counted.
-    """
-
-    verdict: Codes
-    at: Ints
-    places: Points
-    doubt: Floats
-    lights: Ints
-
-    def lines(self, plane: FocalPlane) -> list[str]:
-        """Return a line for each robot that is not at its place, with its doubt."""
-        ids, told = plane.ids, []
-        for row in np.flatnonzero(self.verdict != WiringVerdict.IN_PLACE):
-            doubt, at = f"doubt {self.doubt[row]:.1e}", self.at[row]
-            if self.verdict[row] == WiringVerdict.SWAPPED:
-                how = "these two" if self.at[at] == row else "three robots or more"
-                how += " are swapped"
-                text = f"orders move the fibre at the place of robot {ids[at]}: {how}, {doubt}"
-            elif self.verdict[row] in _HOW:
-                text = f"{_HOW[self.verdict[row]]} of robot {ids[at]}, {doubt}"
-            elif self.verdict[row] == WiringVerdict.NOT_SEEN:
-                text = "no light moves by its orders"
-            elif self.lights[row] > 1:
-                text = f"ambiguous, {self.lights[row]} lights move by its orders"
-            elif self.doubt[row] >= 1.0:
-                text = "ambiguous, what moves by its orders or near there is not explained"
-            else:
-                text = f"ambiguous, {doubt}"
-            told.append(f"robot {ids[row]}: {text}")
-        return told
 
 
 class _Fits(NamedTuple):
@@ -204,6 +145,8 @@ def tell_wiring(
     likely = np.where(found >= 0, pairs.at[best] if len(pairs.at) else -1, -1)
     twice = (found >= 0) & (np.bincount(likely[found >= 0], minlength=plane.n)[likely] > 1)
     doubt[twice] = 1.0
+    turned = words.turn_rad.any(axis=1)
+    doubt[~turned] = 1.0
     told = np.where((found >= 0) & (doubt <= config.certain), likely, -1)
     _drop_open(told, doubt)
     contested = _in_reach(plane, places[(word >= 0) & (told[word] < 0)])
@@ -219,6 +162,7 @@ def tell_wiring(
     how = pairs.how[best[row]]
     moved = np.where(told[row] == row, WiringVerdict.IN_PLACE, WiringVerdict.SWAPPED)
     verdict[row] = np.where(how == WiringVerdict.IN_PLACE, moved, how)
+    verdict[~turned] = WiringVerdict.NOT_TURNED
     return Wiring(verdict, told, spot, doubt, lights)
 
 

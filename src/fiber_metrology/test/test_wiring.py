@@ -304,3 +304,17 @@ def test_robots_at_an_end_of_phi_are_told_and_those_without_a_turn_are_not():
         assert np.array_equal(found.at[rows], robots.moves[rows])
         assert (found.at[still] == -1).all()
         assert len(rows) > 0.7 * robots.tellable.sum()
+
+
+def test_a_robot_that_did_not_turn_is_told_as_that_and_not_as_dark():
+    robots = Plane(4, swaps=0)
+    rested = np.arange(N) % 5 == 0
+    words = robots.words
+    robots.words = replace(words, turn_rad=np.where(rested[:, None], 0.0, words.turn_rad))
+    told = tell_wiring(robots.plane, robots.words, robots.images())
+    assert np.array_equal(told.verdict == WiringVerdict.NOT_TURNED, rested)
+    check(robots, told)
+    assert (told.at[rested] < 0).all() and (told.doubt[rested] == 1.0).all()
+    lines = told.lines(robots.plane)
+    assert sum("did not turn, nothing is told" in line for line in lines) == rested.sum()
+    assert len(told.columns(robots.plane)["verdict"]) == N == sum(told.counts().values())

@@ -14,6 +14,7 @@ from fiber_msgs_py import (
     images,
     joint_states,
     layout,
+    lights,
     measured,
     outcome,
     point_clouds,
@@ -24,6 +25,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
     true_places,
+    turns,
 )
 from fiber_msgs_py.attempts import Attempt, AttemptTable
 from fiber_msgs_py.callback_guard import guarded, report_failures_to
@@ -57,6 +59,7 @@ __all__ = [
     "images",
     "joint_states",
     "layout",
+    "lights",
     "measured",
     "new_session",
     "outcome",
@@ -70,4 +73,5 @@ __all__ = [
     "topics",
     "trajectory",
     "true_places",
+    "turns",
 ]

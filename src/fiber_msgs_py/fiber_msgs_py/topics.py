@@ -31,6 +31,8 @@ __all__ = [
     "IMAGE",
     "JOINT_STATES",
     "LAYOUT",
+    "LIGHTS",
+    "LOOK",
     "MEASURE",
     "MEASURED",
     "NAMESPACE",
@@ -47,6 +49,7 @@ __all__ = [
     "TRAJECTORY",
     "TRUE_PLACES",
     "TURN",
+    "TURNS",
     "VIEW_ARMS",
     "VIEW_PLANE",
     "VIEW_TARGETS",
@@ -251,6 +254,15 @@ MEASURED = _topic(
     "Where the robots are after a plan, by images: verdict, place of the fibre, joint angles with "
     "half their intervals, how far outlines may be off. The bridge tells it to the robots.",
 )  # fmt: skip
+TURNS = _topic(
+    "turns", PointCloud2, qos.EVENTS,
+    "Id, way: at the next call of `turn` phi of the robot turns up (1), down (-1) or back (0) from "
+    "where it rested. The bridge knows how far.",
+)  # fmt: skip
+LIGHTS = _topic(
+    "lights", PointCloud2, qos.RESULTS,
+    "X, y [m], number of exposures, and whether they may be two, of the lights of one image.",
+)  # fmt: skip
 SPOTS = _topic(
     "camera/spots", PointCloud2, qos.EVENTS,
     "U, v [px], flux and width of the points of light in one exposure, stamped with its time.",
@@ -301,12 +313,20 @@ MEASURE = _service(
     "measure",
     "Takes an image of the robots at rest, and publishes where they are as `measured`.",
 )
+LOOK = _service(
+    "look",
+    "Takes an image of the robots at rest, and publishes its `lights`; nothing is learned from it.",
+)
 START = _service("start", "Loads, verifies and starts the orders that are ready.")
 STOP = _service(
     "stop", "Stops robots that move, and ends planning and discretizing; answered at any time."
 )
 HOME = _service("home", "Folds all robots that can be commanded.")
-TURN = _service("turn", "Turns robots at unknown places, so little that nothing can touch.")
+TURN = _service(
+    "turn",
+    "Turns robots so little that nothing can touch: phi of those that `turns` has just named, else "
+    "theta of robots at unknown places.",
+)
 CLEAR = _service(
     "clear",
     "Ends what is left of a plan or a stop, reads all robots, and makes the next plan possible.",

@@ -5,7 +5,18 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import Image
 
-from fiber_msgs_py import MessageError, PlanStamp, images, measured, spots, targets, true_places
+from fiber_msgs_py import (
+    MessageError,
+    PlanStamp,
+    images,
+    lights,
+    measured,
+    session_of,
+    spots,
+    targets,
+    true_places,
+    turns,
+)
 from fiber_msgs_py.true_places import TruePlaces
 
 
@@ -95,3 +106,32 @@ def test_targets_of_a_correction_say_so():
         message = targets.encode([4], [[0.0, 1.0]], PlanStamp(5), straight=straight)
         assert targets.decode_straight(message) is straight
         assert targets.decode(message)[0].tolist() == [4]
+
+
+def test_turns_and_lights_come_back_with_their_session():
+    message = turns.encode([4, 9, 2], [1, -1, 0], PlanStamp(5), "session_0123456789abcdef01234567")
+    got = turns.decode(message)
+    assert got.ids.tolist() == [4, 9, 2] and got.way.tolist() == [1, -1, 0]
+    assert session_of(message) == "session_0123456789abcdef01234567"
+    sent = lights.SeenLights(np.array([[1.5, -2.0], [0.0, 400.0]]), [3, 1], [False, True])
+    seen = lights.decode(lights.encode(sent, PlanStamp(5), "session_0123456789abcdef01234567"))
+    np.testing.assert_allclose(seen.places, sent.places)
+    assert seen.seen.tolist() == [3, 1] and seen.merged.tolist() == [False, True]
+    assert (
+        len(lights.decode(lights.encode(lights.SeenLights([], [], []), PlanStamp(5))).places) == 0
+    )
+
+
+@pytest.mark.parametrize(
+    ("ids", "way", "words"),
+    [([4], [2], "robot 4.*way.*2"), ([4, 4], [1, 1], "twice"), ([4], [1, 1], "shape of way")],
+)
+def test_turns_that_no_robot_makes_are_refused(ids, way, words):
+    with pytest.raises(MessageError, match=words):
+        turns.encode(ids, way, PlanStamp(5))
+
+
+def test_lights_beyond_any_plane_are_refused():
+    for place in ([np.nan, 0.0], [1e6, 0.0]):
+        with pytest.raises(MessageError, match="row 0 is no place"):
+            lights.encode(lights.SeenLights([place], [1], [False]), PlanStamp(5))

@@ -33,6 +33,7 @@ from fiber_msgs_py import (
     images,
     joint_states,
     layout,
+    lights,
     measured,
     outcome,
     progress,
@@ -41,7 +42,9 @@ from fiber_msgs_py import (
     targets,
     trajectory,
     true_places,
+    turns,
 )
+from fiber_msgs_py.lights import SeenLights
 from fiber_msgs_py.measured import Measured
 from fiber_msgs_py.true_places import TruePlaces
 
@@ -131,13 +134,18 @@ def cases(plane, stamp):
             both(spots.decode_calibration),
         ),
         "true_places": (true_places.encode(TruePlaces(ids, xy), stamp), both(true_places.decode)),
+        "turns": (turns.encode(ids, np.full(n, -1), stamp), both(turns.decode)),
+        "lights": (
+            lights.encode(SeenLights(xy, np.ones(n, int), np.zeros(n, bool)), stamp),
+            both(lights.decode),
+        ),
         "images": (images.encode(np.ones((3, 4), np.uint16), stamp), both(images.decode)),
     }
 
 
 NAMES = (
     "layout targets attempt segments corridors frames held outcome joint_states trajectory "
-    "progress diagnostics measured spots calibration true_places images"
+    "progress diagnostics measured spots calibration true_places turns lights images"
 ).split()
 
 

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of the wiring: the turns of each robot, the lights of each image, and the answer."""
+"""Tables of the wiring: the turns of each robot, and the lights of each image."""
 
 import os
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fiber_core.focal_plane import FocalPlane
 from fiber_formats import read_columns, write_table
-from fiber_metrology import CodeWords, Lights, Wiring, WiringVerdict
+from fiber_metrology import CodeWords, Lights
 
-__all__ = ["read_lights", "wiring_columns", "write_turns"]
+__all__ = ["read_lights", "write_turns"]
 
 
 def write_turns(path: str | os.PathLike[str], plane: FocalPlane, words: CodeWords) -> None:
@@ -51,22 +50,3 @@ def read_lights(path: str | os.PathLike[str], images: int) -> list[Lights]:
         none = np.zeros((n, 2), dtype=np.int64)
         found.append(Lights(here, np.ones(n, int), np.zeros(n, bool), 1, [], none))
     return found
-
-
-def wiring_columns(plane: FocalPlane, found: Wiring) -> dict[str, NDArray]:
-    """Return the columns of an answer, a row for each robot.
-
-    Args:
-        plane: the focal plane.
-        found: what orders for its robots move.
-    """
-    told = found.at >= 0
-    at = np.where(told, plane.ids[np.maximum(found.at, 0)], -1)
-    return {
-        "id": plane.ids,
-        "verdict": np.array([WiringVerdict(code).name.lower() for code in found.verdict]),
-        "at_id": np.array([str(robot) if robot >= 0 else "" for robot in at]),
-        "x_mm": found.places[:, 0],
-        "y_mm": found.places[:, 1],
-        "doubt": found.doubt,
-    }

@@ -135,7 +135,7 @@ class BridgeNode(ManagedNode):
         )  # fmt: skip
         self._unplanned = UnplannedMotions(
             self._session, self._attempts, self._time.now_s, self._check_role, self._may_go,
-            self._report_started,
+            self._report_started, self.reporter,
         )  # fmt: skip
         self._subscribe()
         self._make_timers()
@@ -198,6 +198,7 @@ class BridgeNode(ManagedNode):
             (topics.PROGRESS, self._attempts.hear_progress),
             (topics.SEGMENTS, self._attempts.hear_segments),
             (topics.MEASURED, self._measured.hear),
+            (topics.TURNS, self._unplanned.hear_turns),
         ):
             topic.subscription(self, self._calls.locked(hear), callback_group=work)
         for service, call in (
@@ -308,6 +309,7 @@ class BridgeNode(ManagedNode):
             return self._calls.serving(topics.STOP.name, self._stop)(request, response)
 
     def _stop(self) -> str:
+        self._unplanned.forget_turns()
         self._session.stop(self._time.now_s())
         self._motion.publish_changes(last=True)
         self._attempts.end_all(Reason.STOPPED, "stopped")
@@ -315,6 +317,7 @@ class BridgeNode(ManagedNode):
 
     def _clear(self) -> str:
         self._kept_plan.tell()  # cleared robots do not
+        self._unplanned.forget_turns()
         self._session.clear(self._time.now_s())
         self._availability.restore()
         self._motion.publish_changes(last=True)
@@ -324,6 +327,7 @@ class BridgeNode(ManagedNode):
         return self._session.state.value
 
     def _find_robots(self, restore: bool = False) -> str:
+        self._unplanned.forget_turns()
         self._session.configure(self._time.now_s())
         if Event.FOUND_ALONE in [step.event for step in self._session.take_transitions()]:
             self.get_logger().warning("robots that had stopped by themselves are cleared")

@@ -1,12 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motions without targets and planner: home, and the test turn of robots at unknown places."""
+"""Motions without targets and planner: home, and test turns."""
 
 from collections.abc import Callable
+from typing import Any
+
+import numpy as np
 
 from fiber_bus_bridge.node.attempts import Attempts
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.unplaced_robots import refused_text, turn_unplaced, turns_of
+from fiber_bus_bridge.word_turns import cannot_turn, resting_text, turn_words
+from fiber_core.array_types import Floats
+from fiber_core.errors import FiberError
 from fiber_core.outcomes import Reason
+from fiber_msgs_py import Attempt, MessageError, PlanStamp, turns
+from fiber_node import Reporter
 
 __all__ = ["UnplannedMotions"]
 
@@ -20,6 +28,7 @@ class UnplannedMotions:
         now_s: returns the time of the buses [s].
         check_role: raises an error while this bridge may not move robots.
         may_go: asked when the orders are certified.
+        reporter: answers to messages.
         report_started: tells how many robots were started.
     """
 
@@ -31,17 +40,55 @@ class UnplannedMotions:
         check_role: Callable[[], None],
         may_go: Callable[[], bool],
         report_started: Callable[[], str],
+        reporter: Reporter,
     ):
         self._session, self._attempts, self._now_s = session, attempts, now_s
         self._check_role, self._may_go = check_role, may_go
-        self._report_started = report_started
+        self._report_started, self._reporter = report_started, reporter
+        self._ways: Floats | None = None  # of the robots that shall turn by code words
 
     def home(self) -> str:
         """Fold robots; return how many were started."""
+        self.forget_turns()
         return self._move("the robots go home", self._session.home)
 
+    def hear_turns(self, message: Any) -> None:
+        """Keep which robots the next call of `turn` shall turn by code words, or refuse it."""
+        attempt: Attempt | None = None
+        try:
+            attempt = Attempt.first(PlanStamp.of(message))
+            self._attempts.inputs.check_session(message, "turns")
+            told, plane = turns.decode(message), self._session.plane
+            rows = plane.index_of(told.ids)
+            if (rows < 0).any():
+                robot = int(told.ids[rows < 0][0])
+                raise MessageError("turns", "is not of this plane", robot=robot)
+            self._ways = np.full(plane.n, np.nan)
+            self._ways[rows] = told.way
+            self._reporter.done(attempt, f"ready: turns of {len(rows)} robots")
+        except FiberError as error:
+            self._reporter.refuse(f"turns refused: {error}", "turns", attempt)
+
+    def forget_turns(self) -> None:
+        """Let no code word wait for a call of `turn`."""
+        self._ways = None
+
     def turn(self) -> str:
-        """Turn robots at unknown places; return how many were started, and which rest."""
+        """Turn robots by code words or at unknown places; return how many, and which rest."""
+        ways = self._ways
+        self.forget_turns()
+        return self._turn_unplaced() if ways is None else self._turn_words(ways)
+
+    def _turn_words(self, ways: Floats) -> str:
+        refused = cannot_turn(self._session) & np.isfinite(ways)
+        rest = f"; {resting_text(self._session, refused)}" if refused.any() else ""
+        started = self._move(
+            "phi turns by code words",
+            lambda t, may_go: turn_words(self._session, ways, t, may_go),
+        )
+        return started + rest
+
+    def _turn_unplaced(self) -> str:
         _, refused = turns_of(self._session)
         rest = f"; {refused_text(self._session, refused)}" if refused.any() else ""
         started = self._move(

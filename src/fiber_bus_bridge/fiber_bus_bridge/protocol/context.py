@@ -158,6 +158,7 @@ class Context:
     loaded_plan: LoadedPlan | None = None
     loaded_plans: list[LoadedPlan] = field(default_factory=list)  # one for each phase
     result: PlanResult | None = None
+    words: object = None  # where robots rested before they turned by code words (`word_turns`)
     stop_reason: Reason = Reason.STOPPED  # of robots that the end of this plan finds on the way
 
     @classmethod

@@ -88,7 +88,7 @@ def prepare(c: Context, motion: WireMotion, wanted: Mask, t: float) -> Phase:
         t: earliest time of the first message [s].
     """
     lost, unplaced = c.robots["lost"], c.robots["unplaced"]
-    if c.plan is not None and c.plan.within_mm is not None:
+    if c.plan is not None and c.plan.within_mm is not None and c.plan.about is None:
         lost = unplaced = np.zeros_like(lost)
     blocked = wanted & (neighbours_of(lost, c.pairs) | lost | unplaced)
     begin_phase(c.robots, c.buses, wanted, blocked)
@@ -136,10 +136,9 @@ def certify(c: Context, phase: Phase) -> Event:
 
 
 def _certified(c: Context, motion: SegmentMotion) -> tuple[SegmentMotion, Mask, Certificate]:
-    within_mm = None if c.plan is None else c.plan.within_mm
-    if within_mm is None:
+    if c.plan is None or c.plan.within_mm is None:
         return c.certify(c.plane, motion, c.safety)
-    return hold_beyond(c.plane, motion, c.safety, within_mm)
+    return hold_beyond(c.plane, motion, c.safety, c.plan.within_mm, c.plan.about)
 
 
 def disarm(c: Context, phase: Phase) -> Event:

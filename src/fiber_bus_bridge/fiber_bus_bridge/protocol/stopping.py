@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps that stop robots: all together after a failure, with a resume, or for good."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from fiber_bus_bridge.plan_result import Plan
 from fiber_bus_bridge.protocol.context import Context, Phase, Watch
 from fiber_bus_bridge.protocol.decisions import able_to_resume, own_fault
 from fiber_bus_bridge.protocol.ending import end_plan
@@ -108,7 +109,7 @@ def resume_cleared(c: Context, phase: Phase) -> Event:
     resuming = moved & robots["able"]
     elapsed_s = phase.stopped_at_s - before.start_s
     left = remaining_motion(before.motion, robots["counts"], elapsed_s, c.speed, resuming)
-    c.plan = Plan(left, plan.goals, plan.fibre, plan.within_mm)
+    c.plan = replace(plan, motion=left)
     wanted = resuming & c.plan.moves & ~c.plan.oversized
     if plan.within_mm is not None:  # a test turn is not resumed: the next one is counted anew
         wanted = np.zeros_like(wanted)

@@ -7,6 +7,7 @@ within their limits use up less than the gap between them:
 - both places known: half of the gap of the outlines, and at most half of the margin. The outlines
   hold what the drive and the last image leave unknown;
 - a plan that is about to start: half of what a motion leaves that is broken off, if that is less;
+- phi is about to turn by a code word: nothing, for its robot and the neighbours;
 - a turn that is carried out, in part or as a whole, moves both limits; a turn of which the end is
   not known makes one smaller and leaves the other one as it was;
 - a place that becomes known anew beside one that is not: the smaller of old and new;
@@ -20,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from fiber_bus_bridge.protocol.context import Context
-from fiber_bus_bridge.protocol.decisions import own_fault
+from fiber_bus_bridge.protocol.decisions import neighbours_of, own_fault
 from fiber_bus_bridge.wire import RobotState
 from fiber_core.arm_bounds import turn_within
 from fiber_core.array_types import Floats, Gaps, Ints, Mask, Pairs
@@ -30,7 +31,15 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Reason
 
-__all__ = ["end_turn", "full_turn", "known_again", "learn_gaps", "limits_after_go", "turning"]
+__all__ = [
+    "end_turn",
+    "full_turn",
+    "half_gaps",
+    "known_again",
+    "learn_gaps",
+    "limits_after_go",
+    "turning",
+]
 
 
 def full_turn(c: Context) -> Ints:
@@ -55,6 +64,18 @@ def learn_gaps(c: Context) -> None:
     before = robots["turn_limit"]
     limit = np.where(beside[: c.plane.n, None], np.minimum(before, limit), limit)
     robots["turn_limit"] = np.where(known[:, None], limit, before)
+
+
+def half_gaps(c: Context) -> Floats:
+    """Return half of the gap of each robot where it rests, at most half of the margin [mm], (n,).
+
+    It is 0 for a robot at an unknown place, or beside one.
+    """
+    known = _known(c)
+    pairs, others = _pairs_of(c, known)
+    half_mm = 0.5 * _least_gap(c, pairs, _gaps(c, pairs))
+    half_mm[others[others < c.plane.n]] = 0.0
+    return np.where(known, half_mm, 0.0)
 
 
 def known_again(c: Context, chosen: Mask) -> None:
@@ -103,6 +124,9 @@ def limits_after_go(c: Context) -> Ints:
     limit, plan, chosen = c.robots["turn_limit"], c.plan, c.robots["verified"]
     assert plan is not None and c.phase is not None and c.phase.loaded is not None
     loaded = c.phase.loaded
+    if plan.about is not None:  # phi uses up what theta might have turned, also of neighbours
+        beside = chosen | neighbours_of(chosen, c.pairs)
+        return limit if c.config.counters_kept else np.where(beside[:, None], 0, limit)
     if plan.within_mm is not None:
         return _turn_used_up(limit, (loaded.end - loaded.start)[:, 0], chosen)
     if c.config.counters_kept or not chosen.any():

@@ -5,6 +5,7 @@ A real camera takes its place by the same topics: camera/spots or camera/image f
 and camera/calibration.
 """
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
@@ -25,7 +26,7 @@ from fiber_bus_bridge.simulation import (
 )
 from fiber_bus_bridge.wire import RobotState
 from fiber_core import kinematics
-from fiber_core.array_types import Mask, Points
+from fiber_core.array_types import Mask, Points, Rows
 from fiber_core.bounds import Range, check_ranges
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
@@ -38,6 +39,7 @@ from fiber_node import ManagedNode, SessionGate, run
 
 __all__ = ["CameraNode", "main"]
 
+_PAIR = re.compile(r"(\d+)\s*-\s*(\d+)")
 _FIRST_S = 1e-3  # of the begin of a motion before its first movement
 _Response: TypeAlias = Trigger.Response
 
@@ -53,6 +55,8 @@ class SimulatedScene:
         exposures: exposures of one image.
         dark: share of the fibres that give no light.
         fiducials: number of fiducials.
+        swapped: pairs of robots whose plugs are swapped, as "3-17, 8-9": each moves the arm of the
+            other.
 
     Raises:
         MetrologyError: a value is out of range; names it.
@@ -70,9 +74,26 @@ class SimulatedScene:
     exposures: int = 3
     dark: float = 0.0
     fiducials: int = 120
+    swapped: str = ""
 
     def __post_init__(self) -> None:
         check_ranges(self, self.RANGES, MetrologyError)
+        self.pairs()
+
+    def pairs(self) -> list[tuple[int, int]]:
+        """Return the pairs of robots whose plugs are swapped, by id.
+
+        Raises:
+            MetrologyError: `swapped` is no list of pairs, or a robot is in two of them.
+        """
+        parts = [part.strip() for part in self.swapped.split(",") if part.strip()]
+        pairs = [match.groups() for part in parts if (match := _PAIR.fullmatch(part))]
+        ids = [int(robot) for pair in pairs for robot in pair]
+        if len(pairs) < len(parts) or len(set(ids)) < len(ids):
+            raise MetrologyError(
+                f'swapped: "{self.swapped}" is no list of pairs of different robots, as "3-17, 8-9"'
+            )
+        return list(zip(ids[::2], ids[1::2]))
 
 
 class CameraNode(ManagedNode):
@@ -128,6 +149,7 @@ class CameraNode(ManagedNode):
 
     def _look_at(self, plane: FocalPlane) -> None:
         scene = self._scene
+        self._arm_of = _arm_of(plane, scene.pairs())
         rng = np.random.default_rng(scene.seed)
         self._mechanics: Mechanics = draw_mechanics(plane.n, self._errors, rng)
         self._lit: Mask = rng.random(plane.n) >= scene.dark
@@ -196,10 +218,22 @@ class CameraNode(ManagedNode):
         elif truth.first > self._next:
             raise MetrologyError("movements between two images are lost: the plant keeps too few")
         begin_s = min(truth.moves.started_s.min(initial=truth.now_s), truth.now_s) - _FIRST_S
-        numbered = truth.moves.numbered(truth.start, truth.quantum_rad, truth.now_s, begin_s)
+        moves = truth.moves._replace(row=self._arm_of[truth.moves.row])
+        numbered = moves.numbered(truth.start, truth.quantum_rad, truth.now_s, begin_s)
         self._arms = arms_motion(self._mechanics, self._arms, *numbered)[1]
         self._next = truth.next
         return kinematics.forward(plane, true_angles(self._mechanics, self._arms))[1]
+
+
+def _arm_of(plane: FocalPlane, swapped: list[tuple[int, int]]) -> Rows:
+    """Row of the arm that the orders for each robot move, shape (n,)."""
+    arm_of = np.arange(plane.n)
+    for pair in swapped:
+        rows = plane.index_of(np.array(pair))
+        if (rows < 0).any():
+            raise MetrologyError(f"swapped: the plane has no robot {pair[int(np.argmin(rows))]}")
+        arm_of[rows] = rows[::-1]
+    return arm_of
 
 
 def main(args: list[str] | None = None) -> int:

@@ -16,6 +16,7 @@ from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_metrology.centroids import CentroidConfig
 from fiber_metrology.errors import ImageError, MetrologyError
+from fiber_metrology.exposures import combine
 from fiber_metrology.identify import IdentifyConfig
 from fiber_metrology.knowledge import DriveErrors, Knowledge
 from fiber_metrology.measure import MeasureConfig, Measurement, measure
@@ -30,6 +31,7 @@ from fiber_msgs_py import (
     PlanStamp,
     joint_states,
     layout,
+    lights,
     measured,
     session_of,
     targets,
@@ -45,6 +47,8 @@ _Response: TypeAlias = Trigger.Response
 
 class MetrologyNode(ManagedNode):
     """Measures where the robots are, whenever the service `measure` is called.
+
+    The service `look` publishes the lights of an image alone, and nothing is learned from it.
 
     The robots must rest, and the exposures must come after the call. What cannot be used is refused
     with its reason; then nothing is published and nothing is learned.
@@ -80,8 +84,10 @@ class MetrologyNode(ManagedNode):
         self._camera = CameraIntake(self, self._config, self._centroids, self._refusing)
         self._answer = BridgeAnswer(self)
         self._measured = topics.MEASURED.publisher(self)
+        self._lights = topics.LIGHTS.publisher(self)
         own = MutuallyExclusiveCallbackGroup()  # it waits for the camera and the bridge
         topics.MEASURE.server(self, self._on_measure, callback_group=own)
+        topics.LOOK.server(self, self._on_look, callback_group=own)
 
     def activate(self) -> None:
         """Measure when told to."""
@@ -139,6 +145,25 @@ class MetrologyNode(ManagedNode):
             self.reporter.refuse(text, attempt=attempt)
             response.message, response.success = text, False
         return response
+
+    def _on_look(self, request: Any, response: _Response) -> _Response:
+        try:
+            response.message, response.success = self._look_now(self._may_measure()), True
+        except FiberError as error:
+            response.message, response.success = f"no image: {error}", False
+            self.reporter.refuse(response.message)
+        return response
+
+    def _look_now(self, rest: Rest) -> str:
+        calibrated, fiducials = self._camera.calibration()
+        taken = self._camera.take(rest.since_ns)
+        if not rest.lasts_until(self._motions.at_rest()):
+            raise ImageError("the robots were told to move while the camera exposed")
+        seen = combine(taken, fiducials, calibrated, self._plate.value)
+        stamp = PlanStamp(self.get_clock().now().nanoseconds)
+        table = lights.SeenLights(seen.places, seen.seen, seen.merged)
+        self._lights.publish(lights.encode(table, stamp, rest.session))
+        return f"image {stamp}: {len(seen.places)} lights"
 
     def _may_measure(self) -> Rest:
         if not self.active:

@@ -9,10 +9,10 @@ import numpy as np
 from fiber_core.errors import FiberError
 from fiber_core.presets import PRESETS
 from fiber_formats import kind_of, read_layout, read_starts, write_table
-from fiber_metrology import WiringConfig, WiringVerdict, code_words, tell_wiring
+from fiber_metrology import WiringConfig, code_words, tell_wiring
 from fiber_positioners.command.arguments import positive
 from fiber_positioners.command.exit_codes import DONE
-from fiber_positioners.wiring_tables import read_lights, wiring_columns, write_turns
+from fiber_positioners.wiring_tables import read_lights, write_turns
 
 __all__ = ["DESCRIPTION", "SUMMARY", "add_arguments", "run"]
 
@@ -61,9 +61,6 @@ def run(args: argparse.Namespace) -> int:
         return DONE
     images = read_lights(args.lights, words.images)
     found = tell_wiring(plane, words, images, WiringConfig(error_um=args.error_um))
-    write_table(args.target, wiring_columns(plane, found))
-    counts = {
-        each.name.lower(): int(np.count_nonzero(found.verdict == each)) for each in WiringVerdict
-    }
-    print("\n".join([*found.lines(plane), json.dumps(counts)]))
+    write_table(args.target, found.columns(plane))
+    print("\n".join([*found.lines(plane), json.dumps(found.counts())]))
     return DONE

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Turns: which way phi of each robot shall turn from where it rested, as a code word tells.
+
+The stamp names the message: the bridge answers to it on `progress`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from sensor_msgs.msg import PointCloud2
+
+from fiber_core.array_types import Codes, Ids
+from fiber_msgs_py.errors import MessageError
+from fiber_msgs_py.ids import checked_ids, refuse
+from fiber_msgs_py.stamps import PlanStamp
+from fiber_msgs_py.table import decode_table, encode_table
+
+__all__ = ["Turns", "decode", "encode"]
+
+_NAME = "turns"
+_COLUMNS = {"id": "<u4", "way": "<i1"}
+
+
+class Turns(NamedTuple):
+    """Which way robots turn.
+
+    Args:
+        ids: robot ids, shape (k,); the other robots rest.
+        way: 1 up, -1 down, 0 back to where phi rested before the first turn, shape (k,).
+    """
+
+    ids: Ids
+    way: Codes
+
+
+def encode(
+    ids: ArrayLike, way: ArrayLike, stamp: PlanStamp, session: str | None = None
+) -> PointCloud2:
+    """Return turns as a message.
+
+    Args:
+        ids, way: as of Turns.
+        stamp: names the message.
+        session: id of the session of the layout that the robots are of.
+
+    Raises:
+        MessageError: an id is out of range or appears twice, a way is none, or shapes differ.
+    """
+    ids, way = checked_ids(ids, _NAME), np.asarray(way)
+    if way.shape != ids.shape:
+        raise MessageError(
+            _NAME, f"does not fit {len(ids)} robots", field="shape of way", value=way.shape
+        )
+    _check(ids, way)
+    rows = np.empty(len(ids), dtype=list(_COLUMNS.items()))
+    rows["id"], rows["way"] = ids, way
+    return encode_table(rows, stamp, session)
+
+
+def decode(message: PointCloud2) -> Turns:
+    """Return turns from a message.
+
+    Raises:
+        MessageError: malformed table, an id appears twice, or a way is none.
+    """
+    rows = decode_table(message, _NAME, _COLUMNS)
+    ids = checked_ids(rows["id"], _NAME)
+    _check(ids, rows["way"])
+    return Turns(ids, rows["way"].astype(np.int64))
+
+
+def _check(ids: Ids, way: ArrayLike) -> None:
+    refuse(~np.isin(way, (-1, 0, 1)), _NAME, "way", ids, way, "is not -1, 0 or 1")
