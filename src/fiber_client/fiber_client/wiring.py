@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from rclpy.utilities import remove_ros_args
+from sensor_msgs.msg import PointCloud2
 
 from fiber_client.client import PlaneClient
 from fiber_client.errors import PlaneRefusal
@@ -118,7 +119,7 @@ class _Procedure:
             raise PlaneRefusal("metrology", answer.message if answer else "no answer")
         named = answer.message.removeprefix("image ").partition(":")[0]
 
-        def come() -> list[object]:
+        def come() -> list[PointCloud2]:
             return [each for each in self._lights if str(PlanStamp.of(each)) == named]
 
         client.wait_for(come, self._timeout_s, f"lights of image {named}")
