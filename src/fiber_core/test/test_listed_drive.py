@@ -16,7 +16,6 @@ from fiber_core.drive import (
     motors_turning,
     overloading,
     rules_broken,
-    rules_told,
 )
 from fiber_core.drive.least_time import least_time_s
 from fiber_core.drive.named import with_drive
@@ -76,7 +75,7 @@ def test_a_cruise_move_at_the_end_lasts_a_ramp_longer():
     ids=["speed", "least", "ramp", "no end", "short end", "wrong way", "short back", "no back"],
 )
 def test_an_order_that_motors_cannot_carry_out_is_found(theta):
-    assert rules_broken(_DRIVE, motion_of(theta)).tolist() == [True]
+    assert rules_broken(_DRIVE, motion_of(theta)).robots(1).tolist() == [True]
 
 
 @pytest.mark.parametrize(
@@ -109,8 +108,10 @@ def test_the_rule_and_the_value_are_told(theta, told):
     duration, velocity = np.array([each for joint in joints for each in joint]).T
     offsets = np.cumsum([0, *map(len, joints)])
     both = SegmentMotion(np.zeros((2, 2)), offsets, duration, velocity)
-    assert rules_told(drive, both, np.array([7, 9])) == [f"robot 9: phi {told}"]
-    assert rules_told(Drive(2), both, np.array([7, 9])) == []
+    broken = rules_broken(drive, both)
+    assert broken.told(drive, [0, 0], np.array([7, 9])) == [f"robot 9: phi {told}"]
+    assert broken.robot.tolist() == [1] and broken.joint.tolist() == [1]
+    assert len(rules_broken(Drive(2), both)) == 0
 
 
 @pytest.mark.parametrize(
@@ -123,20 +124,28 @@ def test_the_rule_and_the_value_are_told(theta, told):
     ],
 )  # fmt: skip
 def test_moves_may_wait_and_may_last_longer_than_a_segment(theta):
-    assert rules_broken(_DRIVE, motion_of(theta)).tolist() == [False]
+    assert rules_broken(_DRIVE, motion_of(theta)).robots(1).tolist() == [False]
 
 
 def test_a_joint_turns_as_far_as_its_gear_lets_it():
     scale = np.array([[[0.5, 0.75], [1.0, 1.0]]])
     drive = Drive(1, listed=_LISTED, scale=scale)
     good = motion_of([(0.4, 2.25), _REST, (2.0, 0.0375), (2.0, -0.025)])
-    assert not rules_broken(drive, good).any()
-    assert rules_broken(drive, motion_of([(0.4, 2.25), _REST, (2.0, 0.0375), (2.0, -0.0375)])).any()
-    assert rules_broken(drive, motion_of([(0.4, -2.25), _REST, (2.0, 0.0375), (2.0, -0.025)])).any()
+    assert len(rules_broken(drive, good)) == 0
+    assert (
+        rules_broken(drive, motion_of([(0.4, 2.25), _REST, (2.0, 0.0375), (2.0, -0.0375)]))
+        .robots(1)
+        .any()
+    )
+    assert (
+        rules_broken(drive, motion_of([(0.4, -2.25), _REST, (2.0, 0.0375), (2.0, -0.025)]))
+        .robots(1)
+        .any()
+    )
 
 
 def test_motors_without_a_list_have_no_rules():
-    assert not rules_broken(Drive(1), motion_of([(0.4, 2.5)])).any()
+    assert len(rules_broken(Drive(1), motion_of([(0.4, 2.5)]))) == 0
 
 
 def test_robots_that_are_one_too_many_for_their_supply_are_found():
@@ -203,7 +212,7 @@ def test_no_move_is_shorter_than_the_least_time():
             [(0.2 / 0.04, 0.04), (0.05 / 0.025, -0.025)],
         ):
             motion = motion_of(theta)
-            assert not rules_broken(drive, motion).any()
+            assert len(rules_broken(drive, motion)) == 0
             turn = motion.end - motion.start
             least = least_time_s(drive, np.full((1, 2), 3.0), turn[:, None])[0, 0]
             assert least[1] == 0.0  # phi rests
@@ -237,7 +246,7 @@ def test_no_order_at_any_of_three_speeds_is_shorter_than_the_least_time(returns)
             theta += [(rng.uniform(0.05, 0.2) / 0.06, 0.06)]
         theta += [(rng.uniform(0.05, 0.2) / 0.04, -0.04)]
         motion = motion_of(theta)
-        assert not rules_broken(drive, motion).any()
+        assert len(rules_broken(drive, motion)) == 0
         curve = carried_out(drive, motion)
         turns = np.abs(curve.velocity_rad_s) + np.abs(curve.acceleration_rad_s2) > 1e-9
         least_s = least_time_s(drive, np.full((1, 2), 3.0), motion.end[:, None])[0, 0, 0]
@@ -253,7 +262,7 @@ def test_two_moves_may_be_quicker_than_one_in_creep():
     expected_s = 0.22 / 3.0 + 2 * 0.03 + 2 * 0.05 / 0.05
     assert least_s == pytest.approx(expected_s)
     order = [(0.12 / 3.0, 3.0), _REST, (0.1 / 3.0, -3.0), _REST, (1.0, 0.05), (1.0, -0.05)]
-    assert not rules_broken(_DRIVE, motion_of(order)).any()
+    assert len(rules_broken(_DRIVE, motion_of(order))) == 0
 
 
 @pytest.mark.parametrize(

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a planned trajectory to certified orders."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Codes, Mask
 from fiber_core.clearance import Certificate, Safety, hold_until_safe
-from fiber_core.drive import carried_out, overloading
-from fiber_core.drive.told import accelerations_told, overloads_told
+from fiber_core.drive import Breaches, Drive, carried_out, overloading
+from fiber_core.drive.checks import accelerations, overloads
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.motion import SampledMotion
+from fiber_core.motion import SampledMotion, SegmentMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer.listed import discretize_listed
@@ -44,15 +44,14 @@ class Discretization:
         certificate: certificate of wire.decoded() over the whole plane. It is not ok
             only where robots at rest are too close already, one of which could move.
         rounds: how often robots without a safe motion were tried again.
-        rules_told: rules of motors and supplies that robots would break, with the values; a
-            sentence begins with "robot" and its id.
+        breaches: rules of motors, joints and supplies that robots held here would break.
     """
 
     wire: WireMotion
     reason: Codes
     certificate: Certificate
     rounds: int
-    rules_told: tuple[str, ...] = ()
+    breaches: Breaches = field(default_factory=Breaches.none)
 
 
 def discretize(
@@ -94,41 +93,58 @@ def discretize(
     report(0.0, "checking the trajectory")
     counts = starting_counts(plane, trajectory, units, start_counts)
     plane = plane.with_fixed_joints_at(units.to_angles(counts))
-    reason = check_trajectory(plane, trajectory, counts, units, options, velocities)
+    reason, breaches = check_trajectory(plane, trajectory, counts, units, options, velocities)
+    found = [breaches]
     trajectory = _with_robots_at_rest(trajectory, reason != Reason.OK)
     trajectory = until_rest(trajectory, units, options)
     if plane.drive.listed is not None:
-        wire, reason, told = discretize_listed(plane, trajectory, counts, units, options, reason)
+        wire, reason, breaches = discretize_listed(
+            plane, trajectory, counts, units, options, reason
+        )
+        found.append(breaches)
         rounds = 0
     else:
-        told = ()
         wire, reason, rounds = _BY_SHARING[options.sharing](
             plane, trajectory, counts, units, safety, options, reason, report
         )
+        given_up = reason == Reason.UNSAFE
+        found.append(_too_hard(plane.drive, trajectory, given_up))
     report(0.8, "certifying")
     _, held, certificate = hold_until_safe(plane, wire.decoded(), safety)
     held_here = held & (reason == Reason.OK)
     reason[held_here] = Reason.UNSAFE
     if not plane.drive.is_ideal:
-        told = (*told, *_held_by_drive(plane, wire, held_here, reason))
+        found.append(_of_orders(plane, wire, held_here, reason))
     report(1.0, "certified" if certificate.ok else "robots at rest are too close")
     reason.setflags(write=False)
-    return Discretization(wire.without(held), reason, certificate, rounds, told)
+    return Discretization(wire.without(held), reason, certificate, rounds, Breaches.joined(found))
 
 
-def _held_by_drive(
-    plane: FocalPlane, wire: WireMotion, held: Mask, reason: Codes
-) -> tuple[str, ...]:
+def _too_hard(drive: Drive, trajectory: SampledMotion, robots: Mask) -> Breaches:
+    # robots for which no orders were found that change their speed slowly enough
+    if drive.ramp_s == 0.0 or not robots.any():
+        return Breaches.none()
+    angles, steps = trajectory.angles[robots], np.diff(trajectory.time_s)
+    profiles = 2 * len(angles)
+    lines = SegmentMotion(
+        angles[:, :, 0],
+        np.arange(profiles + 1) * len(steps),
+        np.tile(steps, profiles),
+        (np.diff(angles, axis=2) / steps).ravel(),
+    )
+    own = drive.of_robots(np.flatnonzero(robots))
+    return accelerations(own, carried_out(own, lines)).of_rows(np.flatnonzero(robots))
+
+
+def _of_orders(plane: FocalPlane, wire: WireMotion, held: Mask, reason: Codes) -> Breaches:
     # The motions of held robots that their motors or supplies do not allow, with the values.
     # Robots that are too many for their supply get the Reason OVERLOAD.
     curves = carried_out(plane.drive, wire.decoded())
-    told = accelerations_told(plane.drive, curves, plane.ids)
+    too_hard = accelerations(plane.drive, curves)
     share = plane.drive.motors_on
-    if share < 1.0:
-        too_many = held & overloading(curves, plane.supply, share)
-        reason[too_many] = Reason.OVERLOAD
-        told += overloads_told(plane.supply, share, too_many, plane.ids)
-    return tuple(told)
+    too_many = held & overloading(curves, plane.supply, share)
+    reason[too_many] = Reason.OVERLOAD
+    return Breaches.joined([too_hard, overloads(plane.supply, share, too_many)])
 
 
 def _no_report(fraction: float, text: str) -> None:

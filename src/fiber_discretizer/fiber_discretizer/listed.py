@@ -5,12 +5,13 @@ import numba as nb
 import numpy as np
 
 from fiber_core.array_types import Codes, Counts, Floats, Ints
-from fiber_core.drive import rules_broken, rules_told
+from fiber_core.drive import Breaches, MotorRule, rules_broken
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_discretizer.options import DiscretizeOptions
+from fiber_discretizer.validate import peak_speeds
 
 __all__ = ["discretize_listed"]
 
@@ -24,7 +25,7 @@ def discretize_listed(
     units: WireUnits,
     options: DiscretizeOptions,
     reason: Codes,
-) -> tuple[WireMotion, Codes, tuple[str, ...]]:
+) -> tuple[WireMotion, Codes, Breaches]:
     """Return a trajectory as segments without changing it.
 
     Motors with listed speeds cannot follow a fitted line, so a robot whose profile is not made of
@@ -60,23 +61,17 @@ def discretize_listed(
     used = np.arange(most) < kept[:, None]
     offsets = np.concatenate([[0], np.cumsum(kept)])
     wire = WireMotion(units, start, offsets, lasts[used], velocity[used])
-    broken = rules_broken(plane.drive, wire.decoded())
+    breaches = rules_broken(plane.drive, wire.decoded())
+    broken = breaches.robots(plane.n)
     reason[broken] = Reason.BAD_TRAJECTORY
-    told = (
-        *_units_told(plane, trajectory, counts),
-        *rules_told(plane.drive, wire.decoded(), plane.ids),
-    )
-    return wire.without(broken), reason, told
+    breaches = Breaches.joined([_not_whole(trajectory, counts), breaches])
+    return wire.without(broken), reason, breaches
 
 
-def _units_told(plane: FocalPlane, trajectory: SampledMotion, counts: Ints) -> list[str]:
-    # for each joint whose profile is not made of whole units: how fast it is to turn
-    way = np.abs(np.diff(trajectory.angles, axis=2)) / np.diff(trajectory.time_s)
-    return [
-        f"robot {plane.ids[i]}: {('theta', 'phi')[joint]} is to turn at up to "
-        f"{np.rad2deg(way[i, joint].max()):.4g} deg/s, and not for whole ticks at a listed speed"
-        for i, joint in np.argwhere(counts < 0)
-    ]
+def _not_whole(trajectory: SampledMotion, counts: Ints) -> Breaches:
+    # each joint whose profile is not made of whole units, and how fast it is to turn
+    speed = peak_speeds(trajectory)
+    return Breaches.of(MotorRule.WHOLE_UNITS, counts < 0, speed, np.nan, np.nan)
 
 
 @nb.njit(cache=True)

@@ -161,10 +161,10 @@ class DiscretizerNode(ManagedNode):
         reason, is_held, stamp = result.reason, result.held, attempt.stamp
         self._held.publish(held.encode(ids[is_held], reason[is_held], Stage.DISCRETIZER, stamp))
         self._segments.publish(segments.encode(ids, wire, stamp, session))
-        if told := result.discretization.rules_told:
+        if told := result.discretization.breaches.told(plane.drive, plane.supply, ids):
             first = "; ".join(told[:3])
             self.get_logger().warning(
-                f"plan {attempt}: motors cannot carry out {len(told)} joints: {first}"
+                f"plan {attempt}: {len(told)} rules of motors or joints are broken: {first}"
             )
         if not certificate.ok:
             robots = ids[certificate.unsafe_robots].tolist()

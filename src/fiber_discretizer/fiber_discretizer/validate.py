@@ -6,6 +6,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Codes, Counts, Floats, Velocities
+from fiber_core.drive import Breaches, MotorRule
 from fiber_core.errors import MotionError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SampledMotion
@@ -29,7 +30,7 @@ def check_trajectory(
     units: WireUnits,
     options: DiscretizeOptions,
     velocities: ArrayLike | None = None,
-) -> Codes:
+) -> tuple[Codes, Breaches]:
     """Return the Reason why each robot's profiles cannot be used, OK where they can.
 
     Args:
@@ -46,7 +47,7 @@ def check_trajectory(
         BAD_TRAJECTORY where a profile does not begin at the present angle, has angles or
         velocities that are too fast, moves outside the joint limits, moves a joint with a
         speed limit below one velocity unit, or comes to rest after the end of the longest
-        order.
+        order. And speeds, angles and durations that are not allowed.
 
     Raises:
         MotionError: velocities do not have the shape of the trajectory.
@@ -56,19 +57,30 @@ def check_trajectory(
     fastest = peak_speeds(trajectory)
     too_fast = plane.speeds * (1 + options.speed_tolerance)
     bad = np.abs(trajectory.start - start) > options.start_tolerance_rad
+    moves = fastest > 0
     bad |= fastest > too_fast
     if velocities is not None:
         velocities = frozen_array(velocities, np.float64, angles.shape, "velocities", MotionError)
-        bad |= ~(np.abs(velocities) <= too_fast[:, :, None]).all(axis=2)
-    moves = fastest > 0
+        given = np.abs(velocities)
+        bad |= ~(given <= too_fast[:, :, None]).all(axis=2)
+        fastest = np.maximum(fastest, given.max(axis=2))
+    beyond = [Breaches.of(MotorRule.JOINT_SPEED, fastest > too_fast, fastest, most=plane.speeds)]
     bad |= moves & (plane.speeds < units.velocity_rad_s)
     bad |= moves & ((start < low - _START_NOISE_RAD) | (start > high + _START_NOISE_RAD))
     least, most = angles.min(axis=2), angles.max(axis=2)
-    bad |= moves & ((least < low - _PROFILE_NOISE_RAD) | (most > high + _PROFILE_NOISE_RAD))
-    bad |= moves & (_arrivals_s(trajectory) > longest_s(units, options))
+    below = moves & (least < low - _PROFILE_NOISE_RAD)
+    above = moves & (most > high + _PROFILE_NOISE_RAD)
+    end_s, longest = _arrivals_s(trajectory), longest_s(units, options)
+    late = moves & (end_s > longest)
+    beyond += [
+        Breaches.of(MotorRule.JOINT_RANGE, below, least, low, high),
+        Breaches.of(MotorRule.JOINT_RANGE, above, most, low, high),
+        Breaches.of(MotorRule.ORDER_LENGTH, late, end_s, most=longest),
+    ]
+    bad |= below | above | late
     reason = np.where(bad.any(axis=1), int(Reason.BAD_TRAJECTORY), int(Reason.OK))
     reason[moves.any(axis=1) & ~plane.enabled] = Reason.DISABLED
-    return reason
+    return reason, Breaches.joined(beyond)
 
 
 def check_size(trajectory: SampledMotion) -> None:

@@ -92,7 +92,7 @@ def plan_assignment(
 
     A robot that is too slow for the longest order of the wire stays where it is, as a disabled
     one: planned with the others it would make their motion too long for an order. A fixed joint
-    stays at its present angle.
+    stays at its present angle. A joint turns no faster than its motor can get in one ramp.
 
     Args:
         start: joint angles as the encoders read them [rad], shape (n, 2).
@@ -105,8 +105,9 @@ def plan_assignment(
     """
     plane = assignment.plane
     problem = Problem(plane, np.asarray(start, dtype=np.float64), assignment.targets)
-    slow = _too_slow(problem)
-    planned = planner.plan(_to_plan(problem, slow), progress)
+    softer = _softer(problem)
+    slow = _too_slow(softer)
+    planned = planner.plan(_to_plan(softer, slow), progress)
     if planned.motion.n != plane.n:
         raise PlannerError(
             f"planner {planner.name!r} returned a motion of {planned.motion.n} robots "
@@ -115,6 +116,15 @@ def plan_assignment(
     late = np.where(slow & problem.asked, Reason.TOO_MANY_SEGMENTS, planned.reason)
     reason = first_reason(assignment.reason, late)
     return PlanStageResult(assignment, problem, planned, reason)
+
+
+def _softer(problem: Problem) -> Problem:
+    # the problem with joints that turn no faster than they get in one ramp
+    plane = problem.plane
+    fastest = plane.drive.largest_step_rad_s
+    if (plane.speeds <= fastest * (1.0 + 1e-9)).all():
+        return problem
+    return replace(problem, plane=replace(plane, speeds=np.minimum(plane.speeds, fastest)))
 
 
 def _to_plan(problem: Problem, slow: Mask) -> Problem:

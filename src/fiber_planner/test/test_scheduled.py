@@ -67,7 +67,7 @@ def test_moves_obey_the_rules_and_end_where_they_should_in_nearly_the_least_time
     # each leg behind the one before it
     starts = np.cumsum(legs.on, axis=1) - legs.on
     motion = orders_of(plane, units, legs, starts, start)
-    assert not rules_broken(plane.drive, motion).any()
+    assert len(rules_broken(plane.drive, motion)) == 0
     ends = units.to_counts(motion.end)
     assert (ends == legs.turn).all()
     creep = motors.creep.max(axis=2)
@@ -105,7 +105,7 @@ def test_a_run_on_the_way_that_is_the_whole_turn_still_ends_with_an_approach(pla
     assert (np.abs(legs.turn - turn) <= motors.creep.max(axis=2) // 2 + 1).all()
     starts = np.cumsum(legs.on, axis=1) - legs.on
     motion = orders_of(plane, units, legs, starts, start)
-    assert motion.moves.all() and not rules_broken(plane.drive, motion).any()
+    assert motion.moves.all() and len(rules_broken(plane.drive, motion)) == 0
 
 
 def test_no_move_leaves_the_range_of_a_joint(plane):

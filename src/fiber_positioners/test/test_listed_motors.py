@@ -41,7 +41,7 @@ def test_a_field_is_planned_within_the_rules_and_certified(problem, result):
     assert report["planner"] == "scheduled" and report["drive"] == "desi"
     assert report["reached"] >= 0.9 * report["asked"] > 0
     assert report["drive_violations"] == 0 and report["certified"]
-    assert not rules_broken(plane.drive, motion).any()
+    assert len(rules_broken(plane.drive, motion)) == 0
     assert certify(plane, motion, Safety()).ok
     true_motion = carried_out(plane.drive, motion)
     peak = most_motors_on(true_motion, plane.supply).max()
@@ -81,7 +81,8 @@ def test_profiles_that_listed_speeds_cannot_follow_are_held(problem, result):
     robot, joint = np.argwhere(np.ptp(ends, axis=2) > 0.0)[0]
     speed = np.rad2deg(np.ptp(ends, axis=2)[robot, joint]) / straight.time_s[-1]
     name = f"robot {plane.ids[robot]}: {('theta', 'phi')[joint]} is to turn"
-    assert any(t.startswith(name) and f"{speed:.4g} deg/s" in t for t in done.rules_told)
+    told = done.breaches.told(plane.drive, plane.supply, plane.ids)
+    assert any(t.startswith(name) and f"{speed:.4g} deg/s" in t for t in told)
 
 
 def test_the_command_takes_drive_and_share(capsys):
@@ -115,7 +116,7 @@ def test_corrections_obey_the_rules_too():
     reached = asked & (orders.reason == Reason.OK)
     assert asked.sum() > 0.7 * _N and reached.sum() >= 0.9 * asked.sum()
     motion = orders.wire.decoded()
-    assert certify(plane, motion, Safety()).ok and not rules_broken(plane.drive, motion).any()
+    assert certify(plane, motion, Safety()).ok and len(rules_broken(plane.drive, motion)) == 0
     ends = on_target(plane, motion.end, problem.targets)
     assert ends.error_mm[reached].max() < 0.005
     assert carried_out(plane.drive, motion).makespan_s < 5.0

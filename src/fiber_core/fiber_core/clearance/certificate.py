@@ -318,7 +318,7 @@ def orders_refused(
         motion: joint profiles of all robots, as ordered.
         true_motion: the curves that its drive makes of them.
     """
-    refused = rules_broken(plane.drive, motion)
+    refused = rules_broken(plane.drive, motion).robots(plane.n)
     if plane.drive.motors_on < 1.0:
         kept = true_motion.without(refused)
         refused = refused | overloading(kept, plane.supply, plane.drive.motors_on)

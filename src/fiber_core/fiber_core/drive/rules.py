@@ -4,13 +4,15 @@
 import numba as nb
 import numpy as np
 
-from fiber_core.array_types import Floats, Ids, Ints, Mask, Offsets
+from fiber_core.array_types import Floats, Ints, Offsets
+from fiber_core.drive.breaches import Breaches, MotorRule
 from fiber_core.drive.drive import Drive
 from fiber_core.motion import SegmentMotion
 
-__all__ = ["ramps_of", "rules_broken", "rules_told"]
+__all__ = ["ramps_of", "rules_broken"]
 
-_SPEED, _LEAST, _RAMP, _APPROACH = 1, 2, 3, 4  # rules, in the order of the docs
+_SPEED, _LEAST = int(MotorRule.LISTED_SPEED), int(MotorRule.LEAST_MOVE)
+_RAMP, _APPROACH = int(MotorRule.RAMP), int(MotorRule.APPROACH)
 _REST_RAD_S = 1e-12
 _ROUNDING = 1e-9
 
@@ -26,8 +28,8 @@ def ramps_of(drive: Drive, motion: SegmentMotion) -> Floats:
     return listed.ramp_s[nearest]
 
 
-def rules_broken(drive: Drive, motion: SegmentMotion) -> Mask:
-    """Return the robots with an order that their motors cannot carry out, shape (n,).
+def rules_broken(drive: Drive, motion: SegmentMotion) -> Breaches:
+    """Return the joints with an order that their motors cannot carry out, and the values.
 
     Without listed speeds, none.
 
@@ -36,35 +38,11 @@ def rules_broken(drive: Drive, motion: SegmentMotion) -> Mask:
         motion: the ordered segments, decoded from the bytes.
     """
     if drive.listed is None:
-        return np.zeros(motion.n, dtype=np.bool_)
-    rule, _, _ = _broken(drive, motion)
-    broken: Mask = np.any(rule.reshape(-1, 2) > 0, axis=1)
-    return broken
-
-
-def rules_told(drive: Drive, motion: SegmentMotion, ids: Ids) -> list[str]:
-    """Return for each joint whose motor cannot carry out its order the rule and the value.
-
-    Args:
-        drive: how the motors carry out orders.
-        motion: the ordered segments, decoded from the bytes.
-        ids: ids of the robots, shape (n,).
-    """
-    if drive.listed is None:
-        return []
-    rule, value, allowed = _broken(drive, motion)
-    speeds = ", ".join(f"{x:.4g}" for x in np.rad2deg(drive.listed.speeds_rad_s))
-    told: list[str] = []
-    for joint in np.flatnonzero(rule):
-        x, y = float(np.rad2deg(value[joint])), float(np.rad2deg(allowed[joint]))
-        text = {
-            _SPEED: f"is to turn its motor at {x:.4g} deg/s, listed are {speeds} deg/s",
-            _LEAST: f"is to turn its motor by {x:.4g} deg, at this speed at least {y:.4g} deg",
-            _RAMP: f"rests for {value[joint]:.4g} s after a ramp of {allowed[joint]:.4g} s began",
-            _APPROACH: f"ends with a move of {x:.4g} deg, its approach is {y:.4g} deg in creep",
-        }[int(rule[joint])]
-        told.append(f"robot {ids[joint // 2]}: {('theta', 'phi')[joint % 2]} {text}")
-    return told
+        return Breaches.none()
+    rule, value, least = (column.reshape(-1, 2) for column in _broken(drive, motion))
+    no_interval = rule == MotorRule.LISTED_SPEED
+    most = np.where(no_interval, np.nan, np.inf)
+    return Breaches.of(rule, rule > 0, value, np.where(no_interval, np.nan, least), most)
 
 
 def _of_motors(drive: Drive, motion: SegmentMotion) -> Floats:
