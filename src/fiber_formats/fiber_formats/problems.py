@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiber_core.drive.named import with_drive
+from fiber_core.drive.named import check_share, with_drive
 from fiber_core.fields import random_problem
 from fiber_core.presets import preset as preset_plane
 from fiber_core.problem import Problem, load_problem
@@ -81,6 +81,7 @@ def problem_from(
         plane = with_drive(plane, drive, motors_on)
     elif motors_on is not None:  # the motors stay what the plane says
         plane = replace(plane, drive=replace(plane.drive, motors_on=motors_on))
+    check_share(plane)
     start = None if base is None else base.start
     if starts:
         begun = read_starts(starts, plane)

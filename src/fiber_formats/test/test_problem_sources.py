@@ -81,3 +81,14 @@ def test_a_share_of_motors_alone_leaves_the_motors_as_the_file_says(tmp_path):
     found = problem_from(problem=tmp_path / "problem.npz", motors_on=0.5).problem.plane.drive
     assert (found.ramp_s, found.motors_on) == (0.1, 0.5)
     np.testing.assert_array_equal(found.acceleration_rad_s2, own.drive.acceleration_rad_s2)
+
+
+def test_a_supply_that_may_feed_less_than_one_motor_is_refused_by_name(tmp_path):
+    plane = preset("desi", 5)
+    told = r"supply 0: 0.05 of its 10 motors is 0.5, and less than one motor moves no robot"
+    with pytest.raises(FiberError, match=told):
+        problem_from(preset="desi", robots=5, motors_on=0.05)
+    capped = replace(plane, drive=Drive(5, supply=np.zeros(5), motors_on=0.05))
+    save_problem(tmp_path / "problem.npz", random_problem(capped, np.random.default_rng(1)))
+    with pytest.raises(FiberError, match=told):
+        problem_from(problem=tmp_path / "problem.npz")

@@ -15,7 +15,7 @@ from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
 
-__all__ = ["DRIVES", "DriveFigures", "with_drive"]
+__all__ = ["DRIVES", "DriveFigures", "check_share", "with_drive"]
 
 
 @dataclass(frozen=True)
@@ -116,12 +116,16 @@ def with_drive(plane: FocalPlane, name: str, motors_on: float | None = None) -> 
         motors_on=before.motors_on if motors_on is None else motors_on,
     )
     equipped = replace(plane, drive=drive)
-    _check_share(equipped)
+    check_share(equipped)
     return equipped
 
 
-def _check_share(plane: FocalPlane) -> None:
-    # every supply must feed a motor
+def check_share(plane: FocalPlane) -> None:
+    """Refuse a plane with a supply that may not feed a single motor.
+
+    Raises:
+        LayoutError: names the supply and the share.
+    """
     share, supply = plane.drive.motors_on, plane.supply
     none = motors_allowed(supply, share) < 1
     if none.any():

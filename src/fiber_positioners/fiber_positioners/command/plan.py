@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--motors-on",
         type=share,
         metavar="SHARE",
-        help="most motors of a supply on at once, 0 to 1",
+        help="most motors of a supply on at once, above 0 to 1",
     )
     add("--seed", type=int, default=0, help="seed of the random field and of the robots' clocks")
     add("--planner", choices=planners(), help="by default direct, for listed speeds scheduled")
