@@ -22,6 +22,19 @@ def test_the_page_of_interfaces_is_up_to_date(pages):
     assert page == fresh, f"run tools/interfaces.py: {stale[:5]}"
 
 
+LEANING = re.compile(r"(The same|Nor|Of|And|Its?|Their)\b|\w*[_.]\w|\w of the paper")
+
+
+def test_a_meaning_is_read_without_the_rows_beside_it(pages):
+    # as `ros2 param describe` shows it: no words that lean on another one, no name that a capital
+    # has changed
+    rows = [line.strip("|").split(" | ") for line in pages[1].splitlines() if line[:3] == "| `"]
+    meanings = {cells[0]: cells[-1] for cells in rows if len(cells) == 6 and "/" not in cells[0]}
+    assert len(meanings) > 100
+    leaning = {name: text for name, text in meanings.items() if LEANING.match(text.strip())}
+    assert not leaning
+
+
 def test_every_row_has_a_meaning_and_every_topic_an_end(pages):
     rows = [line.strip("|").split(" | ") for line in pages[1].splitlines() if line[:3] == "| `"]
     assert len(rows) > 100

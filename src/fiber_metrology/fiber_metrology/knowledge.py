@@ -27,7 +27,8 @@ class DriveErrors:
     Args:
         blind_um: error of one coordinate of a fibre after a blind move, 1 sigma, of all moves
             together [um].
-        corrected_um: the same after a correction of a measured robot [um].
+        corrected_um: error of one coordinate of a fibre after a correction of a measured robot,
+            1 sigma [um].
         sigmas: errors at which the interval of a robot ends that was moved and not seen since.
         base_um: the part of the error of a coordinate that the length of a move does not change,
             1 sigma [um].

@@ -38,7 +38,8 @@ class MeasureConfig:
         error_um: rms error of one coordinate of a place in one exposure [um].
         sigmas: errors at which an interval ends.
         moved_um: a joint that should have moved its fibre less than this is not judged [um].
-        moved_sigmas: nor one that should have moved it less than so many errors of the drive.
+        moved_sigmas: a joint that should have moved its fibre less than so many errors of the drive
+            is not judged.
         blame: a joint did not turn if it is less likely than this that both did.
         found: least share of the lights that must be of robots, in an image with a light for every
             second robot or more; else it is not of this plane.

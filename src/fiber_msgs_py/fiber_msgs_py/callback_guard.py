@@ -3,7 +3,8 @@
 
 A message may come from any program, and one that no decoder was made for must not end a node that
 moves robots. `Topic.subscription` and `Service.server` put the guard round every callback. Errors
-that a callback expects, such as a MessageError, it handles itself.
+that a callback expects, such as a MessageError, it handles itself. What fails after the context of
+the node was shut down is no fault, and is not reported.
 """
 
 import traceback
@@ -66,6 +67,8 @@ def guarded_service(
 
 
 def _report(node: Any, name: str, error: Exception) -> str:
+    if not node.context.ok():  # after a signal whatever a callback asks of the graph fails
+        return f"{name}: the node ends"
     _failures.append(error)
     place = traceback.extract_tb(error.__traceback__)[-1]
     text = (

@@ -226,13 +226,14 @@ class NodeParameters:
                     yield f"{name} = {_plain(value)!r}"
 
     def _with_numbers(self, parameters: list[Parameter]) -> list[Parameter]:
-        # a whole number serves for a number, as `ros2 param set planner dnf.lambda1 2`
+        # a whole number serves for a number, as `ros2 param set planner dnf.lambda1 2`, and so does
+        # 1e-5, which YAML takes for a text: `ros2 param load` writes small numbers so
         entries = {name: entry for group in self._groups for name, entry in group.entries.items()}
         converted = []
         for each in parameters:
-            value: Any = each.value
-            if type(value) is int and each.name in entries and entries[each.name].is_float:
-                each = Parameter(each.name, Parameter.Type.DOUBLE, float(value))
+            number = _number(each.value)
+            if number is not None and each.name in entries and entries[each.name].is_float:
+                each = Parameter(each.name, Parameter.Type.DOUBLE, number)
             converted.append(each)
         return converted
 
@@ -321,6 +322,16 @@ def _descriptor(
     if choices is not None:
         descriptor.additional_constraints = f"one of {', '.join(map(str, choices))}"
     return descriptor
+
+
+def _number(value: Any) -> float | None:
+    """Return the number that a whole number or a text stands for, or None."""
+    if type(value) not in (int, str):
+        return None
+    try:
+        return float(value)
+    except ValueError:
+        return None
 
 
 def _many(value: Any) -> bool:

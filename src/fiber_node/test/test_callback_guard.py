@@ -2,11 +2,14 @@
 """Exceptions that escape callbacks, and floods of refused messages, on real nodes."""
 
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from fiber_msgs_py import Level, RateLimit, diagnostics, topics
-from fiber_msgs_py.callback_guard import take_failures
+from fiber_msgs_py.callback_guard import guarded, guarded_service, take_failures
 from fiber_node import Reporter, RosClient
 
 WAIT_S = 20.0
@@ -61,6 +64,21 @@ def test_an_exception_in_a_service_is_answered_as_a_failure(ros):
         answer = future.result()
         assert not answer.success and "a callback without care" in answer.message
     assert len(take_failures()) == 2
+
+
+def test_what_fails_because_the_node_ends_is_no_fault(new_domain, capfd):
+    context = Context()
+    rclpy.init(args=[], context=context, domain_id=new_domain())
+    node = Node("bridge", context=context)
+    look = guarded(node, "plans", node.get_topic_names_and_types)
+    look()
+    context.shutdown()  # as a signal does, while a callback is at work
+    look()
+    stop = guarded_service(node, "stop", lambda *_: node.get_topic_names_and_types())
+    answered = stop(Trigger.Request(), Trigger.Response())
+    assert not answered.success and answered.message == "stop: the node ends"
+    node.destroy_node()
+    assert not take_failures() and "unexpected" not in capfd.readouterr().err
 
 
 def test_a_source_logs_one_line_a_second_with_the_number_left_out():

@@ -157,6 +157,10 @@ def test_a_change_is_in_effect_or_refused_with_the_reason(rig, capfd):
     assert rig.set(core__gain=3.0).successful and rig.node.law.value.gain == 3.0
     assert rig.set(core__gain=4).successful  # a whole number serves
     assert rig.get("core.gain") == [4.0] and rig.node.law.value.gain == 4.0
+    for text in ("1e-5", "2.5"):  # what YAML takes for a text, as ros2cli hands it over
+        assert not rig.set(core__gain="1e-5").successful
+        assert rig.set(core__budget_s=text).successful
+        assert rig.node.law.value.budget_s == float(text)
     assert rig.set(core__horizon_s=9.5).successful and rig.node.law.value.horizon_s == 9.5
     assert rig.set(core__horizon_s=0.0).successful and rig.node.law.value.horizon_s is None
     assert rig.set(core__watch=[4, 5]).successful and rig.node.law.value.watch == (4, 5)
@@ -167,6 +171,8 @@ def test_a_change_is_in_effect_or_refused_with_the_reason(rig, capfd):
         ({"core__rounds": 10}, "core.rounds"),
         ({"core__method": "bogus"}, "no method is called 'bogus'"),
         ({"core__gain": "much"}, "type"),
+        ({"core__gain": "nan"}, "core.gain out of range"),
+        ({"core__rounds": "3"}, "type"),
         ({"fixed__gain": 3.0}, "read-only"),
         ({"unknown": 3.0}, "parameter unknown does not exist"),
         ({"gain": 3.0}, "did you mean core.gain or fixed.gain?"),

@@ -31,7 +31,7 @@ class SimulationConfig:
     """The simulated plane, the errors of its clocks, and its faults.
 
     Args:
-        problem: problem.npz with plane and starts; takes precedence over layout,
+        problem: file problem.npz with plane and starts; takes precedence over layout,
             preset and robots.
         layout: files of robots, of any format of fiber_formats, joined by commas; the preset
             supplies what they lack.
@@ -44,7 +44,8 @@ class SimulationConfig:
         clock_ppm: largest error of a robot's clock, in both directions [1e-6].
         start_skew_s: largest delay of a robot's start after a GO [s].
         volatile: whether a loss of power sets the encoders of a robot to 0.
-        faults: names of FaultKind with their numbers, as "stall:2,scl_stuck".
+        faults: faults that the simulation has, with their numbers, as "stall:2,scl_stuck"; an
+            unknown name is refused with those that exist.
         faults_from_s: earliest begin of a fault, simulated time [s].
         faults_until_s: latest begin of a fault [s]. The first plan of 5000 robots moves from
             0.6 s on.

@@ -34,8 +34,10 @@ class Safety:
         stop_skew_s: worst difference between the instants at which two positioners stop
             when one of them fails on its way [s]. Then the margin may be used up, and
             outlines must not touch.
-        border_start_skew_s: start_skew_s of two positioners of different sectors [s].
-        border_stop_skew_s: stop_skew_s of two positioners of different sectors [s].
+        border_start_skew_s: worst difference between the instants at which two positioners of
+            different sectors start [s].
+        border_stop_skew_s: worst difference between the instants at which two positioners of
+            different sectors stop when one of them fails on its way [s].
 
     Raises:
         MotionError: a value is not a number, negative or out of bounds; names it.

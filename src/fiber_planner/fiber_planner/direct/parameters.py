@@ -21,10 +21,12 @@ class DirectParameters:
         margin_mm: margin, the gap between outlines that must remain at every instant [mm].
         clock_ppm: largest error of a positioner's clock, fast or slow [1e-6].
         start_skew_s: largest difference between the starts of two positioners [s].
-        stop_skew_s: largest difference between their stops when one must stop early [s].
-        border_start_skew_s: largest difference between starts of two positioners of different
+        stop_skew_s: largest difference between the stops of two positioners when one must stop
+            early [s].
+        border_start_skew_s: largest difference between the starts of two positioners of
+            different sectors [s].
+        border_stop_skew_s: largest difference between the stops of two positioners of different
             sectors [s].
-        border_stop_skew_s: largest difference between their stops [s].
         allowance_mm: gap that is planned beyond the one that safety requires [mm];
             discretization and rounding may use it up.
         intervals: approximate number of intervals of the common time grid; every breakpoint
@@ -38,7 +40,7 @@ class DirectParameters:
             evaluate, per robot, once a plan is found; 0 returns the first plan.
         budget_s: computing time after which the best certified plan so far is returned [s].
             The plan then depends on the speed of the machine.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
 
     Raises:
         PlannerError: a value is out of range.

@@ -32,9 +32,10 @@ class DnfParameters:
     Args:
         lambda1: weight of the attraction to the target [1/mm^2].
         lambda2: weight of the repulsion between neighbours [1/s].
-        outer_mm: D of the paper, distance below which neighbours repel [mm]; None for
+        outer_mm: distance of tips below which neighbours repel [mm], the D of the paper; None for
             the plane's envelope.
-        inner_mm: d of the paper, distance that they never reach [mm]; None for half of D.
+        inner_mm: distance that tips of neighbours never reach [mm], the d of the paper; None for
+            half of outer_mm.
         dt_s: time step [s]; None for the paper's 10 ms at 180 deg/s, longer in
             proportion if the fastest joint is slower.
         tolerance_mm: a tip this near to its target has arrived [mm].
@@ -47,7 +48,7 @@ class DnfParameters:
         attraction: attraction of the target: 'joint' towards the goal in joint space, or 'tip'
             as printed.
         adaptive: whether steps are shortened near neighbours so that no two come nearer
-            than d; False is the fixed step of the papers.
+            than inner_mm; False is the fixed step of the papers.
 
     Raises:
         PlannerError: a value is out of range.

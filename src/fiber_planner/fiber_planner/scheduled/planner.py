@@ -41,13 +41,17 @@ class ScheduledParameters:
         margin_mm: margin, the gap between outlines that must remain at every instant [mm].
         clock_ppm: largest error of a positioner's clock, fast or slow [1e-6].
         start_skew_s: largest difference between the starts of two positioners [s].
-        stop_skew_s: largest difference between their stops when one must stop early [s].
-        border_start_skew_s, border_stop_skew_s: the same two for robots of different sectors [s].
+        stop_skew_s: largest difference between the stops of two positioners when one must stop
+            early [s].
+        border_start_skew_s: largest difference between the starts of two positioners of
+            different sectors [s].
+        border_stop_skew_s: largest difference between the stops of two positioners of different
+            sectors [s].
         slack: by how much the first makespan that is tried exceeds its bound, as a share of it.
         stretch: longest makespan tried, in units of the bound.
         rounds: rounds of the local search at each makespan.
         candidates: motions that a robot in conflict tries in a round.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
 
     Raises:
         PlannerError: a value is out of range.
