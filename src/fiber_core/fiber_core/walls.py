@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_core import bounds
-from fiber_core.array_types import Floats, Points
+from fiber_core.array_types import Bools, Floats, Ints, Points
 from fiber_core.errors import LayoutError
 from fiber_core.validation import frozen_array
 
@@ -34,12 +34,13 @@ def checked_walls(walls: ArrayLike) -> Floats:
         raise LayoutError(
             f"wall {at}: corners must be {-most:.6g} to {most:.6g} mm, got {checked[at].tolist()}"
         )
-    for number, corners in enumerate(checked):
-        if not is_convex(corners):
-            raise LayoutError(
-                f"wall {number} is not convex: split it into convex parts, or into its edges as "
-                f"lines of two corners; got {corners.tolist()} mm"
-            )
+    convex = _are_convex(checked)
+    if not convex.all():
+        at = int(np.argmin(convex))
+        raise LayoutError(
+            f"wall {at} is not convex: split it into convex parts, or into its edges as lines of "
+            f"two corners; got {checked[at].tolist()} mm"
+        )
     return checked
 
 
@@ -78,11 +79,20 @@ def is_convex(corners: Points) -> bool:
     Args:
         corners: in order, either way round [mm], shape (c, 2).
     """
-    edges = np.diff(corners, axis=0, append=corners[:1])
-    edges = edges[(edges != 0.0).any(axis=1)]
-    if len(edges) <= 2:
-        return True
-    (x, y), (u, v) = edges.T, np.roll(edges, -1, axis=0).T
-    turns = np.arctan2(x * v - y * u, x * u + y * v)
-    to_one_side = (turns >= -_STRAIGHT_RAD).all() or (turns <= _STRAIGHT_RAD).all()
-    return bool(to_one_side and abs(abs(turns.sum()) - 2 * np.pi) < 1e-6)
+    return bool(_are_convex(np.asarray(corners)[None])[0])
+
+
+def _are_convex(walls: Floats) -> Bools:
+    # is_convex for each wall at once, (w,): a plane has hundreds, and is made anew in many places
+    edges = np.roll(walls, -1, axis=1) - walls
+    is_edge = np.any(edges != 0.0, axis=2)
+    order = np.argsort(~is_edge, axis=1, kind="stable")  # edges without length come last
+    edges = np.take_along_axis(edges, order[..., None], axis=1)
+    count: Ints = np.count_nonzero(is_edge, axis=1).astype(np.int64)[:, None]
+    number = np.arange(int(walls.shape[1]))
+    after = np.take_along_axis(edges, ((number + 1) % np.maximum(count, 1))[..., None], axis=1)
+    (x, y), (u, v) = np.moveaxis(edges, -1, 0), np.moveaxis(after, -1, 0)
+    turns = np.where(number < count, np.arctan2(x * v - y * u, x * u + y * v), 0.0)
+    to_one_side = (turns >= -_STRAIGHT_RAD).all(axis=1) | (turns <= _STRAIGHT_RAD).all(axis=1)
+    once = np.abs(np.abs(turns.sum(axis=1)) - 2 * np.pi) < 1e-6
+    return np.asarray((count[:, 0] <= 2) | (to_one_side & once))

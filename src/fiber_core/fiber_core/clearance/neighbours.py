@@ -16,6 +16,8 @@ from fiber_core.walls import distances_to_walls
 
 __all__ = ["Neighbours", "most_neighbours", "neighbour_pairs", "neighbours_of"]
 
+_ROUNDING_MM = 1e-6  # above the rounding of distances in a plane
+
 # the pairs of every plane in use, by slack; a plane never changes
 _known: WeakKeyDictionary[FocalPlane, dict[float, Pairs]] = WeakKeyDictionary()
 
@@ -92,6 +94,11 @@ def _near_walls(plane: FocalPlane, robots: cKDTree, slack_mm: float) -> Pairs:
     near = robots.query_ball_point(middles, around + reach.max() + slack_mm)
     number = np.repeat(np.arange(len(walls)), [len(found) for found in near])
     robot = np.concatenate(near).astype(np.int64)
+    # most robots in the circle around a long wall are far from it: the box around it tells
+    half = 0.5 * np.ptp(walls, axis=1)
+    beside = np.abs(plane.centers[robot] - middles[number]) - half[number]
+    in_box = np.hypot(*np.maximum(beside, 0.0).T) <= reach[robot] + slack_mm + _ROUNDING_MM
+    robot, number = robot[in_box], number[in_box]
     apart = distances_to_walls(plane.centers[robot], walls[number])
     close = apart <= reach[robot] + slack_mm
     return np.stack([robot, plane.n + len(plane.obstacles) + number], axis=1)[close]
