@@ -18,7 +18,7 @@ from fiber_client.missing import missing_parts
 from fiber_client.monitor import STAGES, PlaneMonitor
 from fiber_core.outcomes import PlanOutcome
 from fiber_msgs_py import PlanStamp, Progress, Service, Topic, diagnostics, targets, topics
-from fiber_node import BRIDGE, RosClient, claims
+from fiber_node import BRIDGE, RepeatedRequest, RosClient, claims
 
 __all__ = ["PlaneClient"]
 
@@ -324,9 +324,9 @@ class PlaneClient(PlaneMonitor):
         """
         client = self._services[service]
         self._wait_for_bridge(client.service_is_ready, timeout_s, f"service {service.name}")
-        future = client.call_async(service.type.Request())
-        self._wait_for_bridge(future.done, timeout_s, f"answer of {service.name}")
-        answer = future.result()
+        request = RepeatedRequest(self.node, client, service.type.Request(), self._clock)
+        self._wait_for_bridge(request.done, timeout_s, f"answer of {service.name}")
+        answer = request.result()
         if answer is None:
             raise PlaneError(f"service {service.name} gave no answer")
         if not answer.success:

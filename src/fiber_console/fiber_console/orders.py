@@ -13,6 +13,7 @@ from rclpy.task import Future
 from fiber_client.errors import PlaneRefusal
 from fiber_console.errors import ConsoleError
 from fiber_msgs_py import topics
+from fiber_node import RepeatedRequest
 
 __all__ = ["ORDERS", "BridgeOrders"]
 
@@ -65,7 +66,12 @@ class BridgeOrders:
         client = self._clients[order]
         if not client.service_is_ready():
             raise ConsoleError(f"{order}: there is no bridge in the graph")
-        answer = self._answer_of(client.call_async(_SERVICES[order].type.Request()), order)
+        request = RepeatedRequest(self._node, client, _SERVICES[order].type.Request())
+        if not request.wait(self._timeout_s):
+            raise self._silent(order)
+        answer = request.result()
+        if answer is None:
+            raise ConsoleError(f"{order}: the bridge gave no answer")
         if not answer.success:
             raise PlaneRefusal(_BRIDGE, answer.message)
         return answer.message
@@ -106,5 +112,8 @@ class BridgeOrders:
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
         if not done.wait(self._timeout_s):
-            raise ConsoleError(f"{what}: the bridge did not answer within {self._timeout_s:g} s")
+            raise self._silent(what)
         return future.result()
+
+    def _silent(self, what: str) -> ConsoleError:
+        return ConsoleError(f"{what}: the bridge did not answer within {self._timeout_s:g} s")

@@ -8,6 +8,7 @@ from fiber_node.parameters import Declared, NodeParameters, ParameterError
 from fiber_node.params_files import warn_of_sections
 from fiber_node.plane_cache import PlaneCache
 from fiber_node.plane_node import PlaneNode
+from fiber_node.repeated_request import RepeatedRequest
 from fiber_node.reporter import Reporter
 from fiber_node.ros_client import RosClient, WaitError
 from fiber_node.run_node import run
@@ -27,6 +28,7 @@ __all__ = [
     "ParameterError",
     "PlaneCache",
     "PlaneNode",
+    "RepeatedRequest",
     "Reporter",
     "RosClient",
     "SessionGate",
