@@ -20,8 +20,8 @@ class RepeatedRequest:
     """A request that is sent again whenever another server of its service has come.
 
     The middleware delivers a request to the servers that it knows as it is sent, and knows one that
-    was killed until its lease ends. Meanwhile its service counts as there, and a request reaches
-    nobody if the next server is not known yet. Nothing is sent again to servers that were there.
+    was killed until its lease ends. Meanwhile its service counts as there, and a request reaches no
+    server if the next one is not known yet. Nothing is sent again to servers that were there.
 
     Args:
         node: the node that asks.
