@@ -335,7 +335,9 @@ def _figures(report: dict[str, Any]) -> str:
 
 def _clearance(report: dict[str, Any]) -> str:
     least = report["min_clearance_mm"]
-    return "no robots near each other" if least is None else f"{least:.4f}"
+    nearer = len(report["nearer_from_start"])
+    text = "no robots near each other" if least is None else f"{least:.4f}"
+    return f"{text}, {nearer} pairs nearer from the start" if nearer else text
 
 
 if __name__ == "__main__":

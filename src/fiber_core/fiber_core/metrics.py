@@ -101,6 +101,7 @@ def plan_metrics(
     certificate: Certificate,
     outcome: Codes,
     reason: Codes,
+    margin_mm: float,
 ) -> dict[str, Any]:
     """Return the figures of a plan: counts, makespan, clearance, segments and end errors.
 
@@ -110,13 +111,15 @@ def plan_metrics(
         certificate: the certificate of that motion.
         outcome: Outcome of each robot, shape (n,).
         reason: Reason of each robot, shape (n,).
+        margin_mm: gap that the certificate asks of resting robots.
 
     Returns:
         Plain numbers and strings, ready for JSON. The peak of motors is the largest share of
         the motors of a supply, or of a bus, that turn at once. Segments are counted per motor that
         moves. The end error is the distance from the fibre at the end of the motion to
         the target, over the robots that reached their target. Pairs that are close at rest are
-        nearer than the margin and may not move.
+        nearer than the margin and may not move. The least clearance is of pairs that are not
+        nearer than the margin from the start; those that are, are named with their gaps.
     """
     plane = problem.plane
     asked = problem.asked
@@ -130,6 +133,8 @@ def plan_metrics(
     makespan_s = true_motion.makespan_s
     codes, counts = np.unique(reason[asked], return_counts=True)
     close = certificate.pairs[certificate.close_at_rest]
+    nearer = certificate.nearer(plane, motion.start, margin_mm)
+    at = int(np.argmin(np.where(nearer, np.inf, certificate.gap_mm))) if not nearer.all() else -1
     return {
         "plane": plane.name,
         "drive": plane.drive.name,
@@ -152,9 +157,15 @@ def plan_metrics(
         "drive_violations": int(certificate.limits_broken.sum()),
         "certified": certificate.ok,
         "close_at_rest_ids": [_names(plane, pair) for pair in close.tolist()],
-        "min_clearance_mm": certificate.min_gap_mm if certificate.min_pair else None,
-        "min_clearance_ids": _names(plane, certificate.min_pair),
-        "min_clearance_time_s": certificate.min_time_s if certificate.min_pair else None,
+        "min_clearance_mm": float(certificate.gap_mm[at]) if at >= 0 else None,
+        "min_clearance_ids": _names(plane, certificate.pairs[at].tolist()) if at >= 0 else [],
+        "min_clearance_time_s": float(certificate.time_s[at]) if at >= 0 else None,
+        "nearer_from_start": [
+            {"ids": _names(plane, pair), "gap_mm": gap}
+            for pair, gap in zip(
+                certificate.pairs[nearer].tolist(), certificate.gap_mm[nearer].tolist()
+            )
+        ],
         "segments_mean": float(segments.mean()) if len(segments) else 0.0,
         "segments_max": int(segments.max(initial=0)),
         "segments_bound": 1.0,

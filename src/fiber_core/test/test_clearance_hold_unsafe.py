@@ -177,15 +177,17 @@ def test_resting_robots_too_close_at_the_start_are_reported_and_the_rest_is_made
     assert certificate.min_gap_mm == pytest.approx(-2.0, abs=1e-3)
     # what is told of the motion is not the overlap of two robots that rest
     margin_mm = Safety().margin_mm
-    least_mm, nearer = certificate.of_moving(_moving(motion), margin_mm)
-    assert margin_mm <= least_mm < 10.0 and nearer == 1
+    nearer = certificate.nearer(plane, motion.start, margin_mm)
+    assert certificate.pairs[nearer].tolist() == [[0, 1]]
+    assert margin_mm <= certificate.gap_mm[~nearer].min() < 10.0
 
 
 def test_a_robot_that_leaves_one_too_close_is_told_as_nearer_from_the_start():
     plane, wished = _sweeps([[0.0, 0.0], [9.0, 0.0]], [0.0, np.pi], [1.0, 0.0])
     motion, held, certificate = hold_until_safe(plane, wished, Safety())
     assert certificate.ok and not held.any() and certificate.min_gap_mm < 0.0
-    assert certificate.of_moving(_moving(motion), Safety().margin_mm) == (np.inf, 1)
+    nearer = certificate.nearer(plane, motion.start, Safety().margin_mm)
+    assert nearer.sum() == 1 and nearer.all()
 
 
 def test_only_the_given_pairs_are_examined():

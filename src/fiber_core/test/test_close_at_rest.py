@@ -63,5 +63,8 @@ def test_the_report_names_the_pair():
     outcome = np.array([Outcome.HELD, Outcome.REACHED])
     reason = np.array([Reason.NO_TARGET, Reason.OK])
     certificate = certify(plane, motion, Safety(MARGIN_MM))
-    report = plan_metrics(problem, motion, certificate, outcome, reason)
+    report = plan_metrics(problem, motion, certificate, outcome, reason, MARGIN_MM)
     assert report["certified"] and report["close_at_rest_ids"] == [[int(plane.ids[0]), "wall 0"]]
+    (nearer,) = report["nearer_from_start"]
+    assert nearer["ids"] == [int(plane.ids[0]), "wall 0"]
+    assert nearer["gap_mm"] == pytest.approx(0.04, abs=1e-3)

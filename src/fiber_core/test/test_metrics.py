@@ -27,7 +27,7 @@ def _report(problem, motion):
     outcome = np.where(problem.asked, Outcome.REACHED, Outcome.HELD)
     reason = np.where(problem.asked, Reason.OK, Reason.NO_TARGET)
     certificate = certify(problem.plane, motion, Safety())
-    return plan_metrics(problem, motion, certificate, outcome, reason)
+    return plan_metrics(problem, motion, certificate, outcome, reason, Safety().margin_mm)
 
 
 def test_a_direct_motion_meets_the_lower_bound():
@@ -54,6 +54,28 @@ def test_disabled_robots_do_not_count_in_the_bound():
     enabled = np.arange(7) > 0
     off = Problem(problem.plane.with_enabled(enabled), problem.start, problem.targets)
     assert lower_bound_s(off) == 0
+
+
+def test_pairs_too_close_from_the_start_are_named_and_are_not_the_least_clearance():
+    problem, motion = _turned(7)
+    alone = _report(problem, motion)
+    assert alone["nearer_from_start"] == []
+    # the last two robots rest, with arms that overlap
+    start = motion.start.copy()
+    towards = problem.plane.centers[6] - problem.plane.centers[5]
+    theta = np.arctan2(*towards[::-1])
+    start[5], start[6] = (theta, 0.0), (theta + np.pi, 0.0)
+    overlapping = SegmentMotion(start, motion.offsets, motion.duration_s, motion.velocity_rad_s)
+    report = _report(Problem(problem.plane, start, problem.targets), overlapping)
+    ids = problem.plane.ids[[5, 6]].tolist()
+    named = {tuple(each["ids"]): each["gap_mm"] for each in report["nearer_from_start"]}
+    assert named[tuple(ids)] < 0.0 and all(gap < Safety().margin_mm for gap in named.values())
+    assert report["min_clearance_mm"] >= Safety().margin_mm
+    assert tuple(report["min_clearance_ids"]) not in named
+    # the bound is as tight as that of a plane without such pairs
+    pair = problem.plane.index_of(report["min_clearance_ids"])
+    exact = certify(problem.plane, overlapping, Safety(), [np.sort(pair)])
+    assert report["min_clearance_mm"] == pytest.approx(exact.min_gap_mm, abs=2e-3)
 
 
 def test_metrics_of_a_single_robot_are_json():

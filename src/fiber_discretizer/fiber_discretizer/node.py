@@ -4,6 +4,7 @@
 from functools import partial
 from typing import Any
 
+import numpy as np
 from trajectory_msgs.msg import JointTrajectory
 
 from fiber_core.clearance import Safety
@@ -177,8 +178,8 @@ class DiscretizerNode(ManagedNode):
                 f"to something that does not move either"
             )
         moving = int(wire.moves.sum())
-        least_mm, nearer = certificate.of_moving(wire.moves, safety.margin_mm)
-        clearance = f"{least_mm:.4f}"
+        close_pairs = certificate.nearer(plane, wire.decoded().start, safety.margin_mm)
+        clearance = f"{certificate.gap_mm[~close_pairs].min(initial=np.inf):.4f}"
         self.reporter.counters |= {
             "plan": attempt,
             "moving": moving,
@@ -190,7 +191,7 @@ class DiscretizerNode(ManagedNode):
             attempt,
             f"{moving} robots move, {is_held.sum()} held, {len(wire.ticks)} segments, "
             f"least clearance {clearance} mm"
-            + (f", {nearer} pairs nearer from the start" if nearer else ""),
+            + (f", {close_pairs.sum()} pairs nearer from the start" if close_pairs.any() else ""),
         )
         if corridors_wanted:
             found = joint_corridors(plane, wire.decoded(), safety)

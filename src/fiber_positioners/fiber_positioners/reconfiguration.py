@@ -88,7 +88,12 @@ class Reconfiguration:
         costs, orders = self.run.costs, self.orders
         bound = pair_bound(orders.start_problem, orders.safety.margin_mm)
         figures = plan_metrics(
-            self.problem, self.motion, self.certificate, self.outcome, self.reason
+            self.problem,
+            self.motion,
+            self.certificate,
+            self.outcome,
+            self.reason,
+            orders.safety.margin_mm,
         )
         return {
             "planner": self.orders.planner,

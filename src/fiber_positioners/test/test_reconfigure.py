@@ -38,6 +38,7 @@ REPORT_KEYS = [
     "power_bound_s", "motors_on", "motors_on_peak", "drive_violations", "certified",
     "close_at_rest_ids",
     "min_clearance_mm", "min_clearance_ids", "min_clearance_time_s",
+    "nearer_from_start",
     "segments_mean", "segments_max", "segments_bound",
     "end_error_um_rms", "end_error_um_max", "held_by_drive", "reachable_at_once", "pair_bound_s",
     "pair_bound_proven", "makespan_to_pair_bound", "bytes_mean", "bytes_bound", "bus_time_s",

@@ -132,7 +132,9 @@ def _report_and_certificate(
     ok = ordered[0].ok and all(resumed_ok)
     segments = np.concatenate([phase.motion.parts.counts for phase in phases])
     segments = segments[segments > 0]
-    metrics = plan_metrics(problem, followed.executed, executed, outcome.outcome, outcome.reason)
+    metrics = plan_metrics(
+        problem, followed.executed, executed, outcome.outcome, outcome.reason, safety.margin_mm
+    )
     report = metrics | {
         "certified": ok,
         "segments_mean": float(segments.mean()) if len(segments) else 0.0,

@@ -201,7 +201,7 @@ def _report_and_certificate(
 ) -> tuple[dict, dict]:
     safety = Safety()
     certificate = certify(problem.plane, motion, safety)
-    report = plan_metrics(problem, motion, certificate, outcome, reason)
+    report = plan_metrics(problem, motion, certificate, outcome, reason, safety.margin_mm)
     return (
         report | {"bytes_mean": 10.0, "bus_time_s": 0.02},
         {"margin_mm": safety.margin_mm, "ok": certificate.ok},

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from fiber_core.array_types import Floats, Gaps, Mask, Pairs, Rows, Times
 from fiber_core.bounds import MAX_ANGLE_RAD, MAX_SPEED_RAD_S
 from fiber_core.clearance.collision_bodies import Bodies, bodies_of
+from fiber_core.clearance.distance import gaps
 from fiber_core.clearance.minimum_distance import FINEST_MM, Minima, minimum_gaps
 from fiber_core.clearance.neighbours import neighbour_pairs
 from fiber_core.clearance.safety import Safety
@@ -24,6 +25,7 @@ from fiber_core.motors import motors_broken
 __all__ = ["Certificate", "certified_pairs", "certify", "certify_arms", "smallest_gaps", "unproven"]
 
 _TOLERANCE_MM = 0.5e-3
+_AT_REQUIRED_MM = 2e-3  # above the gap required: resolved, and that of a pair that leaves
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,25 +87,25 @@ class Certificate:
 
     @property
     def min_gap_mm(self) -> float:
-        """Smallest gap of all pairs [mm], a lower bound within the tolerance; inf without pairs."""
+        """Smallest gap of all pairs [mm], a lower bound within the tolerance; inf without pairs.
+
+        Also of pairs that are too close from the start: `nearer` tells them.
+        """
         return float(self.gap_mm.min(initial=np.inf))
 
-    def of_moving(self, moves: Mask, margin_mm: float) -> tuple[float, int]:
-        """Return what a motion keeps apart, and how many pairs it finds nearer.
+    def nearer(self, plane: FocalPlane, start_rad: ArrayLike, margin_mm: float) -> Mask:
+        """Return the pairs that are nearer than the margin and were so at the start, shape (p,).
 
-        The smallest gap [mm], a lower bound, of the pairs of which a robot moves and that keep the
-        whole margin, inf without such pairs; and the number of pairs that are nearer than the
-        margin from the start: both rest, or one leaves the other (decision 8).
+        Both rest, or one leaves the other (decision 8): what the motion keeps apart are the others.
 
         Args:
-            moves: robots that move, shape (n,).
+            plane: the focal plane.
+            start_rad: joint angles at the start [rad], shape (n, 2).
             margin_mm: the margin.
         """
-        bodies = np.zeros(int(self.pairs.max(initial=len(moves) - 1)) + 1, dtype=bool)
-        bodies[: len(moves)] = moves
-        kept = bodies[self.pairs].any(axis=1) & (self.required_mm >= margin_mm)
-        nearer = int((~kept & (self.gap_mm < margin_mm)).sum())
-        return float(self.gap_mm[kept].min(initial=np.inf)), nearer
+        found = self.gap_mm < margin_mm
+        found[found] = gaps(plane, self.pairs[found], start_rad) < margin_mm
+        return found
 
     @property
     def min_pair(self) -> tuple[int, ...]:
@@ -271,7 +273,12 @@ def certificate_of(
         minima: the smallest gaps as far as they are known; updated.
         tolerance_mm: resolution of the smallest gap [mm].
     """
-    _resolve_smallest(bodies_of(plane), motion, pairs, required, minima, tolerance_mm)
+    bodies = bodies_of(plane)
+    _resolve_smallest(bodies, motion, pairs, required, minima, tolerance_mm)
+    # the smallest gap may be that of a pair which started too close: of the others too
+    others = np.flatnonzero(minima.best > required + _AT_REQUIRED_MM)
+    if len(others) < len(pairs):
+        _resolve_smallest(bodies, motion, pairs, required, minima, tolerance_mm, others)
     below = minima.lower < required
     fixed = below & fixed_pairs(plane, pairs) & (minima.lower > 0.0)
     fixed &= ~_with_fixtures(plane, motion.moves)[pairs].any(axis=1)
@@ -337,12 +344,13 @@ def _resolve_smallest(
     required: Gaps,
     minima: Minima,
     tolerance_mm: float,
+    among: Rows | None = None,
 ) -> None:
     resting = np.zeros(motion.n, dtype=bool)
     tolerance_mm = max(tolerance_mm, FINEST_MM)
-    smallest = minima.best.min(initial=np.inf)
+    rows: Rows = np.arange(len(pairs)) if among is None else among
+    smallest = minima.best[rows].min(initial=np.inf)
     level = required.copy()
-    rows: Rows = np.arange(len(pairs))
     while True:
         # A pair can only have the smallest gap if its lower bound is not clear of the smallest
         # gap found; as that only falls, a pair once clear stays clear.

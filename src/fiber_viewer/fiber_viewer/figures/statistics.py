@@ -33,6 +33,8 @@ def clearances(recording: Recording) -> Figure:
     gap, about = recording.approaches.gap_mm, recording.about
     least = about["report"]["min_clearance_mm"]
     title = "no robot has neighbours" if least is None else f"least clearance {least:.4f} mm"
+    if nearer := about["report"].get("nearer_from_start"):
+        title += f", {len(nearer)} pairs nearer from the start"
     figure, axes = _make_axes(title, "smallest gap of a pair [mm]", "pairs")
     axes.hist(np.minimum(gap, _FAR_MM), bins=np.linspace(0, _FAR_MM, 61).tolist(), color="#0072B2")
     axes.set_xlabel(f"smallest gap of a pair [mm], the last bar is {_FAR_MM:g} mm and more")

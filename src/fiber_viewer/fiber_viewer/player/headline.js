@@ -20,7 +20,7 @@ export function figuresOf(recording) {
     asked: counts.asked, disabled: counts.disabled,
     reached: report.reached, held: counts[HELD], failed: counts[FAILED],
     makespan: report.makespan_s, bound: report.lower_bound_s,
-    clearance: report.min_clearance_mm, margin: certificate.margin_mm,
+    clearance: report.min_clearance_mm, nearer: (report.nearer_from_start ?? []).length, margin: certificate.margin_mm,
     certified: certificate.ok, segments: report.segments_mean, bus: report.bus_time_s,
   };
 }
@@ -64,7 +64,8 @@ export function showHeadline(app, { title, subtitle, figures, notes }) {
     ["failed", `${numbers.failed}`, "", numbers.failed ? "bad" : "", () => app.list.show("faults")],
     ["makespan", numbers.makespan.toFixed(2), ` s, at least ${numbers.bound.toFixed(2)}`],
     ["least clearance", numbers.clearance === null ? "no neighbours" : numbers.clearance.toFixed(3),
-      numbers.clearance === null ? "" : ` mm, margin ${numbers.margin}`, "",
+      (numbers.clearance === null ? "" : ` mm, margin ${numbers.margin}`) +
+        (numbers.nearer ? `; ${numbers.nearer} pairs nearer from the start` : ""), "",
       closest && (() => app.goToApproach(closest))],
     ["certified", numbers.certified ? "yes" : "NO", "", numbers.certified ? "" : "bad"],
     ["segments per motor", numbers.segments.toFixed(2), ""],
