@@ -89,6 +89,7 @@ class Verdict(IntEnum):
     PHI_NOT_MOVED = 7
     OFF_MODEL = 8  # further from where it should be than its errors explain
     UNPLACED = 9  # at an unknown place, and no light is surely that of its fibre
+    UNEXPLAINED = 10  # no light where it should be, and one in its reach that no robot explains
 
 
 # a joint, or both, did not turn when they were told to

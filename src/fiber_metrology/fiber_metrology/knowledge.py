@@ -11,6 +11,7 @@ from fiber_core import bounds, kinematics
 from fiber_core.arm_bounds import arms_within, interval_of_tips
 from fiber_core.array_types import Angles, Floats, Mask
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.outcomes import Verdict
 from fiber_metrology.correction import follows
 from fiber_metrology.errors import MetrologyError
 from fiber_metrology.measure import Expected, Measurement
@@ -98,8 +99,9 @@ class Knowledge:
         self._before_rad: Angles = self._known.copy()
         self._error_um: Floats = np.full(plane.n, self._drive.blind_um)
         self._follows: Mask = np.zeros(plane.n, dtype=bool)
-        self._never_seen: Mask = np.ones(plane.n, dtype=bool)
-        self._images = 0
+        # robots of which some image showed no light at all, and no image anything else
+        self._missed: Mask = np.zeros(plane.n, dtype=bool)
+        self._lit: Mask = np.zeros(plane.n, dtype=bool)
 
     def begin(self, angles: ArrayLike, straight: bool) -> None:
         """Note that a motion begins.
@@ -138,7 +140,7 @@ class Knowledge:
         if self._begin is not None or self._before is None:
             self._take_motion(counters)
         assert self._before is not None
-        dark = self._never_seen & (self._images > 0)
+        dark = self._missed & ~self._lit
         return Expected(self.plane, counters, self._before, self._before_rad, self._error_um, dark)
 
     def outlines_off_mm(self, image: Measurement) -> Floats:
@@ -156,8 +158,10 @@ class Knowledge:
     def learn(self, image: Measurement) -> None:
         """Take over what an image tells."""
         seen = image.certain[:, None]
-        self._never_seen &= image.light < 0
-        self._images += 1
+        nothing = np.isin(image.verdict, (Verdict.MISSING, Verdict.DARK))
+        self._missed |= nothing
+        # a light that may be of the robot is light; an unknown place says nothing of the fibre
+        self._lit |= ~nothing & ((image.verdict != Verdict.UNPLACED) | (image.light >= 0))
         self._follows = follows(image)
         self._known = np.where(seen, image.interval_rad, self._known)
         # where a robot is now is where it was before the next motion

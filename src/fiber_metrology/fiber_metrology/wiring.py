@@ -163,7 +163,9 @@ def tell_wiring(
     moved = np.where(told[row] == row, WiringVerdict.IN_PLACE, WiringVerdict.SWAPPED)
     verdict[row] = np.where(how == WiringVerdict.IN_PLACE, moved, how)
     verdict[~turned] = WiringVerdict.NOT_TURNED
-    return Wiring(verdict, told, spot, doubt, lights)
+    # a light that rests: of a joint that is stuck, a robot that does not answer, or of no robot
+    rests = (word < 0) & (np.isfinite(places[:, :, 0]).mean(axis=1) >= 0.5)
+    return Wiring(verdict, told, spot, doubt, lights, _in_reach(plane, places[rests]))
 
 
 def _drop_open(told: Ints, doubt: Floats) -> None:

@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from fiber_core.array_types import Codes, Floats, Ints, Points
+from fiber_core.array_types import Codes, Floats, Ints, Mask, Points
 from fiber_core.focal_plane import FocalPlane
 
 __all__ = ["Wiring", "WiringVerdict"]
@@ -18,7 +18,7 @@ class WiringVerdict(IntEnum):
 
     IN_PLACE = 0  # it moves a light about its own axis
     SWAPPED = 1  # it moves a light about the axis of another robot
-    NOT_SEEN = 2  # no light moves by its word: dark, stuck, or it does not answer
+    NOT_SEEN = 2  # no light moves by its word: see `Wiring.resting`
     AMBIGUOUS = 3  # a light may move by its word, and what is true of it is not certain
     REVERSED = 4  # it turns phi of a robot the other way
     OTHER_JOINT = 5  # its orders of phi turn theta of a robot
@@ -44,6 +44,9 @@ class Wiring:
             one in a way that none explains, or an arm that another robot may move too.
         lights: number of lights that move by the word of each robot, shape (n,); a faint movement
             is not counted.
+        resting: whether a light that moves by no word is in the reach of each robot, shape (n,):
+            where no light follows a robot and none rests, the fibre that its orders move is dark,
+            or of another robot; where one rests, a joint may be stuck, or the robot not answer.
     """
 
     verdict: Codes
@@ -51,6 +54,7 @@ class Wiring:
     places: Points
     doubt: Floats
     lights: Ints
+    resting: Mask
 
     def lines(self, plane: FocalPlane) -> list[str]:
         """Return a line for each robot that is not at its place, with its doubt."""
@@ -66,7 +70,8 @@ class Wiring:
             elif self.verdict[row] == WiringVerdict.NOT_TURNED:
                 text = "did not turn, nothing is told"
             elif self.verdict[row] == WiringVerdict.NOT_SEEN:
-                text = "no light moves by its orders"
+                text = "no light moves by its orders, "
+                text += f"{'one' if self.resting[row] else 'none'} rests in its reach"
             elif self.lights[row] > 1:
                 text = f"ambiguous, {self.lights[row]} lights move by its orders"
             elif self.doubt[row] >= 1.0:
@@ -86,6 +91,7 @@ class Wiring:
             "x_mm": self.places[:, 0],
             "y_mm": self.places[:, 1],
             "doubt": self.doubt,
+            "resting_light": self.resting.astype(np.int64),
         }
 
     def counts(self) -> dict[str, int]:

@@ -318,3 +318,20 @@ def test_a_robot_that_did_not_turn_is_told_as_that_and_not_as_dark():
     lines = told.lines(robots.plane)
     assert sum("did not turn, nothing is told" in line for line in lines) == rested.sum()
     assert len(told.columns(robots.plane)["verdict"]) == N == sum(told.counts().values())
+
+
+def test_a_dark_fibre_and_a_stuck_joint_are_told_apart_by_the_light_that_rests():
+    robots = Plane(6, swaps=0)
+    robots.share[:] = np.maximum(robots.share, 0.5)
+    robots.dark[:] = False
+    centers = robots.plane.centers
+    far = np.hypot(*(centers - centers[0]).T)
+    dark, stuck = 0, int(np.argmax(far))
+    robots.dark[dark], robots.share[stuck] = True, 0.0
+    told = tell_wiring(robots.plane, robots.words, robots.images(stray=0))
+    check(robots, told)
+    assert told.verdict[[dark, stuck]].tolist() == [WiringVerdict.NOT_SEEN] * 2
+    assert told.resting[[dark, stuck]].tolist() == [False, True]
+    lines = {line.partition(":")[0]: line for line in told.lines(robots.plane)}
+    assert lines[f"robot {robots.plane.ids[dark]}"].endswith("none rests in its reach")
+    assert lines[f"robot {robots.plane.ids[stuck]}"].endswith("one rests in its reach")

@@ -38,7 +38,7 @@ def test_measured_comes_back():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"verdict": np.array([0, 10, 5])}, "robot 8.*verdict"),
+        ({"verdict": np.array([0, 99, 5])}, "robot 8.*verdict"),
         ({"angles": np.full((3, 2), np.nan)}, "robot 7.*theta"),
         ({"wider_mm": np.full((3, 2), -1.0)}, "robot 7.*theta_wider"),
         ({"error_mm": np.zeros(3)}, "robot 8.*error.*does not fit x"),
