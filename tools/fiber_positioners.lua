@@ -51,11 +51,12 @@ local f = {
   watchdog = ProtoField.uint16("fiber.watchdog_ms", "Watchdog (ms)"),
   silence = ProtoField.uint16("fiber.silence_ms", "Silence (ms)"),
   slot = ProtoField.uint16("fiber.slot", "Slot in the roll call"),
-  block = ProtoField.uint8("fiber.block", "Block", base.DEC, { [1] = "GEARS", [2] = "SPEEDS" }),
+  block = ProtoField.uint8("fiber.block", "Block", base.DEC, { [1] = "GEARS", [2] = "SPEEDS", [3] = "RAMPS" }),
   coupling = ProtoField.bytes("fiber.coupling", "Coupling (2^-22), motor by joint"),
   motor_limits = ProtoField.bytes("fiber.motor_limits", "Motor limits (quanta)"),
   motor_speed = ProtoField.bytes("fiber.motor_speed", "Motor speeds (2^-8 units)"),
   speeds = ProtoField.bytes("fiber.speeds", "List of speeds"),
+  ramps = ProtoField.bytes("fiber.ramps", "Ramps (us)"),
   present = ProtoField.bytes("fiber.present", "Roll call, 0 = present"),
   serial = ProtoField.uint32("fiber.serial", "Serial number"),
   new_address = ProtoField.uint16("fiber.new_address", "New address", base.DEC, nil, 0x7FFF),
@@ -118,8 +119,9 @@ local function blocks(tree, data, at)
     local layout = BLOCKS[data(at, 1):uint()]
     local size = data(at + 1, 1):uint()
     tree:add(f.block, data(at, 1))
-    if data(at, 1):uint() == 2 and data:len() - at >= size + 4 then
-      tree:add(f.speeds, data(at + 2, size))
+    local bytes = ({ [2] = f.speeds, [3] = f.ramps })[data(at, 1):uint()]
+    if bytes and data:len() - at >= size + 4 then
+      tree:add(bytes, data(at + 2, size))
     elseif layout and size == size_of(layout) and data:len() - at >= size + 4 then
       fill(tree, data, at + 2, layout)
     end

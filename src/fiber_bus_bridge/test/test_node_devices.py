@@ -68,7 +68,9 @@ def test_motors_with_a_ramp_are_refused_on_devices(tmp_path, drive):
     ramped = replace(problem, plane=with_drive(problem.plane, drive))
     save_problem(tmp_path / "ramped.npz", ramped)
     config = SimulationConfig(problem=str(tmp_path / "ramped.npz"))
-    with pytest.raises(BridgeError, match=f"'{drive}' has a ramp of .* CONFIG does not carry"):
+    with pytest.raises(
+        BridgeError, match=f"'{drive}' has a ramp of .* come to rest within the stop skew"
+    ):
         device_hardware(config, ["/dev/i2c-0"])
 
 

@@ -18,6 +18,7 @@ from fiber_bus_bridge.wire import (
     Frames,
     Gears,
     Opcode,
+    Ramps,
     RobotState,
     Speeds,
     decode_command,
@@ -64,6 +65,11 @@ GOLDEN = {
     " 00 00 00 1e a1 66 1f 5e 1f "
     "5e 27 10 00 19 00 4d 02 2e 02 11 01 13 01 13 01 13 01 13 1f 5e 1f 5e 1f 5e 1f 5e 00 06 00 "
     "07 00 07 00 07 00 07 00 7a 00 7a 00 7a 00 7a 00 00 00 01 00 01 00 01 00 01 37 ce",
+    "CONFIG with ramps": "64 0e 0a 00 00 0f a0 00 17 e1 48 ff de fc d0 00 21 03 30 00 00"
+    " 00 00 00 1e a1 66 1f 5e 1f "
+    "5e 27 10 00 19 00 4d 02 2e 02 11 01 13 01 13 01 13 01 13 1f 5e 1f 5e 1f 5e 1f 5e 00 06 00 "
+    "07 00 07 00 07 00 07 00 7a 00 7a 00 7a 00 7a 00 00 00 01 00 01 00 01 00 01 "
+    "03 08 00 00 55 f0 00 00 00 00 b6 8e",
     "MOVES": "b5 24 10 64 70 03 00 09 90 64 00 02 80 05 62 12",
     "VERIFY": "35 6c e1 07 e0",
     "STATUS": "35 6c e1 07 e0 14 01 ff fc 2f 70 00 1e 9f d8 3d f0",
@@ -89,6 +95,8 @@ LISTED = Speeds(
         [275] * 4 + [8030] * 4 + [6] + [7] * 4 + [122] * 4 + [0] + [1] * 4, dtype=">u2"
     ).tobytes(), dtype=np.uint8)[None]
 )  # fmt: skip
+# 22 ms at the first speed, none at the second
+RAMPS = Ramps(np.array([[0, 0, 0x55, 0xF0, 0, 0, 0, 0]], dtype=np.uint8))
 MOVES = WireMotion.from_zero(
     UNITS, [0, 4, 9], [100, 6, 278, 275, 9, 100, 8, 275, 280],
     [-8030, 0, 122, -122, 0, 8030, 0, -122, 122],
@@ -137,6 +145,7 @@ def test_golden_writes():
         "CONFIG": encode_config(CONFIG, ROBOT),
         "CONFIG with gears": encode_config(GEARED, ROBOT),
         "CONFIG with speeds": encode_config(replace(CONFIG, listed=LISTED), ROBOT),
+        "CONFIG with ramps": encode_config(replace(CONFIG, listed=LISTED, ramps=RAMPS), ROBOT),
         "MOVES": encode_load(ROBOT, 5, MOVES, LISTED),
     }
     assert {name: frames.payload(0).hex(" ") for name, frames in written.items()} == {

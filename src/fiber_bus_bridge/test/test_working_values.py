@@ -14,6 +14,7 @@ from fiber_bus_bridge.wire import (
     Configuration,
     Fault,
     Gears,
+    Ramps,
     RobotState,
     Speeds,
     config_crcs,
@@ -29,6 +30,7 @@ from fiber_core.presets import preset
 from fiber_core.wire_units import WireMotion, WireUnits
 
 GEARED, LISTED = preset("spec_s5", 7), with_drive(preset("desi_petals", 7), "desi")
+RAMPED = with_drive(preset("desi_petals", 7), "accelerated")
 CHANGED, OTHER = 3, 5  # rows of robots
 SCALARS = ("tick_us", "velocity_bits", "duration_bits", "slot", "watchdog_s", "silence_s")
 TABLES = [("limits", k) for k in range(4)] + [("speed", 0), ("speed", 1)]
@@ -36,7 +38,9 @@ GEARS = [(name, k) for name in ("coupling", "motor_limits") for k in range(4)]
 GEARS += [("motor_speed", 0), ("motor_speed", 1)]
 OF_ALL = [(name, 0) for name in (*SCALARS, "quantum_prad")] + TABLES
 OF_LISTS = [("listed", k) for k in (0, 1, 3, 11, 19, 29, 45)] + [("listed_bytes", 0)]
-CASES = [(GEARED, *value) for value in OF_ALL + GEARS] + [(LISTED, *each) for each in OF_LISTS]
+OF_RAMPS = [("ramps", k) for k in range(4)] + [("ramp_bytes", 0)]
+CASES = [(GEARED, *value) for value in OF_ALL + GEARS] + [(RAMPED, *each) for each in OF_RAMPS]
+CASES += [(LISTED, *each) for each in [*OF_LISTS, *OF_RAMPS, ("ramps", 7)]]
 
 
 class Rig:
@@ -114,7 +118,7 @@ def test_a_value_that_changes_after_verify_moves_no_robot(plane, name, place):
     assert loaded.reason[CHANGED] == Reason.NOT_ACKNOWLEDGED
 
 
-@pytest.mark.parametrize("plane", [GEARED, LISTED], ids=["gears", "list"])
+@pytest.mark.parametrize("plane", [GEARED, LISTED, RAMPED], ids=["gears", "list", "ramp"])
 def test_robots_whose_values_are_right_carry_out_their_orders(plane):
     rig = Rig(plane)
     rig.t = rig.session.start(rig.t)
@@ -123,7 +127,7 @@ def test_robots_whose_values_are_right_carry_out_their_orders(plane):
     assert (rig.session.result.reason == Reason.OK).all()
 
 
-@pytest.mark.parametrize("plane", [GEARED, LISTED], ids=["gears", "list"])
+@pytest.mark.parametrize("plane", [GEARED, LISTED, RAMPED], ids=["gears", "list", "ramp"])
 def test_working_values_have_the_checksum_of_the_configuration(plane):
     units, rng = WireUnits.for_plane(plane), np.random.default_rng(1)
     to = Addresses(np.zeros(plane.n, int), np.arange(8, 8 + plane.n), np.zeros(plane.n, bool))
@@ -137,7 +141,7 @@ def test_working_values_have_the_checksum_of_the_configuration(plane):
         slot = rng.integers(0, 2**16, plane.n)
         config = Configuration(
             units, limits, speed, watchdog_ms, silence_ms, slot, Gears.of(plane, units),
-            Speeds.of(plane, units),
+            Speeds.of(plane, units), Ramps.of(plane),
         )  # fmt: skip
         frames = encode_config(config, to)
         for row in range(plane.n):

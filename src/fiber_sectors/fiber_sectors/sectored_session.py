@@ -290,7 +290,8 @@ class SectoredSession(Session):
         if step is Step.COUNTING:
             return Event.POLLED
         if step is Step.MOVING:
-            watch.ends_s = phase.start_s + commit(c, phase).makespan_s
+            lasts_s = commit(c, phase).makespan_s + c.plane.drive.longest_ramp_s
+            watch.ends_s = phase.start_s + lasts_s
             c.robots["confirmed"] = c.robots["started"]
             return Event.CONFIRMED
         return Event.UNCONFIRMED

@@ -242,12 +242,12 @@ def device_hardware(
             "devices need the parameter problem or starts: it holds the robots' assumed angles"
         )
     plane, start, lines = _found(config, part)
-    # CONFIG has the rest behind a listed move in ticks, not the ramp, and no robot shows its own
+    # the stop skew of the certificate has no term for the way that a ramp needs to come to rest
     ramp_s = plane.drive.longest_ramp_s
     if ramp_s > 0.0:
         raise BridgeError(
-            f"the drive {plane.drive.name!r} has a ramp of {ramp_s:.6g} s: CONFIG does "
-            "not carry it, so the robots on devices would not follow the certified curves"
+            f"the drive {plane.drive.name!r} has a ramp of {ramp_s:.6g} s: robots on devices could "
+            f"not come to rest within the stop skew of the certificate"
         )
     numbers = np.unique(np.asarray(plane.bus)).tolist()
     if len(devices) != len(numbers):

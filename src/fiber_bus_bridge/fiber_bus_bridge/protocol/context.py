@@ -19,6 +19,7 @@ from fiber_bus_bridge.wire import (
     Frames,
     Gears,
     Opcode,
+    Ramps,
     Speeds,
     Statuses,
     encode_command,
@@ -194,6 +195,7 @@ class Context:
         self.speed: Ints = np.minimum(speed, self.units.max_velocity)
         self.gears = Gears.of(self.plane, self.units)
         self.listed = Speeds.of(self.plane, self.units)
+        self.ramps = Ramps.of(self.plane)
         self._heartbeats: tuple[bytes, Frames] | None = None
 
     @property

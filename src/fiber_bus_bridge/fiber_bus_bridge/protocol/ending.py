@@ -48,6 +48,7 @@ def configure(c: Context) -> Event:
             c.units, c.limits[todo], c.speed[todo], c.config.watchdog_ms,
             c.config.silence_ms, c.slot[todo], None if c.gears is None else c.gears[todo],
             None if c.listed is None else c.listed[todo],
+            None if c.ramps is None else c.ramps[todo],
         )  # fmt: skip
         frames = encode_config(config, transactions.addresses[todo])
         robots["config_crc"][todo] = config_crcs(frames)

@@ -30,6 +30,6 @@ def _latest_end_s(c: Context, phase: Phase) -> float:
     """Time after which a plan is ended although robots have not arrived [s]."""
     loaded_plan, safety = c.loaded_plan, c.safety
     assert loaded_plan is not None  # robots were started
-    makespan_s = loaded_plan.makespan_s
+    makespan_s = loaded_plan.makespan_s + c.plane.drive.longest_ramp_s
     late_s = safety.clock_ppm * 1e-6 * makespan_s + safety.start_skew_s
     return phase.start_s + makespan_s + late_s + c.config.grace_s

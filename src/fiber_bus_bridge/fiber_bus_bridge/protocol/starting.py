@@ -81,7 +81,8 @@ def count_down(c: Context, phase: Phase, watch: Watch) -> Event:
     _repeat_go(c, phase, watch)
     if not all_confirmed:
         return Event.POLLED
-    watch.ends_s = phase.start_s + commit(c, phase).makespan_s
+    lasts_s = commit(c, phase).makespan_s + c.plane.drive.longest_ramp_s
+    watch.ends_s = phase.start_s + lasts_s
     return Event.CONFIRMED
 
 

@@ -57,7 +57,7 @@ _NOT_CONFIGURED, _WRONG_STATE = int(Fault.NOT_CONFIGURED), int(Fault.WRONG_STATE
 _STALE_SEQUENCE, _OTHER_QUANTUM = int(Fault.STALE_SEQUENCE), int(Fault.OTHER_QUANTUM)
 _OTHER_GEARS = int(Fault.OTHER_GEARS)
 _REFUSED = int(Alert.REFUSED)
-_GEARS, _SPEEDS = int(Block.GEARS), int(Block.SPEEDS)
+_GEARS, _SPEEDS, _RAMPS = int(Block.GEARS), int(Block.SPEEDS), int(Block.RAMPS)
 
 _TICK = field_offset(CONFIG_FIELDS, "tick_us")
 _QUANTUM = field_offset(CONFIG_FIELDS, "quantum_prad")
@@ -226,7 +226,7 @@ def _configure(r, version, data, at, last):
     tick_us, quantum = number(data, at + _TICK, 4), number(data, at + _QUANTUM, 4)
     if not (2 <= velocity_bits <= 16 and 1 <= duration_bits <= 16) or tick_us == 0:
         return _BAD_VALUE
-    fault = blocks_fault(data, at + CONFIG_BYTES, last)
+    fault = blocks_fault(data, at + CONFIG_BYTES, last, tick_us)
     if fault != _NONE:
         return fault
     if quantum != r.quantum_prad:
@@ -234,6 +234,7 @@ def _configure(r, version, data, at, last):
     if not _take_gears(r, data, block_at(data, at + CONFIG_BYTES, last, _GEARS)):
         return _OTHER_GEARS
     _take_list(r, data, block_at(data, at + CONFIG_BYTES, last, _SPEEDS))
+    _take_ramps(r, data, block_at(data, at + CONFIG_BYTES, last, _RAMPS))
     r.config_crc = config_crc(data, at, last)
     r.tick_us = tick_us
     r.velocity_bits, r.duration_bits = velocity_bits, duration_bits
@@ -272,6 +273,14 @@ def _take_list(r, data, at):
     r.listed_bytes = np.int64(data[at - 1]) if at >= 0 else 0
     for i in range(r.listed_bytes):
         r.listed[i] = data[at + i]
+
+
+@njit(cache=True)
+def _take_ramps(r, data, at):
+    """Take the ramps of the motors from a block that was checked, or that there is none."""
+    r.ramp_bytes = np.int64(data[at - 1]) if at >= 0 else 0
+    for i in range(r.ramp_bytes):
+        r.ramps[i] = data[at + i]
 
 
 @njit(cache=True)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiber_bus_bridge.wire import MAX_SEGMENTS, NO_SLOT, Addresses, Bytes, RobotState
 from fiber_bus_bridge.wire.fields import Whole
+from fiber_bus_bridge.wire.ramp_block import MOST_RAMP_BYTES
 from fiber_bus_bridge.wire.speed_block import MOST_LISTED_BYTES
 from fiber_core.array_types import Floats, Ints
 
@@ -71,6 +72,8 @@ MEMORY = np.dtype(
         ("config_crc", "i8"),  # of the CONFIG that was taken last
         ("listed_bytes", "i8"),  # of the list of speeds, 0 without one
         ("listed", "u1", (MOST_LISTED_BYTES,)),  # content of the block SPEEDS
+        ("ramp_bytes", "i8"),  # of the ramps, 0 without one
+        ("ramps", "u1", (MOST_RAMP_BYTES,)),  # content of the block RAMPS
         ("motor_limits", "i8", (2, 2)),  # of coupled motors [quanta]
         ("motor_speed", "i8", (2,)),  # [MOTOR_SPEED_UNIT]
     ],
@@ -125,6 +128,8 @@ class Robot(Protocol):
     config_crc: Whole
     listed_bytes: Whole
     listed: Bytes
+    ramp_bytes: Whole
+    ramps: Bytes
     motor_limits: Ints
     motor_speed: Ints
 

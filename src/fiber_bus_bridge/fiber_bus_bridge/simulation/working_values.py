@@ -13,7 +13,8 @@ from fiber_bus_bridge.wire.fields import Whole
 __all__ = ["place_crc", "working_crc"]
 
 _HEAD = int(Opcode.CONFIG) << 4 | VERSION
-_GEARS, _GEARS_BYTES, _SPEEDS = int(Block.GEARS), GEARS_FIELDS.itemsize, int(Block.SPEEDS)
+_GEARS, _GEARS_BYTES = int(Block.GEARS), GEARS_FIELDS.itemsize
+_SPEEDS, _RAMPS = int(Block.SPEEDS), int(Block.RAMPS)
 _LONGEST_S = 65.6  # more than two bytes hold in milliseconds
 
 
@@ -41,12 +42,8 @@ def working_crc(r: Robot) -> Whole:
         crc = _table(crc, r.motor_limits)
         crc = _unsigned(crc, r.motor_speed[0], 4)
         crc = _unsigned(crc, r.motor_speed[1], 4)
-    if r.listed_bytes != 0:
-        crc = _unsigned(crc, _SPEEDS, 1)
-        crc = _unsigned(crc, r.listed_bytes, 1)
-        for i in range(min(max(r.listed_bytes, 0), len(r.listed))):
-            crc = crc16(crc, r.listed[i])
-    return crc
+    crc = _block(crc, _SPEEDS, r.listed_bytes, r.listed)
+    return _block(crc, _RAMPS, r.ramp_bytes, r.ramps)
 
 
 @njit(cache=True)
@@ -56,6 +53,17 @@ def place_crc(r: Robot) -> Whole:
     An order is a way from there.
     """
     return _signed(_signed(CRC16_INIT, r.position[0]), r.position[1])
+
+
+@njit(cache=True)
+def _block(crc, tag, size, content):
+    """Continue a checksum over a block with some bytes of content, or over none."""
+    if size == 0:
+        return crc
+    crc = _unsigned(_unsigned(crc, tag, 1), size, 1)
+    for i in range(min(max(size, 0), len(content))):
+        crc = crc16(crc, content[i])
+    return crc
 
 
 @njit(cache=True)

@@ -34,6 +34,7 @@ from fiber_bus_bridge.wire.config_blocks import Block, Gears, gear_counts
 from fiber_bus_bridge.wire.fields import Bytes
 from fiber_bus_bridge.wire.frames import Addresses, Frames, general_call
 from fiber_bus_bridge.wire.orders import ORDER_OPCODES, Orders, decode_load, encode_load
+from fiber_bus_bridge.wire.ramp_block import Ramps
 from fiber_bus_bridge.wire.replies import (
     IDENTITY_BYTES,
     IDENTITY_FIELDS,
@@ -89,6 +90,7 @@ __all__ = [
     "Opcode",
     "Orders",
     "RobotState",
+    "Ramps",
     "Speeds",
     "Statuses",
     "config_crcs",

@@ -18,8 +18,9 @@ from fiber_bus_bridge.wire.config_blocks import (
     blocks_fault,
 )
 from fiber_bus_bridge.wire.crc import CRC16_INIT, crc16
-from fiber_bus_bridge.wire.fields import Bytes, Whole, field_offset, filled
+from fiber_bus_bridge.wire.fields import Bytes, Whole, field_offset, filled, number
 from fiber_bus_bridge.wire.frames import Addresses, Frames, frame_crc, frame_pec
+from fiber_bus_bridge.wire.ramp_block import Ramps
 from fiber_bus_bridge.wire.roll_call import NO_SLOT
 from fiber_bus_bridge.wire.speed_block import Speeds
 from fiber_core.array_types import Ints
@@ -103,6 +104,7 @@ class Configuration:
         slot: slot of each robot in the roll call of its bus, one number or shape (f,).
         gears: how gears couple motors and joints, f rows; None of robots with independent joints.
         listed: lists of speeds, f rows; None of motors of any speed.
+        ramps: ramps of the motors, f rows; None of motors without.
     """
 
     units: WireUnits
@@ -113,6 +115,7 @@ class Configuration:
     slot: Ints | int = NO_SLOT
     gears: Gears | None = None
     listed: Speeds | None = None
+    ramps: Ramps | None = None
 
 
 def encode_command(
@@ -200,6 +203,8 @@ def encode_config(config: Configuration, to: Addresses) -> Frames:
         body = np.concatenate([body, config.gears.block()], axis=1)
     if config.listed is not None:
         body = np.concatenate([body, block_of(Block.SPEEDS, config.listed.content)], axis=1)
+    if config.ramps is not None:
+        body = np.concatenate([body, block_of(Block.RAMPS, config.ramps.content)], axis=1)
     return _sealed(to, body)
 
 
@@ -272,7 +277,8 @@ def decode_config(payload: bytes, address: int, ten_bit: bool) -> Configuration:
         raise WireError(f"version {version}, expected {VERSION}", Fault.BAD_VERSION)
     data = np.frombuffer(payload, dtype=np.uint8)
     end = len(data) - CRC_BYTES
-    fault = blocks_fault(data, CONFIG_BYTES, end)
+    tick_us = number(data, field_offset(CONFIG_FIELDS, "tick_us"), 4)
+    fault = blocks_fault(data, CONFIG_BYTES, end, tick_us)
     if fault != _NONE:
         raise WireError(f"blocks of CONFIG: {Fault(fault).name}", Fault(fault))
     row = np.frombuffer(payload, dtype=CONFIG_FIELDS, count=1)
@@ -289,7 +295,10 @@ def decode_config(payload: bytes, address: int, ten_bit: bool) -> Configuration:
     listed, at = None, block_at(data, CONFIG_BYTES, end, Block.SPEEDS)
     if at >= 0:
         listed = Speeds(data[None, at : at + int(data[at - 1])])
-    return Configuration(units, limits, speed, watchdog_ms, silence_ms, slot, gears, listed)
+    ramps, at = None, block_at(data, CONFIG_BYTES, end, Block.RAMPS)
+    if at >= 0:
+        ramps = Ramps(data[None, at : at + int(data[at - 1])])
+    return Configuration(units, limits, speed, watchdog_ms, silence_ms, slot, gears, listed, ramps)
 
 
 @njit(cache=True)

@@ -13,6 +13,7 @@ from numba import njit
 from fiber_bus_bridge.errors import WireError
 from fiber_bus_bridge.wire.codes import Fault
 from fiber_bus_bridge.wire.fields import Bytes, Whole, filled, number, signed
+from fiber_bus_bridge.wire.ramp_block import ramps_fault
 from fiber_bus_bridge.wire.speed_block import speeds_fault
 from fiber_core.array_types import Floats, Ints
 from fiber_core.focal_plane import FocalPlane
@@ -38,6 +39,7 @@ class Block(IntEnum):
 
     GEARS = 1  # how gears couple motors and joints, and limits of the motors
     SPEEDS = 2  # the listed speeds of the motors
+    RAMPS = 3  # over how long the motors spread changes of velocity
 
 
 GEAR_UNIT = 2.0**-22  # of the numbers of a coupling: at most 512, with an error of 1.2e-7
@@ -54,7 +56,7 @@ BLOCK_HEAD = 2  # bytes before the content
 _SAME_RAD = 1e-6  # a motor this far beyond its range is at its end, as for the certificate
 _MOST, _MOST_SPEED = 2**31 - 1, 2**32 - 1
 _GEARS, _GEARS_BYTES = int(Block.GEARS), GEARS_FIELDS.itemsize
-_SPEEDS = int(Block.SPEEDS)
+_SPEEDS, _RAMPS = int(Block.SPEEDS), int(Block.RAMPS)
 _NONE, _BAD_LENGTH, _BAD_VALUE = int(Fault.NONE), int(Fault.BAD_LENGTH), int(Fault.BAD_VALUE)
 
 
@@ -146,22 +148,27 @@ def gear_counts(plane: FocalPlane) -> Ints:
 
 
 @njit(cache=True)
-def blocks_fault(data: Bytes, first: Whole, last: Whole) -> int:
-    """Return the Fault of the blocks in data[first:last], or NONE."""
-    before = 0
+def blocks_fault(data: Bytes, first: Whole, last: Whole, tick_us: Whole) -> int:
+    """Return the Fault of the blocks in data[first:last] of a CONFIG with this tick, or NONE."""
+    before, listed_at = 0, -1
     while first < last:
         if last - first < BLOCK_HEAD:
             return _BAD_LENGTH
         tag, size = np.int64(data[first]), np.int64(data[first + 1])
-        if tag <= before or not (tag == _GEARS and size == _GEARS_BYTES or tag == _SPEEDS):
+        known = tag == _GEARS and size == _GEARS_BYTES or tag == _SPEEDS or tag == _RAMPS
+        if tag <= before or not known:
             return _BAD_VALUE
         first += BLOCK_HEAD + size
         if first > last:
             return _BAD_LENGTH
+        fault = _NONE
         if tag == _SPEEDS:
-            fault = speeds_fault(data, first - size, size)
-            if fault != _NONE:
-                return fault
+            listed_at = first - size
+            fault = speeds_fault(data, listed_at, size)
+        elif tag == _RAMPS:
+            fault = ramps_fault(data, first - size, size, listed_at, tick_us)
+        if fault != _NONE:
+            return fault
         before = tag
     return _NONE
 
