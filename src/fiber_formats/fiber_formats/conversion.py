@@ -110,6 +110,10 @@ def write_layout(
         name: np.asarray(found[name])[order] for name in LAYOUT_COLUMNS if name in found
     }
     columns |= changed or {}
+    for joint in ("theta", "phi"):
+        if f"{joint}_min_deg" in columns:  # stops, in place of a zero with a range
+            for name in ("zero", "range"):
+                columns.pop(f"{joint}_{name}_deg", None)
     columns["preset"] = np.full(len(order), layout.preset)
     for name in OUTLINES:
         if name in columns:

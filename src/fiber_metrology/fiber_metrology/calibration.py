@@ -90,16 +90,25 @@ class Calibration:
         return np.concatenate([self.centers, self.arms, gears.reshape(len(gears), 8)], axis=1)
 
     def applied_to(self, plane: FocalPlane) -> FocalPlane:
-        """Return the plane with the centres and arms of robots that keep to a model.
+        """Return the plane with the centres, arms and zeros of robots that keep to a model.
+
+        Zeros turn the ranges: where a counter read c the arm stood at c + zero, so its stops are
+        there too. A range of phi that began at 0 or above still does, and one that ended at pi or
+        below still does: a robot does not get a second elbow by a zero.
 
         Args:
             plane: the plane that was calibrated.
         """
         good = np.isin(self.verdict, (GearVerdict.GOOD, GearVerdict.LINEAR))[:, None]
+        limits = plane.limits + self.zeros[:, :, None]
+        low, high = plane.limits[:, 1].T
+        limits[:, 1, 0] = np.maximum(limits[:, 1, 0], np.where(low >= 0.0, 0.0, -np.inf))
+        limits[:, 1, 1] = np.minimum(limits[:, 1, 1], np.where(high <= np.pi, np.pi, np.inf))
         return replace(
             plane,
             centers=np.where(good, self.centers, plane.centers),
             arms=np.where(good, self.arms, plane.arms),
+            limits=np.where(good[:, :, None], limits, plane.limits),
         )
 
 

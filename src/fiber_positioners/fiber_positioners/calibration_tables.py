@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fiber_core.array_types import Angles, Bools, Codes, Floats, Ids, Points
+from fiber_core.array_types import Angles, Bools, Codes, Floats, Ids, Points, Rows
 from fiber_core.focal_plane import FocalPlane
 from fiber_formats import FormatError, read_columns, write_table
 from fiber_metrology import NUMBERS, Calibration, GearVerdict, Trend
 
 __all__ = [
     "counts_of",
+    "draw_trend",
     "fits_of",
     "layout_changes",
     "read_history",
@@ -22,6 +23,7 @@ __all__ = [
     "write_trend",
 ]
 
+_DPI = 150
 # angles are in degrees in files
 _FILE_NAMES = tuple(name.replace("_rad", "_deg") for name in NUMBERS)
 _FACTORS = np.array([np.rad2deg(1.0) if name.endswith("_rad") else 1.0 for name in NUMBERS])
@@ -88,7 +90,7 @@ def read_history(path: str | os.PathLike[str], plane: FocalPlane) -> tuple[Angle
 def layout_changes(plane: FocalPlane, found: Calibration) -> dict[str, NDArray]:
     """Return what a calibration changes in the table of a layout, by the names of its columns.
 
-    Robots that keep to no model stay as they were; zeros are those of counters, and not of a plane.
+    Robots that keep to no model stay as they were; zeros turn the ranges of joints.
 
     Args:
         plane: the plane that was calibrated.
@@ -101,6 +103,8 @@ def layout_changes(plane: FocalPlane, found: Calibration) -> dict[str, NDArray]:
         "arm_theta_mm": new.arms[:, 0], "arm_phi_mm": new.arms[:, 1],
     }  # fmt: skip
     for j, joint in enumerate(("theta", "phi")):
+        for k, end in enumerate(("min", "max")):
+            columns[f"{joint}_{end}_deg"] = np.rad2deg(new.limits[:, j, k])
         lost = np.rad2deg(np.maximum(found.backlash_rad[:, j], 0.0))
         columns[f"{joint}_lost_motion_deg"] = np.where(
             good, lost, np.rad2deg(drive.lost_motion_rad[:, j])
@@ -183,6 +187,36 @@ def fits_of(paths: Sequence[str]) -> tuple[Ids, Floats, Floats]:
         at = np.searchsorted(ids, known)
         numbers[night, at], errors[night, at] = values, error
     return ids, numbers, errors
+
+
+def draw_trend(
+    path: str | os.PathLike[str], ids: Ids, numbers: Floats, errors: Floats, found: Trend,
+    rows: Rows,
+) -> None:  # fmt: skip
+    """Draw the numbers of some robots over nights, with their errors and the lines of the trend.
+
+    Args:
+        path: the figure; .pdf or .png.
+        ids: robot ids, shape (n,).
+        numbers, errors: numbers of each night and their errors, shape (nights, n, 12).
+        found: their trend.
+        rows: the robots to draw, shape (k,).
+
+    Raises:
+        FormatError: the suffix is not known, or the figure cannot be written.
+    """
+    if os.path.splitext(path)[1].lower() not in (".pdf", ".png"):
+        raise FormatError(f"{path}: a figure is written as .pdf or .png")
+    from fiber_viewer.figures import trends  # matplotlib is slow to import
+
+    figure = trends(
+        _FILE_NAMES, ids[rows], numbers[:, rows] * _FACTORS, errors[:, rows] * _FACTORS,
+        found.per_night[rows] * _FACTORS, found.drifts[rows],
+    )  # fmt: skip
+    try:
+        figure.savefig(path, dpi=_DPI)
+    except OSError as error:
+        raise FormatError(f"{path} cannot be written: {error}") from None
 
 
 def counts_of(verdict: Codes) -> str:

@@ -16,7 +16,7 @@ from fiber_bus_bridge.simulation import (
 )
 from fiber_core import kinematics
 from fiber_core.motion import SegmentMotion
-from fiber_formats import read_layout
+from fiber_formats import read_layout, write_layout
 from fiber_positioners.command import main
 
 N = 19
@@ -38,6 +38,7 @@ class Instrument:
         drawn = draw_mechanics(N, errors, self.rng)
         scale = drawn.scale.copy()
         scale[3, 1], scale[4, 0] = 0.7, 0.0
+        self.zeros = np.deg2rad(self.rng.uniform(-3.0, 3.0, (N, 2)))
         self.mechanics = drawn.with_(scale=scale)
         self.true = replace(self.plane, arms=self.plane.arms + self.rng.normal(0.0, 0.03, (N, 2)))
 
@@ -48,7 +49,7 @@ class Instrument:
         shape = (len(rows) // N, N)
         counters = np.deg2rad([[float(r["theta_deg"]), float(r["phi_deg"])] for r in rows])
         counters = counters.reshape(*shape, 2)
-        state = arms_at(self.mechanics, counters[0])
+        state = arms_at(self.mechanics, counters[0] + self.zeros)
         places = [np.full((N, 2), np.nan)]
         for before, after in zip(counters, counters[1:]):
             way = (after - before).ravel()
@@ -102,7 +103,53 @@ def test_the_table_is_a_plane_with_measured_arms_scales_and_backlash(instrument,
     assert np.array_equal(plane.drive.scale[4], np.ones((2, 2)))
     lost = np.rad2deg(plane.drive.lost_motion_rad)[sound]
     assert np.abs(lost - np.rad2deg(instrument.mechanics.backlash_rad)[sound]).max() < 0.2
-    assert np.array_equal(plane.limits, instrument.plane.limits)
+
+
+def test_zeros_are_in_the_ranges_of_the_plane_and_come_back_from_its_table(instrument):
+    target = calibrated(instrument, "zeros", "--error-um", "2.5")
+    plane, before = read_layout(target).plane, instrument.plane.limits
+    sound = np.arange(N) != 4
+    zeros = instrument.zeros[sound]
+    # theta turns as a whole; phi does not get a second elbow by it
+    turned = (plane.limits - before)[sound]
+    assert np.abs(turned[:, 0] - zeros[:, :1]).max() < np.deg2rad(0.4)
+    low = np.maximum(zeros[:, 1], 0.0), np.minimum(before[sound, 1, 1] + zeros[:, 1], np.pi)
+    assert np.abs(plane.limits[sound, 1].T - low).max() < np.deg2rad(0.4)
+    assert (plane.limits[:, 1, 0] >= 0.0).all() and (plane.limits[:, 1, 1] <= np.pi).all()
+    np.testing.assert_allclose(plane.limits[4], before[4], atol=1e-12)
+    # the fit tells the same zeros, and a table of it read and written again is the same plane
+    with open(target.with_name("zeros_fit.csv"), newline="") as file:
+        told = np.deg2rad([float(row["theta_zero_deg"]) for row in csv.DictReader(file)])
+    np.testing.assert_allclose(turned[:, 0, 0], told[sound], atol=1e-9)
+    again = instrument.folder / "again.csv"
+    assert main(["convert", str(target), str(again)]) == 0
+    for name in ("centers", "arms", "limits"):
+        np.testing.assert_allclose(getattr(read_layout(again).plane, name), getattr(plane, name))
+
+
+def test_a_table_with_zeros_and_ranges_gets_stops_in_their_place(instrument):
+    layout = instrument.folder / "with_zeros.csv"
+    with open(instrument.layout, newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        row |= {"theta_zero_deg": "20", "theta_range_deg": "380", "phi_range_deg": "178"}
+    with open(layout, "w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys())
+        writer.writeheader()
+        writer.writerows(rows)
+    found = read_layout(layout)
+    moved = found.plane.limits + 0.01
+    target = instrument.folder / "moved.csv"
+    ends = {
+        f"{joint}_{end}_deg": np.rad2deg(moved[:, j, k])
+        for j, joint in enumerate(("theta", "phi"))
+        for k, end in enumerate(("min", "max"))
+    }
+    write_layout(target, found, ends)
+    with open(target, newline="") as file:
+        names = next(csv.reader(file))
+    assert not [name for name in names if "zero" in name or "range" in name]
+    np.testing.assert_allclose(read_layout(target).plane.limits, moved, atol=1e-12)
 
 
 def test_a_robot_that_drifts_over_nights_is_named_alone(instrument, capsys):
@@ -123,6 +170,17 @@ def test_a_robot_that_drifts_over_nights_is_named_alone(instrument, capsys):
     assert row["drifts"] == "arm_phi_mm"
     slope, error = (float(row[f"{p}arm_phi_mm_a_night"]) for p in ("", "error_of_"))
     assert abs(slope - 0.01) < 5.0 * error
+    figure, nights = instrument.folder / "trend.png", ["calibrate", "--nights", ",".join(fits)]
+    assert main([*nights, "--figure", str(figure), str(target)]) == 0
+    assert "1 robots are drawn" in capsys.readouterr().out and figure.stat().st_size > 10_000
+    more = ["--figure", str(figure.with_suffix(".pdf")), "--robots", "107,103"]
+    assert main([*nights, *more, str(target)]) == 0
+    assert "2 robots are drawn" in capsys.readouterr().out
+    for wrong, why in ((["--figure", "trend.svg"], "as .pdf or .png"), (
+        ["--figure", str(figure), "--robots", "99"], "robot 99 is in no table"
+    )):  # fmt: skip
+        assert main([*nights, *wrong, str(target)]) == 2
+        assert why in capsys.readouterr().err
 
 
 def test_histories_that_lack_a_point_or_name_another_robot_are_refused(instrument, capsys):

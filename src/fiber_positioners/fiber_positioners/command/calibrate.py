@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from fiber_core.array_types import Ids, Rows
 from fiber_core.errors import FiberError
 from fiber_core.presets import PRESETS
 from fiber_formats import kind_of, read_layout, write_layout
 from fiber_metrology import GearVerdict, calibrate, calibration_points, trend_of
 from fiber_positioners.calibration_tables import (
     counts_of,
+    draw_trend,
     fits_of,
     layout_changes,
     read_history,
@@ -19,7 +21,7 @@ from fiber_positioners.calibration_tables import (
     write_points,
     write_trend,
 )
-from fiber_positioners.command.arguments import positive
+from fiber_positioners.command.arguments import positive, whole_numbers
 from fiber_positioners.command.exit_codes import DONE
 
 __all__ = ["DESCRIPTION", "SUMMARY", "add_arguments", "run"]
@@ -30,17 +32,20 @@ DESCRIPTION = """Calibrate the robots of a plane from a history of ordered and m
 --points N writes the table of points to go to, point 0 first. Robots whose ranges are the same
 stand parallel at each. HISTORY is that table with the measured places: point, id, theta_deg,
 phi_deg, x_mm, y_mm; a place that was not measured is empty. Between two points every joint turns
-one way. TABLE becomes the layout with measured centres, arms, scales and backlash, which every
-command reads as a plane; a second table, its name ending in _fit, has all twelve numbers of each
-robot with errors and a verdict on its gears. --nights takes tables of _fit, the oldest first, and
-tells what drifts.
+one way. TABLE becomes the layout with measured centres, arms, zeros, scales and backlash, which
+every command reads as a plane; its zeros are in the ranges of the joints. A second table, its name
+ending in _fit, has all twelve numbers of each robot with errors and a verdict on its gears.
+--nights takes tables of _fit, the oldest first, and tells what drifts; --figure draws the robots
+that drift, or --robots, over these nights.
 
 examples:
   fiber-positioners calibrate --layout plane.csv --points 20 points.csv
   fiber-positioners calibrate --layout plane.csv --history history.csv calibrated.csv
   fiber-positioners calibrate --nights a_fit.csv,b_fit.csv,c_fit.csv,d_fit.csv,e_fit.csv trend.csv
+  fiber-positioners calibrate --nights a_fit.csv,... --figure trend.pdf --robots 107,12 trend.csv
 """
 _SHOWN = 20
+_DRAWN = 6  # more lines in one figure are not told apart
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,11 +60,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--preset", choices=sorted(PRESETS), help="supplies what the layout lacks")
     add("--error-um", type=float, default=4.0, help="error of a coordinate of a place [um]")
     add("--seed", type=int, default=0, help="of the choice of points")
+    add("--figure", metavar="FILE", help="with --nights: a figure to draw, .pdf or .png")
+    add(
+        "--robots",
+        type=whole_numbers,
+        metavar="ID,ID",
+        help="robots to draw; by default what drifts",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand; returns the exit code."""
     kind_of(args.target)
+    if args.nights is None and (args.figure or args.robots):
+        raise FiberError("--figure and --robots draw nights: --nights is missing")
     if args.nights is not None:
         return _trend(args)
     if args.layout is None:
@@ -99,4 +113,16 @@ def _trend(args: argparse.Namespace) -> int:
     print(f"{len(paths)} nights, {len(ids)} robots: {len(rows)} drift")
     for row in rows[:_SHOWN]:
         print(f"robot {ids[row]} drifts: see {args.target}")
+    if args.figure is not None:
+        drawn = rows[:_DRAWN] if args.robots is None else _rows_of(args.robots, ids)
+        draw_trend(args.figure, ids, numbers, errors, found, drawn)
+        print(f"{len(drawn)} robots are drawn in {args.figure}")
     return DONE
+
+
+def _rows_of(robots: list[int], ids: Ids) -> Rows:
+    at = np.minimum(np.searchsorted(ids, robots), len(ids) - 1)
+    wrong = ids[at] != robots
+    if wrong.any():
+        raise FiberError(f"robot {robots[int(np.argmax(wrong))]} is in no table of these nights")
+    return at

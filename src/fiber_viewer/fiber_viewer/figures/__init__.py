@@ -5,6 +5,7 @@ from fiber_viewer.figures.conflict import conflict, conflict_rows
 from fiber_viewer.figures.plane import before_and_after, outcomes, plane
 from fiber_viewer.figures.profiles import positions, velocities
 from fiber_viewer.figures.statistics import bus_load, clearances, makespan, segments
+from fiber_viewer.figures.trends import trends
 
 __all__ = [
     "before_and_after",
@@ -17,5 +18,6 @@ __all__ = [
     "plane",
     "positions",
     "segments",
+    "trends",
     "velocities",
 ]
