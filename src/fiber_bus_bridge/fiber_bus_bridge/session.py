@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.bus import BusBackend, addresses_of
 from fiber_bus_bridge.errors import SessionError
-from fiber_bus_bridge.home import home_motion
+from fiber_bus_bridge.listed_home import folding_motion
 from fiber_bus_bridge.plan_result import LoadedPlan, Plan, PlanResult
 from fiber_bus_bridge.protocol import (
     Buses,
@@ -34,7 +34,6 @@ from fiber_bus_bridge.transactions import Transactions
 from fiber_core.array_types import Angles, Codes, Counts, Mask, Velocities
 from fiber_core.clearance import Safety, hold_until_safe
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.motors import speeds_alone
 from fiber_core.outcomes import Reason
 from fiber_core.wire_units import WireMotion, WireUnits
 
@@ -377,9 +376,8 @@ class Session:
         if c.state is not State.IDLE:
             raise self._refusal("home")
         chosen = self.plane.enabled & self.usable
-        alone = np.floor(speeds_alone(self.plane)[:, 1] / self.units.velocity_rad_s)
-        speed = np.minimum(c.speed[:, 1], alone.astype(np.int64))
-        self.submit(home_motion(self.units, self.counts, c.limits[:, 1, 1], speed, chosen))
+        high, speed = c.limits[:, 1, 1], c.speed[:, 1]
+        self.submit(folding_motion(self.plane, self.units, self.counts, high, speed, chosen))
         return self.start(t, may_go)
 
     def _call(self, event: Event, t: float) -> float:
