@@ -103,10 +103,11 @@ demo: inputs build ## take 5000 simulated robots through one reconfiguration, in
 		$(if $(TOLERANCE_UM),--tolerance-um $(TOLERANCE_UM)) --out $(OUT)
 
 .PHONY: console
-console: inputs build ## a simulated plane in a browser until Ctrl-C, into out/live (PORT=, PRESET=, ROBOTS=, FAULTS=)
+console: inputs build ## a simulated plane in a browser until Ctrl-C, into out/live (PORT=, PRESET=, ROBOTS=, FAULTS=, CAMERA=1, SWAPPED=3-17)
 	@$(call command,fiber_bringup,live) $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) \
 		$(if $(SEED),--seed $(SEED)) $(if $(PLANNER),--planner $(PLANNER)) $(if $(LAYOUT),--layout $(LAYOUT)) \
 		$(if $(STARTS),--starts $(STARTS)) $(if $(FAULTS),--faults $(FAULTS)) $(if $(PORT),--port $(PORT)) \
+		$(if $(CAMERA),--camera) $(if $(SWAPPED),--swapped '$(SWAPPED)') \
 		--out $(if $(filter file,$(origin OUT)),out/live,$(OUT))
 
 .PHONY: reconfigure

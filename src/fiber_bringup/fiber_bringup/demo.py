@@ -61,10 +61,10 @@ from fiber_recording import Recording, load_recording
 from fiber_recording.node import recording_name
 from fiber_viewer import before_and_after, residuals, write_player
 
-__all__ = ["main"]
+__all__ = ["ARMS", "main"]
 
 # 54 um rms after a blind move of robots with arms of 3 mm
-_ARMS = {"arms.scale": 0.0041, "arms.backlash_deg": 0.08, "arms.wave_deg": 0.12,
+ARMS = {"arms.scale": 0.0041, "arms.backlash_deg": 0.08, "arms.wave_deg": 0.12,
          "arms.speed_noise": 0.002, "arms.non_movers": 0.01}  # fmt: skip
 _FILES = (
     *("report.json", "problem.npz", "plan.npz", "plane.png"),
@@ -120,7 +120,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _stuck(plane: FocalPlane, seed: int) -> Ids:
     """Robots with a joint that the simulated drives let stick; the camera draws them first."""
-    errors = MechanicalErrors(**{name.removeprefix("arms."): size for name, size in _ARMS.items()})
+    errors = MechanicalErrors(**{name.removeprefix("arms."): size for name, size in ARMS.items()})
     return plane.ids[draw_mechanics(plane.n, errors, np.random.default_rng(seed)).sticking]
 
 
@@ -221,7 +221,7 @@ def _reconfigure(problem: Problem, options: argparse.Namespace, display: Progres
         processes.start("fiber_recording", "recorder", _recorder(problem, options))
         if options.tolerance_um is not None:
             processes.start("fiber_metrology", "metrology", {})
-            camera = {"plant": str(plant), "seed": options.seed} | _ARMS
+            camera = {"plant": str(plant), "seed": options.seed} | ARMS
             processes.start("fiber_metrology", "camera", camera)
         with PlaneClient(
             on_progress=display, on_status=display.status, guard=processes.check

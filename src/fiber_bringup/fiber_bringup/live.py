@@ -4,7 +4,9 @@
 Starts plant, bridge, planner, discretizer, recorder and console as processes on this machine, in
 the ROS domain of the environment, and prints the address of the console: open it in a browser. It
 shows the plane as it moves, and has buttons for the orders of an operator. Targets come from
-another terminal, as from an observatory: `make reconfigure TARGETS=random:1`.
+another terminal, as from an observatory: `make reconfigure TARGETS=random:1`. With --camera a
+simulated camera sees arms that do not quite follow their counters, for `make reconfigure
+ARGS=--tolerance-um=10`, `make recover` and `make wiring`.
 
 A console that ends is started again, three times in a minute at most. When it ends more often, or
 another process ends, all end, and the exit code is 1.
@@ -18,6 +20,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from fiber_bringup.demo import ARMS
 from fiber_bringup.processes import Processes
 from fiber_bus_bridge.plant import plant_socket
 from fiber_core.errors import FiberError
@@ -63,6 +66,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, help="seed of random starts")
     parser.add_argument("--planner", choices=planners(), default=DEFAULT_PLANNER)
     parser.add_argument("--faults", default="", metavar="KIND[:COUNT],...", help="as of the demo")
+    parser.add_argument("--camera", action="store_true", help="metrology and a simulated camera")
+    parser.add_argument(
+        "--swapped", default="", metavar="A-B, C-D", help="robots whose plugs are swapped"
+    )
     parser.add_argument("--port", type=int, default=8137, help="port of the console, 8137")
     parser.add_argument("--out", type=Path, default=Path("out/live"), help="logs and recordings")
     return parser
@@ -95,11 +102,27 @@ def _run(options: argparse.Namespace) -> None:
         processes.start("fiber_discretizer", "discretizer", {})
         recorder = {"folder": str(out), "preset": name, "planner": options.planner}
         processes.start("fiber_recording", "recorder", recorder)
+        _start_camera(processes, plant, options)
         console = {"folder": str(out), "port": options.port}
         processes.start("fiber_console", _CONSOLE, console)
         print(f"{found.problem.plane.n} robots of {name}; logs and recordings in {options.out}")
         print(_address(processes, options.out / f"{_CONSOLE}.log"), flush=True)
         _watch(processes)
+
+
+def _start_camera(processes: Processes, plant: str, options: argparse.Namespace) -> None:
+    """Start metrology and camera, if they are asked for.
+
+    Raises:
+        FiberError: plugs are swapped that no camera would see.
+    """
+    if not options.camera:
+        if options.swapped:
+            raise FiberError("--swapped names arms that a camera shows: --camera is missing")
+        return
+    processes.start("fiber_metrology", "metrology", {})
+    camera = {"plant": plant, "seed": options.seed, "swapped": options.swapped} | ARMS
+    processes.start("fiber_metrology", "camera", camera)
 
 
 def _watch(

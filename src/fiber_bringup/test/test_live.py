@@ -4,7 +4,8 @@
 import pytest
 
 from fiber_bringup.errors import ProcessError
-from fiber_bringup.live import _watch
+from fiber_bringup.live import _parser, _start_camera, _watch
+from fiber_core.errors import FiberError
 
 
 class Processes:
@@ -52,3 +53,26 @@ def test_the_end_of_another_process_is_an_error():
     processes = Processes(lasts_s=1e9, also=["bridge"])
     with pytest.raises(ProcessError, match="bridge"):
         processes.watch()
+
+
+class Started:
+    """What was started, by name."""
+
+    def __init__(self):
+        self.parameters = {}
+
+    def start(self, package, name, parameters):
+        self.parameters[name] = parameters
+
+
+def test_a_camera_is_started_where_it_is_asked_for_and_sees_swapped_plugs():
+    started = Started()
+    _start_camera(started, "plant.sock", _parser().parse_args([]))
+    assert not started.parameters
+    options = _parser().parse_args(["--camera", "--swapped", "3-17", "--seed", "4"])
+    _start_camera(started, "plant.sock", options)
+    camera = started.parameters["camera"]
+    assert set(started.parameters) == {"metrology", "camera"}
+    assert (camera["plant"], camera["swapped"], camera["seed"]) == ("plant.sock", "3-17", 4)
+    with pytest.raises(FiberError, match="--camera is missing"):
+        _start_camera(started, "plant.sock", _parser().parse_args(["--swapped", "3-17"]))

@@ -8,6 +8,7 @@ from metrology_scene import N, Scene
 from fiber_core.presets import preset
 from fiber_metrology import MetrologyError
 from fiber_metrology.camera import CameraConfig, SimulatedCamera, fiducial_places, turbulence
+from fiber_metrology.camera.node import SimulatedScene, _arm_of
 
 
 def test_air_moves_near_places_alike_and_far_ones_apart():
@@ -59,3 +60,15 @@ def test_bad_settings_are_refused():
         CameraConfig(missing=1.5)
     with pytest.raises(MetrologyError, match="radius_mm"):
         SimulatedCamera(0.0, CameraConfig(), np.random.default_rng(0))
+
+
+def test_swapped_plugs_are_pairs_of_different_robots_of_the_plane():
+    assert SimulatedScene(swapped="3-17, 8-9").pairs() == [(3, 17), (8, 9)]
+    assert SimulatedScene().pairs() == []
+    for wrong in ("3", "3-17, 17-4", "5-5", "a-b"):
+        with pytest.raises(MetrologyError, match="no list of pairs"):
+            SimulatedScene(swapped=wrong)
+    plane = preset("desi", 20)
+    assert _arm_of(plane, [(3, 17)])[[3, 17, 4]].tolist() == [17, 3, 4]
+    with pytest.raises(MetrologyError, match="no robot 400"):
+        _arm_of(plane, [(3, 400)])
