@@ -18,10 +18,29 @@ __all__ = ["MOST_ID", "Columns", "near", "read_columns"]
 
 MOST_ID = 2**32 - 1  # the wire carries 32 bits
 _NAMED = 10  # how many rows a message lists
+_NEARER = 0.9  # the same for a column that a table may lack
 _NEAR = 0.8  # ratio of equal letters from which a name counts as a misspelt one
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$", re.ASCII)
 _WHOLE = re.compile(r"([+-]?\d+)(\.0*)?$", re.ASCII)
 _TRUE, _FALSE = ("true", "t", "yes", "y", "1", "1.0"), ("false", "f", "no", "n", "0", "0.0")
+
+
+# names of flags that could mean either
+_FLAG_NAMES = (
+    *(
+        "active",
+        "alive",
+        "available",
+        "bad",
+        "broken",
+        "dead",
+        "faulty",
+        "good",
+        "in_use",
+        "masked",
+    ),
+    *("offline", "ok", "online", "operational", "state", "status", "stuck", "usable", "working"),
+)
 
 
 def read_columns(path: str | os.PathLike[str], *names: str) -> "Columns":
@@ -59,6 +78,7 @@ class Columns:
         self._rows = np.arange(table.rows) if keep is None else np.flatnonzero(keep)
         self._asked: set[str] = set()
         self._lacking: list[str] = []
+        self._absent: list[str] = []
         self._problems: list[str] = []
         self._ids: list[str] | None = None
 
@@ -84,6 +104,41 @@ class Columns:
         names = self.unused + ["one without name"] * min(self.table.unnamed, 1)
         return (f"columns not used: {', '.join(names)}",) if names else ()
 
+    def optional(self, name: str) -> bool:
+        """Return whether there is a column that a table may lack; `absent_notice` names it if not.
+
+        A column that is probably a misspelling of it is refused by `check`.
+        """
+        if name in self:
+            return True
+        if name not in self._absent:
+            self._absent.append(name)
+        return False
+
+    def absent_notice(self) -> tuple[str, ...]:
+        """Return a notice of the optional columns that are not there; empty without any."""
+        if not self._absent:
+            return ()
+        return (
+            f"columns that such a table can have, and this one has not: {', '.join(self._absent)}",
+        )
+
+    def flag_names(self) -> list[str]:
+        """Return the columns never asked for that may tell which robots are in use."""
+        return [name for name in self.unused if self._may_be_flags(name)]
+
+    def _may_be_flags(self, name: str) -> bool:
+        column = self.table.columns[folded(name)]
+        if folded(name) in _FLAG_NAMES:
+            return True
+        if column.values.ndim != 1:
+            return False
+        words = {str(v).strip().lower() for v in column.values[self._rows][~column.missing]}
+        numbers = {"0", "1", "0.0", "1.0"}
+        return (
+            bool(words) and words <= {*_TRUE, *_FALSE} and (not words <= numbers or len(words) > 1)
+        )
+
     def check(self) -> None:
         """Raise what was noted.
 
@@ -91,6 +146,12 @@ class Columns:
             FormatError: columns are missing or values are refused; names all of them.
         """
         notes = list(self._problems)
+        for name in self._absent:
+            if meant := difflib.get_close_matches(
+                folded(name), map(folded, self.unused), 1, _NEARER
+            ):
+                typo = self.table.columns[meant[0]].name
+                notes.append(f"column {typo} is not known; is {name} meant?")
         if self._lacking:
             hints = [
                 f"; is {self.table.columns[hint].name} meant as {name}?"
@@ -114,8 +175,10 @@ class Columns:
         column = self._column(name)
         if column is None:
             return np.arange(len(self))
+        before = len(self._problems)
         ids = self.whole(name, least=0, most=MOST_ID, what=f"is not a number from 0 to {MOST_ID}")
-        self._ids = [str(value) for value in column.values[self._rows]]
+        if len(self._problems) == before:  # else rows are named by their lines
+            self._ids = [str(value) for value in column.values[self._rows]]
         if not self._problems:
             order = np.argsort(ids, kind="stable")
             twice = np.flatnonzero(np.diff(ids[order]) == 0)

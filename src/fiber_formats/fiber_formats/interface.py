@@ -20,6 +20,8 @@ class Format:
         layout: reads the robots, or None where the format has none.
         starts: reads present angles, or None.
         targets: reads targets, or None.
+        signs: columns by which its tables are recognised, for each kind of table: a file that has
+            most of them, and not all, is refused with the names of those that it lacks.
 
     The readers raise FormatError for what they refuse.
     """
@@ -29,6 +31,7 @@ class Format:
     layout: Callable[[Source], LayoutColumns] | None = None
     starts: Callable[[Source], StartColumns] | None = None
     targets: Callable[[Source], TargetColumns] | None = None
+    signs: tuple[tuple[str, ...], ...] = ()
 
     @property
     def holds(self) -> str:

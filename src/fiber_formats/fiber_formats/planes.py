@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from fiber_core.array_types import Floats, Ints
 from fiber_core.drive import Drive
@@ -22,6 +23,8 @@ _ARMS_ALIKE = 0.1  # relative difference of arm lengths up to which an instrumen
 _KNOWN_BY_ARMS = ("desi", "pfs", "sdss_v", "moons", "lamost")
 _SAME_PLACE_MM = 0.001
 _NAMED = 10
+_MANY = 10  # robots from which on the distance of neighbours tells the unit
+_SPARSE = 50.0  # of a plane, neighbours by arms; in units of 1000 mm or 1/1000 mm it is more
 
 
 def preset_of(name: str, found: LayoutColumns, preset: str | None) -> str:
@@ -87,6 +90,7 @@ def plane_of(
     figures = PRESETS[preset]
     supplied: list[str] = []
     arms = _pair(columns, "arm_theta_mm", "arm_phi_mm", figures.arms_mm, supplied, "arms")
+    _refuse_other_units(name, centers, arms)
     limits = _limits(columns, figures, supplied)
     speed = ("theta_speed_deg_s", "phi_speed_deg_s")
     speeds = np.deg2rad(_pair(columns, *speed, figures.speeds_deg_s, supplied, "speeds"))
@@ -177,6 +181,19 @@ def _refuse_shared_places(name: str, ids: NDArray, centers: Floats) -> None:
             for k in same[:_NAMED]
         ]
         raise FormatError(f"{name}: two robots stand on one place: {'; '.join(pairs)}")
+
+
+def _refuse_other_units(name: str, centers: Floats, arms: Floats) -> None:
+    # places in um stand far apart for their arms, and no robot would be in the way of another
+    if len(centers) < _MANY:
+        return
+    apart = cKDTree(centers).query(centers, k=2)[0][:, 1]
+    pitch, reach = float(np.median(apart)), float(np.median(arms.sum(axis=1)))
+    if not reach / _SPARSE < pitch < reach * _SPARSE:
+        raise FormatError(
+            f"{name}: neighbours stand {pitch:.3g} mm apart and arms reach {reach:.3g} mm: are "
+            "places and arms in mm?"
+        )
 
 
 def _same(name: str, values: NDArray, column: str) -> float:

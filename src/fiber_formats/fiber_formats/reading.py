@@ -8,8 +8,9 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from fiber_core.array_types import Floats, Ids
+from fiber_core.array_types import Floats, Ids, Points
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.kinematics import distance_range
 from fiber_formats.errors import FormatError
 from fiber_formats.fibres import chosen_fibres
 from fiber_formats.formats import FORMATS, OWN
@@ -25,6 +26,8 @@ __all__ = ["find_format", "read_layout", "read_obstacles", "read_starts", "read_
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 _Columns = TypeVar("_Columns")
 _NAMED = 10
+_MANY = 10  # robots from which on what is common to all of them tells something
+_AS_RADIANS = 7.0  # a turn, and what ranges have beyond it
 _STOP_DEG = 1e-4  # a start this far beyond a stop is on the stop
 
 
@@ -61,7 +64,7 @@ def read_layout(
     """
     source = Source(path)
     found_format = find_format(source, formats)
-    found = _reader(found_format, found_format.layout, source, "layout")(source)
+    found = _read(found_format, found_format.layout, source, "layout", formats)
     if len(found.columns["id"]) == 0:
         raise FormatError(f"{source.name} has no robots")
     if obstacles is not None:
@@ -107,8 +110,9 @@ def read_starts(path: Paths, plane: FocalPlane, formats: Sequence[Format] = FORM
     """
     source = Source(path)
     found_format = find_format(source, formats)
-    found = _reader(found_format, found_format.starts, source, "starts")(source)
+    found = _read(found_format, found_format.starts, source, "starts", formats)
     rows = plane.index_of(found.ids)
+    notices = found.notices + _unit_notice(found.angles_deg)
     angles = np.full((plane.n, 2), np.nan)
     angles[rows[rows >= 0]] = np.deg2rad(found.angles_deg[rows >= 0])
     if found.from_lower_stop:
@@ -119,7 +123,7 @@ def read_starts(path: Paths, plane: FocalPlane, formats: Sequence[Format] = FORM
             f"{source.name} has no present angles for {_robots(lacking)}, {len(lacking)} of "
             f"{plane.n}: the place of every robot must be known, also of disabled ones"
         )
-    notices = found.notices + _not_in_plane(found.ids[rows < 0])
+    notices += _not_in_plane(found.ids[rows < 0])
     stop = np.deg2rad(_STOP_DEG)
     turned = on_a_turn_inside(angles, plane.limits, stop)
     angles = turned.angles
@@ -130,6 +134,15 @@ def read_starts(path: Paths, plane: FocalPlane, formats: Sequence[Format] = FORM
         notices += (f"starts outside the joint ranges, so held: {_robots(outside)}",)
     summary = f"{_short(source)}: present angles of {plane.n} robots"
     return Starts(angles, found_format.name, summary, notices)
+
+
+def _unit_notice(angles_deg: Floats) -> tuple[str, ...]:
+    # angles of many robots that would suit radians better
+    known = angles_deg[np.isfinite(angles_deg).all(axis=1)]
+    most = float(np.abs(known).max(initial=0.0))
+    if len(known) < _MANY or most > _AS_RADIANS or np.ptp(known[:, 0]) < 1.0:
+        return ()
+    return (f"all present angles are within {most:.2f} degrees: are they in radians?",)
 
 
 def _turn_notices(ids: Ids, turned: Turned) -> tuple[str, ...]:
@@ -168,12 +181,13 @@ def read_targets(
     """
     source = Source(path)
     found_format = find_format(source, formats)
-    found = _reader(found_format, found_format.targets, source, "targets")(source)
+    found = _read(found_format, found_format.targets, source, "targets", formats)
     xy_mm, fibre, more = chosen_fibres(source.name, found, plane)
     asked = np.asarray(np.isfinite(xy_mm).all(axis=1))
     notices = found.notices + more
     if plane is not None:
         notices += _not_in_plane(found.ids[asked & (plane.index_of(found.ids) < 0)])
+        notices += _out_of_reach(plane, found.ids[asked], xy_mm[asked])
     count = np.count_nonzero(asked)
     summary = f"{_short(source)}: {count} targets, {len(asked) - count} robots without target"
     return Targets(
@@ -187,15 +201,35 @@ def read_targets(
     )
 
 
-def _reader(
+def _read(
     found: Format,
     reader: Callable[[Source], _Columns] | None,
     source: Source,
     kind: str,
-) -> Callable[[Source], _Columns]:
+    formats: Sequence[Format],
+) -> _Columns:
     if reader is None:
         raise FormatError(f"{source.name} is of format {found.name}, which holds no {kind}")
-    return reader
+    try:
+        return reader(source)
+    except FormatError as error:
+        hint = "" if found is not OWN else _nearly(source, formats)
+        raise FormatError(f"{error}{hint}") from None
+
+
+def _nearly(source: Source, formats: Sequence[Format]) -> str:
+    # a format of which the files have most columns, and what they lack of it
+    lacking = [
+        (len(absent) / len(sign), item.name, absent)
+        for item in formats
+        for sign in item.signs
+        for file in source.files
+        if 0 < len(absent := file.lacking(*sign)) < len(sign) / 2
+    ]
+    if not lacking:
+        return ""
+    _, name, absent = min(lacking)
+    return f"; as a file of format {name} it lacks {', '.join(absent)}"
 
 
 def _short(source: Source) -> str:
@@ -205,6 +239,17 @@ def _short(source: Source) -> str:
 def _robots(ids: Ids) -> str:
     more = f" and {len(ids) - _NAMED} more" if len(ids) > _NAMED else ""
     return f"robot {', '.join(str(i) for i in ids[:_NAMED])}{more}"
+
+
+def _out_of_reach(plane: FocalPlane, ids: Ids, xy_mm: Points) -> tuple[str, ...]:
+    rows = plane.index_of(ids)
+    known = rows >= 0
+    away = np.hypot(*(xy_mm[known] - plane.centers[rows[known]]).T)
+    far = ids[known][away > distance_range(plane)[1][rows[known]]]
+    if not len(far):
+        return ()
+    whose = ": is it a table of this plane, in mm?" if 2 * len(far) > len(away) else ""
+    return (f"out of reach, so held: {_robots(far)}, {len(far)} of {len(away)} targets{whose}",)
 
 
 def _not_in_plane(ids: Ids) -> tuple[str, ...]:

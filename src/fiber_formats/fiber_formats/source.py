@@ -93,6 +93,7 @@ class DataFile:
         if self.text is None:
             raise FormatError(
                 f"{self.name} is neither UTF-8 text nor FITS: save it as CSV, ECSV or FITS"
+                + " (a spreadsheet is a zip archive)" * self.is_zip
             )
         if is_yanny(self.text):
             return yanny_tables(self.name, self.text)
@@ -105,6 +106,15 @@ class DataFile:
         except FormatError:
             return False
         return any(table.has(*names) for table in tables)
+
+    def lacking(self, *names: str) -> tuple[str, ...]:
+        """Return which of some columns are in no table, or not in that which has most of them."""
+        try:
+            tables = self.tables
+        except FormatError:
+            return names
+        absent = [tuple(n for n in names if n not in table) for table in tables]
+        return min(absent, key=len, default=names)
 
     def table_with(self, *names: str) -> Table:
         """Return the only table with these columns.
@@ -150,6 +160,9 @@ class Source:
         names = _names(paths)
         if not names:
             raise FormatError("no file is named")
+        addresses = [name for name in names if "://" in name]
+        if addresses:
+            raise FormatError(f"{', '.join(addresses)}: fetch it first, only files are read")
         if len(set(names)) < len(names):
             raise FormatError(f"a file is named twice: {', '.join(names)}")
         self.files: tuple[DataFile, ...] = tuple(DataFile(name) for name in names)

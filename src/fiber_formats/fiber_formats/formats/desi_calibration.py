@@ -61,14 +61,14 @@ def layout(source: Source) -> LayoutColumns:
     notices += motor_notices(columns) + more
     columns.check()
     notices += ("petal edges and GFAs are those published: the file has none",)
-    notices += columns.unused_notice()
+    notices += columns.absent_notice() + columns.unused_notice()
     walls = petal_walls(np.unique(petal))
     found |= outlines
     return LayoutColumns(found, preset="desi_outlines", notices=notices, walls=walls)
 
 
 def _linear_phi(columns: Columns) -> Bools:
-    if "zeno_motor_p" not in columns:
+    if not columns.optional("zeno_motor_p"):
         return np.zeros(len(columns), dtype=bool)
     return linear_motors(columns, "zeno_motor_p")
 
@@ -78,7 +78,7 @@ def _scales(columns: Columns) -> dict[str, Floats]:
     found: dict[str, Floats] = {}
     for joint, letter in (("theta", "t"), ("phi", "p")):
         motor = f"zeno_motor_{letter}"
-        if motor not in columns:
+        if not columns.optional(motor):
             continue
         linear = linear_motors(columns, motor)
         for way, side in (("falling", "cw"), ("rising", "ccw")):
@@ -123,4 +123,4 @@ def _moments(columns: Columns) -> np.ndarray:
     return moments
 
 
-FORMAT = Format("DESI calibration", matches, layout=layout)
+FORMAT = Format("DESI calibration", matches, layout=layout, signs=(_SIGN,))

@@ -65,7 +65,7 @@ def polygons_of(text: str) -> Polygons:
 
 def file_outlines(columns: Columns, polygons: Polygons) -> dict[str, Floats]:
     """Return the outlines of robots by the names of own columns; empty where the file has none."""
-    if not all(name in columns for name in ("KEEPOUT_T", "KEEPOUT_P")):
+    if not all([columns.optional(name) for name in ("KEEPOUT_T", "KEEPOUT_P")]):
         return {}
     if not polygons.get("theta") or not polygons.get("phi"):
         return {}
@@ -85,7 +85,7 @@ def expanded_outlines(
     """Return the published outlines, expanded for each robot, and a notice that says so."""
     nothing = np.zeros(len(arms))
     values = [
-        np.nan_to_num(columns.numbers(name, missing=True)) if name in columns else nothing
+        np.nan_to_num(columns.numbers(name, missing=True)) if columns.optional(name) else nothing
         for name in _EXPANSIONS
     ]
     values[3] = np.where(linear_phi, np.maximum(values[3], LINEAR_DEG), values[3])

@@ -53,7 +53,11 @@ def layout(source: Source) -> LayoutColumns:
     arms = np.stack([found["arm_theta_mm"], found["arm_phi_mm"]], axis=1)
     polygons = polygons_of(source.only.text or "")
     outlines = file_outlines(columns, polygons)
-    linear = columns.flags("LINPHI") if "LINPHI" in columns else np.zeros(len(columns), dtype=bool)
+    linear = (
+        columns.flags("LINPHI")
+        if columns.optional("LINPHI")
+        else np.zeros(len(columns), dtype=bool)
+    )
     expanded, more = expanded_outlines(columns, arms, linear)  # asks the columns in any case
     notices += motor_notices(columns) + (() if outlines else more)
     columns.check()
@@ -65,7 +69,7 @@ def layout(source: Source) -> LayoutColumns:
             f"{np.count_nonzero(bus == _NO_BUS)} robots have no BUS_ID: those of a petal are put "
             "on a bus of their own",
         )
-    notices += columns.unused_notice()
+    notices += columns.absent_notice() + columns.unused_notice()
     found |= outlines or expanded
     return LayoutColumns(found, preset="desi_outlines", notices=notices, walls=walls)
 
@@ -96,4 +100,4 @@ def _positioners(source: Source) -> tuple[Columns, tuple[str, ...]]:
     return columns, (f"rows that are no robots and are not used: {listed}",)
 
 
-FORMAT = Format("DESI state", matches, layout=layout, starts=starts)
+FORMAT = Format("DESI state", matches, layout=layout, starts=starts, signs=(_SIGN,))

@@ -46,4 +46,4 @@ def targets(source: Source) -> TargetColumns:
     return TargetColumns(ids, xy_mm, notices + columns.unused_notice())
 
 
-FORMAT = Format("DESI fiberassign tile", matches, targets=targets)
+FORMAT = Format("DESI fiberassign tile", matches, targets=targets, signs=(_SIGN,))

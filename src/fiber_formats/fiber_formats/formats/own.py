@@ -94,6 +94,11 @@ def layout(source: Source) -> LayoutColumns:
         if name in columns:
             found[name] = columns.whole(name)
     preset = _preset(columns)
+    if enabled is None and (doubtful := columns.flag_names()):
+        columns.note(
+            f"{', '.join(doubtful)} may tell which robots are out of use: call it enabled or "
+            "disabled, or leave it out"
+        )
     _refuse_near_names(columns, _LAYOUT_NAMES)
     columns.check()
     notices += why + columns.unused_notice()

@@ -44,4 +44,4 @@ def targets(source: Source) -> TargetColumns:
     return TargetColumns(ids, xy_mm, notices + columns.unused_notice())
 
 
-FORMAT = Format("PFS pfsConfig", matches, targets=targets)
+FORMAT = Format("PFS pfsConfig", matches, targets=targets, signs=(_SIGN,))

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Our own problem.npz: present angles and targets of a whole problem."""
 
+import io
+import zipfile
+
 import numpy as np
 
 from fiber_core.errors import FiberError
@@ -14,8 +17,15 @@ __all__ = ["FORMAT"]
 
 
 def matches(source: Source) -> bool:
-    """Return whether the one file is a zip archive, as every .npz is."""
-    return len(source.files) == 1 and source.files[0].is_zip
+    """Return whether the one file is a zip archive of arrays, as every .npz is."""
+    first, *others = source.files
+    if others or not first.is_zip:
+        return False
+    try:
+        with zipfile.ZipFile(io.BytesIO(first.data)) as archive:
+            return all(name.endswith(".npy") for name in archive.namelist())
+    except zipfile.BadZipFile:
+        return True  # damaged: refused as such
 
 
 def starts(source: Source) -> StartColumns:

@@ -84,4 +84,4 @@ def _fibres(source: Source) -> tuple[Columns, np.ndarray]:
     return columns, kinds
 
 
-FORMAT = Format("SDSS-V confSummary", matches, starts=starts, targets=targets)
+FORMAT = Format("SDSS-V confSummary", matches, starts=starts, targets=targets, signs=(_SIGN,))

@@ -87,7 +87,12 @@ def _files(source: Source) -> dict[str, DataFile]:
     for file in source.files:
         kinds = [kind for kind, sign in signs.items() if file.has_columns(*sign)]
         if not kinds:
-            raise FormatError(f"{file.name} is none of {', '.join(signs)} of SDSS-V")
+            absent = {kind: file.lacking(*sign) for kind, sign in signs.items()}
+            nearest = min(signs, key=lambda kind: len(absent[kind]) / len(signs[kind]))
+            raise FormatError(
+                f"{file.name} is none of {', '.join(signs)} of SDSS-V; as a {nearest} it lacks "
+                + ", ".join(absent[nearest])
+            )
         if kinds[0] in found:
             raise FormatError(f"{found[kinds[0]].name} and {file.name} are both a {kinds[0]}")
         found[kinds[0]] = file
@@ -149,4 +154,6 @@ def _optional(columns: Columns, name: str) -> Floats:
     return columns.numbers(name, "mm") if name in columns else np.zeros(len(columns))
 
 
-FORMAT = Format("SDSS-V positionerTable and wokCoords", matches, layout=layout)
+FORMAT = Format(
+    "SDSS-V positionerTable and wokCoords", matches, layout=layout, signs=(_POSITIONERS, _HOLES)
+)

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mistakes that a user is likely to make with tables: refused or named, each with what to do."""
+
+import zipfile
+
+import numpy as np
+import pytest
+
+from fiber_core.presets import preset
+from fiber_formats import FormatError, read_layout, read_starts, read_targets
+
+PLANE = preset("desi", 37)
+HEAD = "id,x_mm,y_mm,arm_theta_mm,arm_phi_mm"
+
+
+def written(folder, head, rows):
+    path = folder / "table.csv"
+    path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]) + "\n")
+    return path
+
+
+def layout_rows(scale=1.0, arms=1.0):
+    return [
+        [i, *(scale * place), 3.0 * arms, 3.0 * arms]
+        for i, place in zip(PLANE.ids.tolist(), PLANE.centers)
+    ]
+
+
+@pytest.mark.parametrize(
+    "name, values",
+    [
+        ("broken", "FT"),
+        ("status", [0, 2]),
+        ("in_use", [0, 1]),
+        ("laser", ["yes", "yes"]),
+        ("spare_1", [1, 0]),
+    ],
+)
+def test_a_column_that_may_tell_what_is_out_of_use_is_refused(tmp_path, name, values):
+    rows = [[*row, values[k % 2]] for k, row in enumerate(layout_rows())]
+    with pytest.raises(FormatError, match=f"{name} may tell which robots are out of use"):
+        read_layout(written(tmp_path, f"{HEAD},{name}", rows))
+    told = [[*row, "yes"] for row in rows]
+    layout = read_layout(written(tmp_path, f"{HEAD},{name},enabled", told))
+    assert layout.plane.enabled.all() and layout.notices == (f"columns not used: {name}",)
+
+
+def test_a_column_of_zeros_or_of_other_numbers_tells_no_flag(tmp_path):
+    rows = [[*row, 0, k] for k, row in enumerate(layout_rows())]
+    layout = read_layout(written(tmp_path, f"{HEAD},dz,count", rows))
+    assert layout.notices == ("columns not used: dz, count",)
+
+
+@pytest.mark.parametrize("scale, arms", [(1e-3, 1.0), (1e3, 1.0), (1.0, 1e-3), (1.0, 1e3)])
+def test_places_and_arms_in_different_units_are_refused(tmp_path, scale, arms):
+    path = written(tmp_path, HEAD, layout_rows(scale, arms))
+    with pytest.raises(FormatError, match="are places and arms in mm"):
+        read_layout(path, "desi")
+
+
+def test_starts_in_radians_and_targets_of_another_plane_are_named(tmp_path):
+    rng = np.random.default_rng(4)
+    angles = np.stack([rng.uniform(-180, 180, PLANE.n), rng.uniform(0, 180, PLANE.n)], axis=1)
+    for unit, words in ((1.0, []), (np.pi / 180, ["are they in radians"])):
+        rows = np.column_stack([PLANE.ids, unit * angles]).tolist()
+        path = written(tmp_path, "id,theta_deg,phi_deg", [[int(r[0]), *r[1:]] for r in rows])
+        said = [n for n in read_starts(path, PLANE).notices if "radians" in n]
+        assert len(said) == len(words) and all(w in n for w, n in zip(words, said))
+    for scale, far in ((1.0, 0), (1e3, PLANE.n - 1)):  # one robot stands at the origin
+        rows = [[i, *(scale * p)] for i, p in zip(PLANE.ids.tolist(), PLANE.centers)]
+        notices = read_targets(written(tmp_path, "id,x_mm,y_mm", rows), PLANE).notices
+        assert (f"{far} of {PLANE.n} targets: is it a table of this plane" in str(notices)) == bool(
+            far
+        )
+
+
+def test_a_file_that_lacks_a_column_of_an_instrument_says_which(made_up, tmp_path):
+    text = (made_up / "desi_state.ecsv").read_text()
+    path = tmp_path / "state.ecsv"
+    path.write_text(text.replace("OFFSET_T", "OFFSETT"))
+    with pytest.raises(FormatError, match="as a file of format DESI state it lacks OFFSET_T"):
+        read_layout(path)
+
+
+def test_a_misspelt_column_that_a_file_may_lack_is_refused_and_a_lacking_one_is_named(
+    made_up, tmp_path
+):
+    text = (made_up / "desi_state.ecsv").read_text()
+    path = tmp_path / "state.ecsv"
+    name = "KEEPOUT_EXPANSION_PHI_ANGULAR"
+    path.write_text(text.replace(name, name.replace("LA", "AL")))
+    with pytest.raises(FormatError, match=f"column .*ANGUALR is not known; is {name} meant"):
+        read_layout(path)
+    path.write_text(text.replace(name, "BODY"))
+    (said,) = [n for n in read_layout(path).notices if "this one has not" in n]
+    assert name in said
+
+
+def test_a_file_of_sdss_v_that_lacks_a_column_says_which(made_up, tmp_path):
+    places = tmp_path / "places.csv"
+    places.write_text((made_up / "sdss_wokCoords.csv").read_text().replace("xWok", "xWk"))
+    with pytest.raises(FormatError, match="as a wokCoords it lacks xWok"):
+        read_layout([made_up / "sdss_positionerTable.csv", places])
+
+
+def test_a_spreadsheet_and_an_address_are_refused_with_what_to_do(tmp_path):
+    book = tmp_path / "robots.xlsx"
+    with zipfile.ZipFile(book, "w") as archive:
+        archive.writestr("xl/workbook.xml", "<workbook/>")
+    with pytest.raises(FormatError, match="save it as CSV, ECSV or FITS"):
+        read_layout(book)
+    with pytest.raises(FormatError, match="https://example.org/a.csv: fetch it first"):
+        read_layout("https://example.org/a.csv")
+
+
+def test_rows_without_ids_are_named_by_their_lines(tmp_path):
+    rows = [["", "mm", "mm", "mm", "mm"], *layout_rows()]
+    with pytest.raises(FormatError, match="column x_mm is not a number: line 2: mm"):
+        read_layout(written(tmp_path, HEAD, rows))
