@@ -226,6 +226,8 @@ class Columns:
             return np.zeros(len(self), dtype=np.int64)
         absent = column.missing[self._rows]
         numbers = [_whole(value) for value in column.values[self._rows].tolist()]
+        if column.values.dtype.str[1:] == "f4":  # larger numbers stand for several
+            numbers = [n if n is not None and abs(n) < 2**24 else None for n in numbers]
         good = np.array([n is not None and least <= n <= most for n in numbers], dtype=bool)
         bad = ~good & ~absent if otherwise is not None else ~good | absent
         self._refuse(bad, column, what)

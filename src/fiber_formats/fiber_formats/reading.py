@@ -218,17 +218,19 @@ def _read(
 
 
 def _nearly(source: Source, formats: Sequence[Format]) -> str:
-    # a format of which the files have most columns, and what they lack of it
+    # a format of which a file has most columns, and what it lacks of it
     lacking = [
-        (len(absent) / len(sign), item.name, absent)
+        (len(absent) / len(sign), item.name, file.name, absent)
         for item in formats
         for sign in item.signs
         for file in source.files
-        if 0 < len(absent := file.lacking(*sign)) < len(sign) / 2
+        if len(absent := file.lacking(*sign)) < len(sign) / 2
     ]
     if not lacking:
         return ""
-    _, name, absent = min(lacking)
+    _, name, file_name, absent = min(lacking)
+    if not absent:
+        return f"; {file_name} is of format {name}, which needs other files beside it, or none"
     return f"; as a file of format {name} it lacks {', '.join(absent)}"
 
 

@@ -5,6 +5,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from astropy.table import Table
 
 from fiber_core.presets import preset
 from fiber_formats import FormatError, read_layout, read_starts, read_targets
@@ -80,6 +81,26 @@ def test_a_file_that_lacks_a_column_of_an_instrument_says_which(made_up, tmp_pat
     path.write_text(text.replace("OFFSET_T", "OFFSETT"))
     with pytest.raises(FormatError, match="as a file of format DESI state it lacks OFFSET_T"):
         read_layout(path)
+
+
+def test_files_that_do_not_belong_together_are_told_so(made_up):
+    state, tile = made_up / "desi_state.ecsv", made_up / "desi_calibration.csv"
+    with pytest.raises(FormatError, match="which needs other files beside it, or none"):
+        read_layout([state, tile])
+    with pytest.raises(FormatError, match="sdss_wokCoords.csv is of format SDSS-V positioner"):
+        read_layout(made_up / "sdss_wokCoords.csv")
+
+
+@pytest.mark.parametrize("kind, most", [("f4", 2**24), ("f8", 2**32)])
+def test_ids_in_floats_are_read_as_far_as_they_are_exact(tmp_path, kind, most):
+    for robot in (most - 1, most):
+        table = Table({"id": np.array([robot], kind), "x_mm": [1.0], "y_mm": [2.0]})
+        table.write(tmp_path / "t.fits", overwrite=True)
+        if robot < most:
+            assert read_targets(tmp_path / "t.fits").ids.tolist() == [robot]
+        else:
+            with pytest.raises(FormatError, match="column id is not a number from 0 to"):
+                read_targets(tmp_path / "t.fits")
 
 
 def test_a_misspelt_column_that_a_file_may_lack_is_refused_and_a_lacking_one_is_named(
