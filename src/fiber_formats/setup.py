@@ -15,7 +15,7 @@ setup(
         ("share/fiber_formats", ["package.xml"]),
     ],
     # package.xml names the ROS packages as well
-    install_requires=["fiber_core", "numpy", "astropy"],
+    install_requires=["fiber_core", "numpy", "scipy", "astropy"],
     extras_require={"test": ["pytest", "hypothesis"]},  # colcon looks for pytest here
     zip_safe=True,
 )
