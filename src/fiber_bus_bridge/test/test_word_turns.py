@@ -9,7 +9,9 @@ from unplaced_rig import new_rig
 from fiber_bus_bridge import SessionState
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.measured_places import place_robots
+from fiber_bus_bridge.node.outlines import BlindErrors, Outlines
 from fiber_bus_bridge.protocol.decisions import neighbours_of
+from fiber_bus_bridge.protocol.turn_limits import half_gaps
 from fiber_bus_bridge.word_turns import cannot_turn, turn_words
 from fiber_core.clearance import Safety, gaps, levers_of, neighbour_pairs
 
@@ -84,6 +86,27 @@ def test_robots_closer_than_the_margin_rest_or_turn_by_half_of_their_gap():
     assert set(pairs[least]) <= set(np.flatnonzero(cannot_turn(rig.session)))
     with pytest.raises(SessionError, match=r"gaps allow no turn .* robot \d+ may move by 0.0"):
         turn_words(rig.session, np.where(cannot_turn(rig.session), 1.0, np.nan), rig.t)
+
+
+class Silent:
+    def publish_layout(self, always=False):
+        pass
+
+
+def test_turns_after_an_image_count_from_gaps_that_hold_the_errors_of_moves():
+    rig = found_rig()
+    plane, session = rig.plane, rig.session
+    pairs = neighbour_pairs(plane)
+    pairs = pairs[(pairs < plane.n).all(axis=1)]
+    gap_mm = gaps(plane, pairs, session.angles)
+    least = int(np.argmin(gap_mm))
+    error_um = 1e3 * (gap_mm[least] / 2.0 - 0.3 * Safety().margin_mm)
+    outlines = Outlines(session, plane, BlindErrors(error_um, 1.0), Silent())
+    blind = half_gaps(session.protocol)
+    assert (blind < HALF_MM).any()
+    # an image tells where arms rest, and nothing of the turns that follow
+    outlines.learn(np.zeros((2, plane.n)).T)
+    assert np.array_equal(half_gaps(session.protocol), blind)
 
 
 def test_robots_at_unknown_places_and_their_neighbours_rest():

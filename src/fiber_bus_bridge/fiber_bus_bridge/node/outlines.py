@@ -62,6 +62,7 @@ class Outlines:
         self._session, self._exact, self._outgoing = session, exact, outgoing
         half_rad = interval_of_tips(exact, errors.blind_sigmas * errors.blind_um * 1e-3)
         self._blind_mm = np.stack(arms_within(exact, half_rad), axis=1)
+        session.protocol.of_move_mm = self._blind_mm
         session.protocol.blind_mm = self._blind_mm  # no image was taken yet
         self._grown_mm: Floats = np.zeros((exact.n, 2))
         self._seen = False  # whether an image was taken since the last blind move

@@ -189,6 +189,7 @@ class Context:
         # how far points of both outlines may be from where the counters put them, by the last image
         self.known_mm: Floats = np.zeros((self.plane.n, 2))
         self.blind_mm: Floats = np.zeros((self.plane.n, 2))  # and by moves since that image
+        self.of_move_mm: Floats = np.zeros((self.plane.n, 2))  # and by any move after an image
         # rounded inwards, so that every order that a robot accepts keeps the limits and speeds
         self.limits: Ints = self.units.range_counts(self.plane)
         speed = np.floor(self.plane.speeds / self.units.velocity_rad_s).astype(np.int64)

@@ -69,11 +69,13 @@ def learn_gaps(c: Context) -> None:
 def half_gaps(c: Context) -> Floats:
     """Return half of the gap of each robot where it rests, at most half of the margin [mm], (n,).
 
-    It is 0 for a robot at an unknown place, or beside one.
+    It is 0 for a robot at an unknown place, or beside one. Outlines hold what moves from there
+    leave unknown, also if an image was taken since the last one.
     """
     known = _known(c)
     pairs, others = _pairs_of(c, known)
-    half_mm = 0.5 * _least_gap(c, pairs, _gaps(c, pairs))
+    grown = _grown(c, np.maximum(c.blind_mm, c.of_move_mm))
+    half_mm = 0.5 * _least_gap(c, pairs, gaps(grown, pairs, c.units.to_angles(c.robots["counts"])))
     half_mm[others[others < c.plane.n]] = 0.0
     return np.where(known, half_mm, 0.0)
 
@@ -99,12 +101,12 @@ def _pairs_of(c: Context, known: Mask) -> tuple[Pairs, Pairs]:
 
 def _gaps(c: Context, pairs: Pairs) -> Gaps:
     """Gaps of pairs where their counters put them, less what is not known of the arms [mm]."""
-    return gaps(_grown(c), pairs, c.units.to_angles(c.robots["counts"]))
+    return gaps(_grown(c, c.blind_mm), pairs, c.units.to_angles(c.robots["counts"]))
 
 
-def _grown(c: Context) -> FocalPlane:
+def _grown(c: Context, blind_mm: Floats) -> FocalPlane:
     """The plane with outlines that hold the arms, wherever they may be."""
-    theta_mm, phi_mm = (c.exact_mm + np.hypot(c.known_mm, c.blind_mm)).T
+    theta_mm, phi_mm = (c.exact_mm + np.hypot(c.known_mm, blind_mm)).T
     return replace(c.plane, theta_radius=theta_mm, phi_radius=phi_mm)
 
 
@@ -140,7 +142,7 @@ def limits_after_go(c: Context) -> Ints:
 
 def _left_mm(c: Context, motion: SegmentMotion, pairs: Pairs) -> Gaps:
     """Gaps that a motion leaves wherever it is broken off [mm], shape (p,)."""
-    plane, safety, s = _grown(c), c.safety, c.safety
+    plane, safety, s = _grown(c, c.blind_mm), c.safety, c.safety
     late = replace(
         safety,
         start_skew_s=s.start_skew_s + s.stop_skew_s, stop_skew_s=0.0,
