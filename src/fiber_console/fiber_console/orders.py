@@ -13,7 +13,7 @@ from rclpy.task import Future
 from fiber_client.errors import PlaneRefusal
 from fiber_console.errors import ConsoleError
 from fiber_msgs_py import topics
-from fiber_node import RepeatedRequest
+from fiber_node import BRIDGE, RepeatedRequest, claims
 
 __all__ = ["ORDERS", "BridgeOrders"]
 
@@ -66,7 +66,10 @@ class BridgeOrders:
         client = self._clients[order]
         if not client.service_is_ready():
             raise ConsoleError(f"{order}: there is no bridge in the graph")
-        request = RepeatedRequest(self._node, client, _SERVICES[order].type.Request())
+        request = RepeatedRequest(
+            self._node, client, _SERVICES[order].type.Request(),
+            lambda: len(claims(self._node, BRIDGE)),
+        )  # fmt: skip
         if not request.wait(self._timeout_s):
             raise self._silent(order)
         answer = request.result()

@@ -17,16 +17,18 @@ _LOOK_S = 0.05  # between two looks at the graph
 
 
 class RepeatedRequest:
-    """A request that is sent again whenever another server of its service has come.
+    """A request that is sent again when a server has come that takes the place of a dead one.
 
     The middleware delivers a request to the servers that it knows as it is sent, and knows one that
     was killed until its lease ends. Meanwhile its service counts as there, and a request reaches no
-    server if the next one is not known yet. Nothing is sent again to servers that were there.
+    server if the next one is not known yet. While all servers live nothing is sent again: a server
+    that lives would do twice what it was asked, and one that stays out would answer in its place.
 
     Args:
         node: the node that asks.
         client: its client of the service.
         request: the request.
+        living: returns the number of servers that live, such as that of the claims to a role.
         clock: returns seconds.
     """
 
@@ -35,10 +37,11 @@ class RepeatedRequest:
         node: Node,
         client: Client,
         request: Any,
+        living: Callable[[], int],
         clock: Callable[[], float] = time.monotonic,
     ):
         self._node, self._client, self._request, self._clock = node, client, request, clock
-        self._servers = self._count()
+        self._living, self._servers, self._none = living, self._count(), False
         self._look_s, self._again_s = clock() + _LOOK_S, float("inf")
         self._answered = threading.Event()
         self._futures: list[Future] = []
@@ -52,12 +55,13 @@ class RepeatedRequest:
         if now_s >= self._look_s:
             self._look_s = now_s + _LOOK_S
             servers = self._count()
+            self._none |= servers == 0
             if servers > self._servers:
                 self._again_s = now_s + _SETTLED_S
             self._servers = servers
-        if now_s >= self._again_s:
-            self._again_s = float("inf")
-            self._send()
+            if now_s >= self._again_s and (self._none or self._living() < servers):
+                self._again_s, self._none = float("inf"), False
+                self._send()
         return False
 
     def wait(self, timeout_s: float) -> bool:
