@@ -4,7 +4,9 @@
 import numba as nb
 
 from fiber_core.array_types import Floats, Ints
+from fiber_planner.direct.coupled import motors_follow
 from fiber_planner.direct.plan_state import PlanState
+from fiber_planner.direct.profile_sampling import fill_two_ramps
 from fiber_planner.direct.scene import Scene
 
 __all__ = ["compress_profiles"]
@@ -19,7 +21,7 @@ def compress_profiles(
     Two robots that pass each other do so at any speed, if both are sped up. Where a joint would
     exceed its limit it follows as fast as it may, and leaves the profile in time to be at its end
     when the time is over. Only pairs with such a robot can be in conflict then. A robot with an end
-    out of reach keeps its profile.
+    out of reach keeps its profile; one whose coupled motors cannot follow goes straight.
 
     Args:
         scene: the robots and their surroundings.
@@ -53,3 +55,7 @@ def compress_profiles(
                 left = most * (last - k)
                 row[k] = min(max(row[k], end - left), end + left)
             row[last] = end
+        if not motors_follow(scene, i, plan.q[i], step_s):
+            for joint in range(2):
+                s, g = plan.q[i, joint, 0], plan.q[i, joint, last]
+                fill_two_ramps(plan.q[i, joint], s, g, g, 0, last, last, last)

@@ -17,6 +17,7 @@ from fiber_planner.direct.moves import (
     sample_lines,
     sample_profile,
 )
+from fiber_planner.direct.perturbation import perturb_profile
 from fiber_planner.direct.plan_state import (
     PlanState,
     commit,
@@ -40,6 +41,7 @@ _KEEP_HALF = 0.3  # share of the moves with odd numbers that change half of a pr
 # pair may resolve, and takes the best move for all its other pairs: two robots that pass
 # through each other are not always freed by moves of one robot at a time.
 _KICK = 0.1
+_NEAR = 0.3  # share of the moves that change the present profile a little, where arms fold
 _LINES = 8  # moves of a visit that take one segment a joint, where arms do not fold
 _BY_MOTORS = 0.7  # share of the moves of coupled joints that are made for them
 _FOLDING_OF_COUPLED = 0.3  # least share of their moves that fold the arm: time is short
@@ -165,6 +167,9 @@ def _best_move(scene, plan, i, step_s, folding, draws, best, rng, buffers):
                 choice = sample_by_motors(scene, plan, i, draw, draws, step_s, rng, profile)
             if choice == INFEASIBLE:
                 continue
+        elif folding > 0.0 and not coupled and next_uniform(rng) < _NEAR:
+            choice = plan.choice[i]
+            perturb_profile(scene, plan, i, step_s, rng, profile)
         elif next_uniform(rng) < folding:
             choice = sample_folded(scene, plan, i, step_s, rng, profile, folded)
             if choice == INFEASIBLE:

@@ -52,7 +52,9 @@ _FEW = 5  # pairs in conflict beside static bodies that are searched deeper befo
 _DRAWS_OF_FEW = 15000  # in a sweep; 5 us each
 _VISITS = 100  # robots between two reports of progress, at least
 _PARTS = 50  # reports of progress in a sweep, at most
-_AT_ONE_MAKESPAN = 200  # moves per robot after which no more robots are folded anew
+# Moves per robot after which no more robots are folded anew: where a longer makespan may be all that
+# is missing, and where robots lose their targets after that.
+_AT_ONE_MAKESPAN = (60, 200)
 _REFOLDED_AT_MOST = 20  # times at one makespan
 _CERTIFIED_AT_MOST = 8  # rounds of certificate and local search
 _RELEASE_ROUNDS = 12
@@ -91,7 +93,7 @@ class Search:
         self._done = 0.0  # fraction of the makespans that were tried
         self._effort_share = effort_share(problem.plane.n)
         self._limit = parameters.effort * self._effort_share
-        self._at_one_makespan = _AT_ONE_MAKESPAN * self._effort_share
+        self._at_one_makespan = 0.0
         self._refolded_at_most = _REFOLDED_AT_MOST
         self.crowded, self.dense, self.stretch, self.certified = False, False, 1.0, False
         near_static = near_static_arms(self._scene, problem.plane.n)
@@ -111,7 +113,8 @@ class Search:
         if crowded:
             conflicts = self._start_straight(stretches[0])
         for number, stretch in enumerate(stretches):
-            self.stretch = stretch
+            self.stretch, releases = stretch, stretch >= _RELEASE_FROM[crowded]
+            self._at_one_makespan = _AT_ONE_MAKESPAN[int(releases)] * self._effort_share
             self._lengthen(stretch)
             if stretch >= _FOLD_FROM[crowded] and self._folding == 0.0:
                 conflicts = self._fold_all()
@@ -119,7 +122,7 @@ class Search:
             self._report_progress(conflicts)
             conflicts = self._certified_search()
             for _ in range(_RELEASE_ROUNDS):
-                if conflicts == 0 or stretch < _RELEASE_FROM[crowded] or self._exhausted:
+                if conflicts == 0 or not releases or self._exhausted:
                     break
                 released = self._release_worst(self._releasable())
                 if not (released or hold_idle(self._scene, self._plan)):
@@ -133,14 +136,13 @@ class Search:
         self._restore()
         return self._result()
 
-    def begin_at(self, stretch: float, released: Bools, like: "Search | None" = None) -> None:
-        """Begin a search at one makespan of a crowded plane, for `go_on`.
+    def begin_at(self, stretch: float, released: Bools, like: "Search") -> None:
+        """Begin a search at one makespan with a longer plan compressed, for `go_on`.
 
         Args:
             stretch: the makespan, in units of the time that the slowest robot needs alone.
             released: robots that have lost their targets in an earlier search, shape (n,).
-            like: a search that has found a longer plan of the same problem, to begin with that
-                plan compressed; by default the search begins with folded arms.
+            like: a search that has found a longer plan of the same problem.
         """
         self.stretch, self.crowded, self._limit = stretch, True, 0.0
         self._refolded_at_most = 10 * _REFOLDED_AT_MOST
@@ -148,14 +150,11 @@ class Search:
         self._ends.angles[released] = self._problem.start[released]
         self._reason[released] = Reason.NOT_CONVERGED
         self._start_straight(stretch)
-        if like is None or self._scene.coupling.shape[1]:  # compression knows no coupled motors
-            self._fold_all()
-        else:
-            self._folding = _FOLDING
-            other = like._plan
-            compress_profiles(self._scene, self._plan, other.q, other.choice, self._grid.step_s)
-            self._plan.changed[:] = self._plan.shortcut_due[:] = True
-            measure_all(self._scene, self._plan)
+        self._folding = _FOLDING
+        other = like._plan
+        compress_profiles(self._scene, self._plan, other.q, other.choice, self._grid.step_s)
+        self._plan.changed[:] = self._plan.shortcut_due[:] = True
+        measure_all(self._scene, self._plan)
 
     def go_on(self, moves: float) -> bool:
         """Go on with a search at one makespan, and return whether a certified plan was found.
