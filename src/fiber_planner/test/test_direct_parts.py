@@ -19,7 +19,8 @@ from fiber_planner.direct.certify_changed import require_more, shortfall_mm
 from fiber_planner.direct.collision_cost import _DEEPEST, collision_cost
 from fiber_planner.direct.compression import compress_profiles
 from fiber_planner.direct.initial_plan import choose_ends, straight_plan
-from fiber_planner.direct.local_search import straighten
+from fiber_planner.direct.local_search import fold_arms, straighten
+from fiber_planner.direct.perturbation import perturb_profile
 from fiber_planner.direct.pieces import pieces_of
 from fiber_planner.direct.plan_state import PlanState, mark_changed, measure_all
 from fiber_planner.direct.profile_sampling import (
@@ -278,7 +279,7 @@ def test_an_unneeded_detour_becomes_a_line_and_a_needed_one_stays():
     q[1, 0] = np.interp(time, [0, 4, 16], [0.0, 0.3, -1.0])  # it looks the other way
     plan = _plan(scene, q.copy(), 0.1)
     assert measure_all(scene, plan) == 0
-    assert shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2)) == 2
+    assert shortcut_profiles(scene, plan, _STEP_S, 0, 0, np.arange(2)) == 2
     assert measure_all(scene, plan) == 0
     assert np.allclose(plan.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
     assert np.allclose(plan.q[1, 0], np.linspace(0.0, -1.0, _STEPS + 1))
@@ -287,7 +288,7 @@ def test_an_unneeded_detour_becomes_a_line_and_a_needed_one_stays():
     q[1, 0] = np.interp(time, [0, 8, 16], [np.pi, np.pi, np.pi + 1.5])  # it leaves first
     plan = _plan(scene, q.copy(), 0.1)
     assert measure_all(scene, plan) == 0
-    shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2))
+    shortcut_profiles(scene, plan, _STEP_S, 0, 0, np.arange(2))
     assert measure_all(scene, plan) == 0
     assert np.array_equal(plan.q[0], q[0])  # and is waited for
     assert np.array_equal(plan.q[:, :, [0, -1]], q[:, :, [0, -1]])
@@ -304,10 +305,10 @@ def test_a_robot_that_goes_around_what_comes_later_is_there_sooner_on_one_line()
     plan = _plan(scene, q.copy(), 0.1)
     scene.movable[1] = False  # not for shortcut_profiles to change
     assert measure_all(scene, plan) == 0
-    shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2))
+    shortcut_profiles(scene, plan, _STEP_S, 0, 0, np.arange(2))
     assert np.array_equal(plan.q[0], q[0])  # on a line over the whole time it is in the way
     plan.shortcut_due[0] = True
-    assert shortcut_profiles(scene, plan, _STEP_S, 100, np.arange(2)) == 1
+    assert shortcut_profiles(scene, plan, _STEP_S, 100, 0, np.arange(2)) == 1
     assert measure_all(scene, plan) == 0
     arrives = int(np.argmax(plan.q[0, 0] == 0.8))
     assert arrives < 16
@@ -340,14 +341,14 @@ def test_a_robot_that_had_to_wait_is_tried_again_once_its_neighbour_has_changed(
     plan = _plan(scene, q, 0.1)
     scene.movable[1] = False  # not for shortcut_profiles to change
     assert measure_all(scene, plan) == 0
-    assert shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2)) == 0
+    assert shortcut_profiles(scene, plan, _STEP_S, 0, 0, np.arange(2)) == 0
     plan.q[1, 0] = np.linspace(0.0, -1.0, _STEPS + 1)  # now it looks the other way
     assert measure_all(scene, plan) == 0
     assert (
-        shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2)) == 0
+        shortcut_profiles(scene, plan, _STEP_S, 0, 0, np.arange(2)) == 0
     )  # no robot is marked as changed
     mark_changed(scene, plan, 1)
-    assert shortcut_profiles(scene, plan, _STEP_S, 0, np.arange(2)) == 1
+    assert shortcut_profiles(scene, plan, _STEP_S, 0, 0, np.arange(2)) == 1
     assert np.allclose(plan.q[0, 0], np.linspace(0.8, -0.5, _STEPS + 1))
 
 
@@ -403,6 +404,29 @@ def test_no_more_is_required_beside_a_static_body_than_the_gap_at_the_start():
     plan.changed[:] = True
     strict = shortfall_mm(problem.plane, scene, parameters, plan, grid, tangled, ~at_most & False)
     assert (loose <= strict).all() and (loose[at_most] > 0.0).any()
+
+
+def test_a_profile_near_the_present_one_keeps_ends_speed_and_limits():
+    problem = random_problem(preset("sdss_v", 37), np.random.default_rng(1))
+    scene, parameters = scene_of(problem), DirectParameters()
+    ends = choose_ends(problem, scene, parameters)
+    grid = time_grid(1.1 * ends.alone_s, 1e-2, 48)
+    plan, _ = straight_plan(problem, scene, parameters, ends, grid)
+    fold_arms(scene, plan, scene.movable, grid.step_s)
+    profile, changed = np.empty_like(plan.q[0]), np.zeros(plan.q.shape[2])
+    for i in range(problem.plane.n):
+        rng, present = seeded_rng(scene.key[i], 1), plan.q[i].copy()
+        for _ in range(40):
+            perturb_profile(scene, plan, i, grid.step_s, rng, profile)
+            np.testing.assert_array_equal(profile[:, [0, -1]], present[:, [0, -1]])
+            most = scene.speed[i, :, None] * grid.step_s
+            assert (np.abs(np.diff(profile)) <= most * (1 + 1e-9)).all()
+            assert (profile.T >= scene.low[i] - 1e-9).all() and (
+                profile.T <= scene.high[i] + 1e-9
+            ).all()
+            changed += np.any(np.abs(profile - present) > 1e-6, axis=0)
+        np.testing.assert_array_equal(plan.q[i], present)
+    assert (changed[2:-2] > 0.1 * 40 * problem.plane.n).all()
 
 
 @pytest.mark.parametrize("stretch", [1.3, 1.15, 1.0])

@@ -2,6 +2,8 @@
 """Laws of shortening: a plan is replaced by a shorter one in which as many robots arrive."""
 
 import itertools
+import time
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_planner.direct import DirectParameters, DirectPlanner, straight_pieces
+from fiber_planner.direct.plan_state import measure_all
 from fiber_planner.direct.search import Search
+from fiber_planner.direct.simplification import simplify_plan
 
 CROWDED = [("sdss_v", 37, 1), ("sdss_v", 37, 2), ("sdss_v", 61, 3), ("moons", 37, 4)]
 
@@ -30,11 +34,44 @@ def makespan_s(planned):
     return planned.motion.time_s[-1]
 
 
+class Begun(NamedTuple):
+    """A search for a shorter plan: the makespan of its plan and of the one it began with."""
+
+    stretch: float
+    before: float
+    found: bool
+
+
 @pytest.fixture(scope="module")
-def plans():
-    """First and shortened plan of each crowded field."""
+def searched():
+    """First and shortened plan of each crowded field, and the searches between them."""
     fields = [random_problem(preset(name, n), np.random.default_rng(s)) for name, n, s in CROWDED]
-    return [(problem, plan(problem, 0.0), plan(problem, 300.0)) for problem in fields]
+    return [(problem, plan(problem, 0.0), *searches_of(problem)) for problem in fields]
+
+
+@pytest.fixture(scope="module")
+def plans(searched):
+    """First and shortened plan of each crowded field."""
+    return [(problem, first, best) for problem, first, best, _ in searched]
+
+
+def searches_of(problem):
+    begun, begin_at, go_on = {}, Search.begin_at, Search.go_on
+
+    def begin(search, stretch, released, like):
+        begun[search] = Begun(stretch, like.stretch, False)
+        begin_at(search, stretch, released, like)
+
+    def spy(search, moves):
+        found = go_on(search, moves)
+        begun[search] = begun[search]._replace(found=found)
+        return found
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Search, "begin_at", begin)
+        patched.setattr(Search, "go_on", spy)
+        best = plan(problem, 300.0)
+    return best, list(begun.values())
 
 
 def test_a_plan_is_shortened_and_no_robot_loses_its_target(plans):
@@ -53,24 +90,27 @@ def test_a_shortened_plan_is_certified(plans):
         assert certify(problem.plane, motion, parameters.safety).ok
 
 
-def test_compressed_plans_follow_each_other_before_the_other_search_has_ended(plans, monkeypatch):
-    begun, begin_at = [], Search.begin_at
+def test_every_search_begins_with_the_best_plan_so_far(searched):
+    succeeded = 0
+    for _, _, _, begun in searched:
+        best = begun[0].before
+        for before, some in itertools.groupby(begun, lambda search: search.before):
+            assert before == best
+            found = [search.stretch for search in some if search.found]
+            best = min([best, *found])
+            succeeded += len(found)
+    assert succeeded > 2 * len(searched)
 
-    def spy(search, stretch, released, like=None):
-        begun.append((stretch, like is not None))
-        begin_at(search, stretch, released, like)
 
-    monkeypatch.setattr(Search, "begin_at", spy)
-    most = 0
-    for problem, _, _ in plans:
-        begun.clear()
-        plan(problem, 1.0)  # ends when both searches have made their first moves
-        anew = [stretch for stretch, compressed in begun if not compressed]
-        compressed = [stretch for stretch, compressed in begun if compressed]
-        assert len(anew) == 1
-        assert all(later < stretch for stretch, later in itertools.pairwise(compressed))
-        most = max(most, len(compressed))
-    assert most > 1
+def test_after_a_search_in_vain_two_plans_are_compressed_by_less(searched):
+    followed = 0
+    for _, _, _, begun in searched:
+        for failed, *two in zip(begun, begun[1:], begun[2:]):
+            least = max(0.6 * (failed.before - failed.stretch), 0.006)  # a half, or the least step
+            if not failed.found and two[0].before == two[1].before == failed.before:
+                assert all(search.before - search.stretch <= least for search in two)
+                followed += 1
+    assert followed > 0
 
 
 def test_the_shortest_plan_takes_fewer_lines_than_it_was_found_with(plans, monkeypatch):
@@ -81,6 +121,28 @@ def test_the_shortest_plan_takes_fewer_lines_than_it_was_found_with(plans, monke
     np.testing.assert_array_equal(best.reason, as_found.reason)
     lines = [straight_pieces(planned.motion).counts.sum() for planned in (best, as_found)]
     assert lines[0] < lines[1]
+
+
+def test_only_robots_of_a_pair_that_is_not_confirmed_get_their_lines_of_before(plans):
+    problem, _, _ = plans[2]
+    search = Search(problem, DirectParameters(), None, time.monotonic)
+    search.run()
+    scene, before, calls = search._scene, search._plan.q.copy(), []
+
+    def unconfirmed():
+        changed = (search._plan.q != before).any(axis=(1, 2))
+        calls.append(np.zeros(len(scene.pairs), dtype=bool))
+        if len(calls) == 1:
+            calls[0][np.flatnonzero(changed[scene.pairs].all(axis=1))[0]] = True
+            calls[0][~scene.movable[scene.pairs].all(axis=1)] = False
+        return calls[-1].copy()
+
+    simplify_plan(scene, search._plan, search._grid.step_s, 200, search._blocks, unconfirmed)
+    changed = (search._plan.q != before).any(axis=(1, 2))
+    refused = scene.pairs[calls[0]]
+    assert refused.size and not changed[refused].any()
+    assert changed.sum() > 3
+    assert measure_all(scene, search._plan) == 0
 
 
 def test_the_same_seed_gives_the_same_bytes_whatever_thread_is_first(plans):

@@ -102,7 +102,9 @@ def sweep_parts(
     return sum(evaluated)
 
 
-def shortcut_all(scene: Scene, plan: PlanState, step_s: float, lines: int, blocks: Blocks) -> None:
+def shortcut_all(
+    scene: Scene, plan: PlanState, step_s: float, lines: int, moved: int, blocks: Blocks
+) -> None:
     """Remove breakpoints from the profiles of all robots, block beside block.
 
     Args:
@@ -114,6 +116,6 @@ def shortcut_all(scene: Scene, plan: PlanState, step_s: float, lines: int, block
 
         def visit(first: int, last: int, wave: list[Rows] = wave) -> None:
             for rows in wave[first:last]:
-                shortcut_profiles(scene, plan, step_s, lines, rows)
+                shortcut_profiles(scene, plan, step_s, lines, moved, rows)
 
         share_out(visit, len(wave), 1)

@@ -5,6 +5,7 @@ import numba as nb
 
 from fiber_core.array_types import Floats, Ints
 from fiber_planner.direct.coupled import motors_follow
+from fiber_planner.direct.perturbation import limit_speed
 from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.profile_sampling import fill_two_ramps
 from fiber_planner.direct.scene import Scene
@@ -42,19 +43,13 @@ def compress_profiles(
         plan.choice[i] = choice[i]
         plan.folded[i, 0] = plan.folded[i, 1] = 0
         for joint in range(2):
-            most = scene.speed[i, joint] * step_s
             row, before = plan.q[i, joint], profiles[i, joint]
-            end = before[last_before]
-            row[0] = before[0]
+            row[0], row[last] = before[0], before[last_before]
             for k in range(1, last):
                 at = k * last_before / last
                 j = min(int(at), last_before - 1)
-                angle = before[j] + (at - j) * (before[j + 1] - before[j])
-                row[k] = min(max(angle, row[k - 1] - most), row[k - 1] + most)
-            for k in range(1, last):
-                left = most * (last - k)
-                row[k] = min(max(row[k], end - left), end + left)
-            row[last] = end
+                row[k] = before[j] + (at - j) * (before[j + 1] - before[j])
+            limit_speed(row, scene.speed[i, joint] * step_s)
         if not motors_follow(scene, i, plan.q[i], step_s):
             for joint in range(2):
                 s, g = plan.q[i, joint, 0], plan.q[i, joint, last]

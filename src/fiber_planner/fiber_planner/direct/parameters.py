@@ -67,7 +67,7 @@ class DirectParameters:
     intervals: int = 48
     stretch: float = 2.2
     effort: float = 5000.0
-    shortening: float = 1200.0
+    shortening: float = 800.0
     budget_s: float = float("inf")
     seed: int = 0
 

@@ -37,7 +37,7 @@ def limit_speed(row: Floats, most: float) -> None:
         row[k] = min(max(row[k], end - left), end + left)
 
 
-@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@nb.njit(cache=True, error_model="numpy")
 def perturb_profile(
     scene: Scene, plan: PlanState, i: int, step_s: float, rng: RngState, profile: Floats
 ) -> None:
@@ -75,7 +75,7 @@ def perturb_profile(
                 angle = row[k] + share * change
                 row[k] = min(max(angle, scene.low[i, joint]), scene.high[i, joint])
     for joint in range(2):
-        limit_speed(profile[joint], scene.speed_alone[i, joint] * step_s)
+        limit_speed(profile[joint], scene.speed[i, joint] * step_s)
 
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)

@@ -29,6 +29,7 @@ from fiber_planner.direct.parameters import DirectParameters, effort_share
 from fiber_planner.direct.plan_state import count_conflicts, measure_all, measure_pairs
 from fiber_planner.direct.scene import scene_of
 from fiber_planner.direct.search_result import SearchResult
+from fiber_planner.direct.simplification import simplify_plan
 from fiber_planner.direct.slowing import slow_close_starts
 from fiber_planner.direct.stretches import stretches_of
 from fiber_planner.direct.time_grid import time_grid
@@ -52,8 +53,8 @@ _FEW = 5  # pairs in conflict beside static bodies that are searched deeper befo
 _DRAWS_OF_FEW = 15000  # in a sweep; 5 us each
 _VISITS = 100  # robots between two reports of progress, at least
 _PARTS = 50  # reports of progress in a sweep, at most
-# Moves per robot after which no more robots are folded anew: where a longer makespan may be all that
-# is missing, and where robots lose their targets after that.
+# Moves per robot after which no more robots are folded anew, at makespans after which a longer one
+# is tried, and at those after which robots lose their targets.
 _AT_ONE_MAKESPAN = (60, 200)
 _REFOLDED_AT_MOST = 20  # times at one makespan
 _CERTIFIED_AT_MOST = 8  # rounds of certificate and local search
@@ -170,15 +171,11 @@ class Search:
         return self.certified
 
     def simplify(self) -> SearchResult:
-        """Give the robots of a certified plan profiles of fewer lines, if that is certified too."""
-        if self._late:
-            return self._result()
-        before = [np.copy(column) for column in self._plan]
+        """Give robots of a certified plan profiles of fewer lines where those are certified too."""
         for lines in _LAST_LINES:
-            self._plan.shortcut_due[:] = True
-            shortcut_all(self._scene, self._plan, self._grid.step_s, lines, self._blocks)
-        if self._unconfirmed_pairs().any():
-            self._take_back(before)
+            if not self._late:
+                step_s, unconfirmed = self._grid.step_s, self._unconfirmed_pairs
+                simplify_plan(self._scene, self._plan, step_s, lines, self._blocks, unconfirmed)
         return self._result()
 
     @property
@@ -305,7 +302,7 @@ class Search:
             conflicts = self._local_search()
             if conflicts:
                 return conflicts
-            shortcut_all(self._scene, self._plan, self._grid.step_s, _LINES, self._blocks)
+            shortcut_all(self._scene, self._plan, self._grid.step_s, _LINES, 0, self._blocks)
             short = self._unconfirmed_pairs()
             unconfirmed = int(np.count_nonzero(short))
             if not unconfirmed:

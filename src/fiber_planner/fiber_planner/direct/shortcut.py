@@ -27,10 +27,14 @@ from fiber_planner.direct.splitmix64 import next_uniform, seeded_rng
 __all__ = ["shortcut_profiles"]
 
 _STRAIGHT_RAD = 1e-9
+_REMOVED = 0.7  # share of the profiles with a moved breakpoint in which another one is removed
+_ANGLE = 0.8  # by which a breakpoint is moved at most [rad]
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
-def shortcut_profiles(scene: Scene, plan: PlanState, step_s: float, lines: int, rows: Rows) -> int:
+def shortcut_profiles(
+    scene: Scene, plan: PlanState, step_s: float, lines: int, moved: int, rows: Rows
+) -> int:
     """Remove breakpoints from the profiles of a plan without conflict while it stays free.
 
     A robot whose straight motion over the whole time is free of collisions uses it. Otherwise
@@ -44,6 +48,8 @@ def shortcut_profiles(scene: Scene, plan: PlanState, step_s: float, lines: int, 
         plan: the plan; profiles, costs and folded times are written.
         step_s: length of a grid interval [s].
         lines: how many profiles of fewer lines are tried for each robot with breakpoints.
+        moved: how many profiles are tried after that in which a breakpoint is moved, and mostly the
+            one beside it removed.
         rows: the robots to visit, in this order, shape (k,).
 
     Returns:
@@ -68,6 +74,8 @@ def shortcut_profiles(scene: Scene, plan: PlanState, step_s: float, lines: int, 
             commit(scene, plan, i, profile, costs)
             simpler = True
         elif _try_lines(scene, plan, i, step_s, lines, breaks, profile, order, costs):
+            simpler = True
+        if _move_breaks(scene, plan, i, step_s, moved, breaks, profile, order, costs):
             simpler = True
         for joint in range(2):
             count = _breaks(plan.q[i, joint], breaks)
@@ -179,3 +187,62 @@ def _free_without_break(scene, plan, i, joint, at, breaks, step_s, profile, orde
     if not motors_follow(scene, i, profile, step_s):
         return False
     return is_free(scene, plan, i, profile, order, costs)
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _move_breaks(scene, plan, i, step_s, moved, breaks, profile, order, costs):
+    # Remove breakpoints and move those beside them, some also without; whether one was free.
+    rng, found = seeded_rng(scene.key[i], 2), False
+    for _ in range(moved):
+        joint = int(next_uniform(rng) < 0.5)
+        count = _breaks(plan.q[i, joint], breaks)
+        if count < 3:
+            joint = 1 - joint
+            count = _breaks(plan.q[i, joint], breaks)
+            if count < 3:
+                break
+        copy_profile(plan.q[i], profile)
+        most = scene.speed[i, joint] * step_s
+        low, high = scene.low[i, joint], scene.high[i, joint]
+        if not _with_moved_break(profile[joint], breaks, count, low, high, most, rng):
+            continue
+        if motors_follow(scene, i, profile, step_s):
+            if is_free(scene, plan, i, profile, order, costs):
+                commit(scene, plan, i, profile, costs)
+                found = True
+    return found
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _with_moved_break(row, breaks, count, low, high, most, rng):
+    # A profile with a breakpoint moved between its neighbours, the arrival in time only; mostly
+    # one beside it is removed. Returns whether the joint can follow.
+    last = len(row) - 1
+    at = 1 + int(next_uniform(rng) * (count - 2))
+    first, second = at - 1, at + 1
+    if next_uniform(rng) < _REMOVED:
+        if first > 0 and next_uniform(rng) < 0.5:
+            first -= 1
+        else:
+            second += 1  # beyond the last one the arrival itself is moved
+    begin = breaks[first]
+    arrives = second == count
+    end = last + 1 if arrives else breaks[second]
+    if end - begin < 2:
+        return False
+    time = begin + 1 + int(next_uniform(rng) * (end - begin - 1))
+    s, angle = row[begin], row[time]
+    if arrives:
+        angle = row[last]
+    else:
+        angle += _ANGLE * next_uniform(rng) ** 2 * (2.0 * next_uniform(rng) - 1.0)
+        angle = min(max(angle, low), high)
+    g, end = row[min(end, last)], min(end, last)
+    if abs(angle - s) > most * (time - begin) or abs(g - angle) > most * (end - time):
+        return False
+    for k in range(begin + 1, time):
+        row[k] = s + (angle - s) * ((k - begin) / (time - begin))
+    row[time] = angle
+    for k in range(time + 1, end):
+        row[k] = angle + (g - angle) * ((k - time) / (end - time))
+    return True

@@ -39,8 +39,8 @@ def shortest_plan(
 
     The best plan is compressed: all robots go their ways sped up by one factor, and the conflicts
     of those at their speed limits are searched. A search that succeeds is the next best plan. One
-    that fails is soon given up, and two follow side by side, of which the plan is compressed by less
-    and by half of that. Decisions are made at fixed numbers of moves, so the plan depends
+    that fails is soon given up, and two follow side by side, one with half of the compression
+    and one with a quarter. Decisions are made at fixed numbers of moves, so the plan depends
     neither on the number of cores nor on their speed, unless there is a budget of time.
 
     Args:
