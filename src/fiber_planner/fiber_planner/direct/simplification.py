@@ -36,7 +36,12 @@ def simplify_plan(
         unconfirmed: returns the pairs that the certificate does not confirm, shape (p,); it may
             require more of them in the plan.
     """
-    before = PlanState(*(np.copy(column) for column in plan))
+    before = plan._replace(
+        q=plan.q.copy(),
+        choice=plan.choice.copy(),
+        folded=plan.folded.copy(),
+        required=plan.required.copy(),
+    )
     plan.shortcut_due[:] = True
     shortcut_all(scene, plan, step_s, lines, lines, blocks)
     back = np.zeros(len(plan.q), dtype=bool)
