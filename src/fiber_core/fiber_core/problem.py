@@ -166,6 +166,7 @@ def _drive_of(data: Mapping[str, NDArray[Any]], n: int) -> Drive:
         data.get("lost_motion_rad", 0.0),
         data.get("supply"),
         number("motors_on", 1.0),
+        data["id"],
     )
 
 

@@ -151,6 +151,7 @@ def _drive(columns: Mapping[str, NDArray]) -> Drive | None:
         lost_motion_rad=lost,
         scale=scale,
         supply=columns.get("supply"),
+        ids=columns["id"],
     )
 
 

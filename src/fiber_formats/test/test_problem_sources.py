@@ -83,6 +83,21 @@ def test_a_share_of_motors_alone_leaves_the_motors_as_the_file_says(tmp_path):
     np.testing.assert_array_equal(found.acceleration_rad_s2, own.drive.acceleration_rad_s2)
 
 
+def test_a_figure_of_a_drive_out_of_range_is_refused_with_the_id_of_the_robot(tmp_path):
+    problem = random_problem(preset("desi", 5), np.random.default_rng(1))
+    plane = replace(problem.plane, ids=np.arange(40, 45), drive=Drive(5, supply=np.zeros(5)))
+    save_problem(tmp_path / "problem.npz", replace(problem, plane=plane))
+    data = dict(np.load(tmp_path / "problem.npz"))
+    data["motor_scale"][3] = 0.001
+    np.savez(tmp_path / "problem.npz", **data)
+    with pytest.raises(FiberError, match=r"robot 43: scale must be 0.01 to 100, got"):
+        problem_from(problem=tmp_path / "problem.npz")
+    table = "id,x_mm,y_mm,theta_scale_falling\n7,0,0,1\n4,12,0,-1\n"
+    (tmp_path / "plane.csv").write_text(table)
+    with pytest.raises(FiberError, match=r"plane.csv: robot 4: scale must be 0.01 to 100, got"):
+        problem_from(layout=tmp_path / "plane.csv", preset="desi")
+
+
 def test_a_supply_that_may_feed_less_than_one_motor_is_refused_by_name(tmp_path):
     plane = preset("desi", 5)
     told = r"supply 0: 0.05 of its 10 motors is 0.5, and less than one motor moves no robot"

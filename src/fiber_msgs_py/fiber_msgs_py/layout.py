@@ -326,6 +326,7 @@ def _drive(robots: np.ndarray) -> Drive | None:
         lost,
         None if of_bus.all() else supply[:, 0],
         float(on[0, 0]),
+        robots["id"],
     )
 
 

@@ -56,9 +56,10 @@ class Drive:
             that broadcasts to it.
         supply: number of the power supply of each robot, shape (n,); None for that of its bus.
         motors_on: largest share of the motors of a supply that may turn at once, above 0 to 1.
+        ids: ids of the robots for messages, shape (n,); None for their rows.
 
     Raises:
-        LayoutError: a shape does not fit or a value is out of range; names the row.
+        LayoutError: a shape does not fit or a value is out of range; names the robot.
     """
 
     n: int
@@ -84,6 +85,7 @@ class Drive:
         lost_motion_rad: ArrayLike = 0.0,
         supply: ArrayLike | None = None,
         motors_on: float = 1.0,
+        ids: ArrayLike | None = None,
     ):
         bounds.check_number(ramp_s, "ramp of the drive [s]", 0.0, _MAX_RAMP_S, LayoutError)
         bounds.check_number(
@@ -110,7 +112,7 @@ class Drive:
             if outside.any():
                 at = int(np.argmax(outside.reshape(len(array), -1).any(axis=1)))
                 raise LayoutError(
-                    f"robot row {at}: {field} must be {low:.6g} to {high:.6g}, "
+                    f"{_robot(ids, at)}: {field} must be {low:.6g} to {high:.6g}, "
                     f"got {array[at].tolist()}"
                 )
             object.__setattr__(self, field, array)
@@ -118,7 +120,7 @@ class Drive:
             at = int(np.argmax(np.isfinite(self.acceleration_rad_s2).any(axis=1)))
             limit = self.acceleration_rad_s2[at].tolist()
             raise LayoutError(
-                f"robot row {at}: an acceleration of {limit} rad/s2 needs a ramp, got 0 s"
+                f"{_robot(ids, at)}: an acceleration of {limit} rad/s2 needs a ramp, got 0 s"
             )
 
     def __eq__(self, other: object) -> bool:
@@ -193,3 +195,7 @@ class Drive:
             None if self.supply is None else self.supply[rows],
             self.motors_on,
         )
+
+
+def _robot(ids: ArrayLike | None, row: int) -> str:
+    return f"robot row {row}" if ids is None else f"robot {np.asarray(ids)[row]}"
