@@ -34,10 +34,11 @@ def started(module, domain, *arguments, said="settings: "):
     process = subprocess.Popen(
         [sys.executable, "-c", code, "--ros-args", *arguments],
         env=os.environ | {"ROS_DOMAIN_ID": str(domain)},
-        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         text=True,
     )
-    for line in process.stderr:
+    for line in process.stdout:
         if said in line:
             return process
     raise AssertionError(f"{module} has ended with code {process.wait()}")
@@ -49,7 +50,7 @@ def ends_with_code_0(process, how):
     earlier = PROCESSORS.of_children_s()
     process.send_signal(how)
     try:
-        _, text = process.communicate(timeout=ENDS_S)
+        text, _ = process.communicate(timeout=ENDS_S)
     finally:
         process.kill()
     took = PROCESSORS.of_children_s() - earlier - before
@@ -67,14 +68,25 @@ def test_a_node_that_waits_needs_little_to_end(new_domain, module):
     assert ends_with_code_0(process, signal.SIGTERM) < 0.15
 
 
-def test_signals_that_follow_the_first_do_not_break_into_the_end(new_domain):
+@pytest.mark.parametrize(
+    ("module", "said", "how"),
+    [
+        ("fiber_viewer.node", "waits for", signal.SIGINT),
+        ("fiber_console.node", "the console is at", signal.SIGINT),
+        ("fiber_console.node", "the console is at", signal.SIGTERM),
+    ],
+)
+def test_signals_that_follow_the_first_do_not_break_into_the_end(
+    new_domain, tmp_path, module, said, how
+):
     # a terminal and a launch both tell a node to end
-    process = started("fiber_viewer.node", new_domain(), said="waits for")
+    given = ("-p", "port:=0", "-p", f"token_file:={tmp_path / 'token'}")
+    process = started(module, new_domain(), *given, said=said)
     try:
         while process.poll() is None:
-            process.send_signal(signal.SIGINT)
+            process.send_signal(how)
             time.sleep(0.002)
-        _, text = process.communicate(timeout=ENDS_S)
+        text, _ = process.communicate(timeout=ENDS_S)
     finally:
         process.kill()
     assert process.returncode == 0 and "Traceback" not in text, text

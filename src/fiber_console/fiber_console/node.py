@@ -6,6 +6,7 @@ waits for it: when it ends or hangs, the plane goes on.
 """
 
 import asyncio
+import atexit
 import os
 import signal
 import sys
@@ -176,11 +177,32 @@ async def serve(node: ConsoleNode, ended: asyncio.Event) -> None:
         server.close()
 
 
-async def _run(node: ConsoleNode) -> None:
+class _FirstSignal:
+    """A handler of signals that acts on the first alone: others do not break into the end.
+
+    It raises KeyboardInterrupt, or calls `end` where that is set.
+    """
+
+    def __init__(self) -> None:
+        self.end: Callable[[], object] | None = None
+        self._came = False
+
+    def __call__(self, *_: object) -> None:
+        if self._came:
+            return
+        self._came = True
+        if self.end is None:
+            raise KeyboardInterrupt
+        self.end()
+
+
+async def _run(node: ConsoleNode, interrupt: _FirstSignal) -> None:
     ended, loop = asyncio.Event(), asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, ended.set)
-    await serve(node, ended)
+    interrupt.end = lambda: loop.call_soon_threadsafe(ended.set)
+    try:
+        await serve(node, ended)
+    finally:
+        interrupt.end = lambda: None  # it ends anyway, and the loop may be closed
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -191,9 +213,12 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     use_loopback()
     keep_private()
-    # signals end the loop of asyncio, which ends the rest; before it runs they are interrupts
+    # a signal ends the loop of asyncio, which ends the rest; before it runs it is an interrupt
+    interrupt = _FirstSignal()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, interrupt)
+        # Python gives handlers back to the system before it has ended
+        atexit.register(signal.signal, number, signal.SIG_IGN)
     given = list(sys.argv if args is None else args)
     rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     code, executor, node = 0, ThreadExecutor(_THREADS), None
@@ -205,7 +230,7 @@ def main(args: Sequence[str] | None = None) -> int:
         warn_of_sections(node, given)
         executor.add_node(node)
         thread.start()
-        asyncio.run(_run(node))
+        asyncio.run(_run(node, interrupt))
     except (ConsoleError, FiberError) as error:
         print(f"console: {error}", file=sys.stderr)
         code = 2
