@@ -17,8 +17,9 @@ from trajectory_msgs.msg import JointTrajectory
 from fiber_bringup.graph import Graph
 from fiber_client.client import PlaneClient
 from fiber_client.show import main
-from fiber_core.outcomes import Outcome, Reason
-from fiber_msgs_py import Stage, topics
+from fiber_core.outcomes import Outcome, Reason, Verdict
+from fiber_msgs_py import PlanStamp, Stage, measured, topics
+from fiber_msgs_py.layout import RowKind
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -101,13 +102,30 @@ def test_every_topic_is_shown_as_csv_and_json(graph, monkeypatch):
     domain, ended, client = graph
     found = list(csv.DictReader(io.StringIO(shown(domain, monkeypatch, "layout", "--format=csv"))))
     assert [int(row["id"]) for row in found] == client.plane.ids.tolist()
-    assert {"bus", "address", "enabled"} <= set(found[0])
+    assert {"bus", "address", "enabled"} <= set(found[0]) and found[0]["kind"] == "robot"
     held = json.loads(shown(domain, monkeypatch, "held", "--format=json"))
     assert all(row["stage"] in ("planner", "discretizer") for row in held["rows"])
+    head = shown(domain, monkeypatch, "segments").splitlines()[0]
+    assert "ticks and wire units" in head and "m, rad and s" in shown(domain, monkeypatch, "held")
     segments = json.loads(shown(domain, monkeypatch, "segments", "--format=json"))
     assert segments["stamp"] == held["stamp"] and {r["joint"] for r in segments["rows"]} == {0, 1}
     outcome = json.loads(shown(domain, monkeypatch, "outcome", "--format=json"))
     assert all(row["error"] is None for row in outcome["rows"] if row["reason"] == "no_target")
+
+
+def test_what_a_camera_measured_is_shown_in_words(new_domain, monkeypatch):
+    domain, two = new_domain(), np.zeros((2, 2))
+    table = measured.Measured(
+        np.array([3, 17]), np.array([Verdict.MEASURED, Verdict.DARK]), two + [[1.5], [np.nan]],
+        two, two + 0.1, np.array([0.01, np.nan]), np.zeros(2), two,
+    )  # fmt: skip
+    with Stranger(domain, WAIT_S) as stranger:
+        publisher = topics.MEASURED.publisher(stranger.node)
+        publisher.publish(measured.encode(table, PlanStamp(10**18)))
+        rows = json.loads(shown(domain, monkeypatch, "measured", "--format=json"))["rows"]
+    assert [row["id"] for row in rows] == [3, 17]
+    assert [row["verdict"] for row in rows] == ["measured", "dark"]
+    assert rows[0]["x"] == 0.0015 and rows[1]["x"] is None
 
 
 def test_a_topic_without_a_message_is_an_error(new_domain, monkeypatch, capsys):
@@ -123,6 +141,9 @@ def test_a_topic_without_a_message_is_an_error(new_domain, monkeypatch, capsys):
 def test_the_page_of_codes_has_every_code():
     parts = re.split(r"^## (\w+)$", CODES.read_text(), flags=re.MULTILINE)[1:]
     pages = dict(zip(parts[::2], parts[1::2]))
-    for name, codes in (("outcome", Outcome), ("reason", Reason), ("stage", Stage)):
+    for name, codes in (
+        ("outcome", Outcome), ("reason", Reason), ("verdict", Verdict), ("stage", Stage),
+        ("kind", RowKind),
+    ):  # fmt: skip
         rows = re.findall(r"^\| (\d+) \| (\w+) \|", pages[name], re.MULTILINE)
         assert rows == [(str(int(code)), code.name.lower()) for code in codes]

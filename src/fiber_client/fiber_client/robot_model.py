@@ -44,7 +44,7 @@ class ModelledRobot:
 
 
 class RobotModelNode(PlaneNode):
-    """Publishes the URDF of one robot whenever a layout comes.
+    """Publishes the URDF of one robot of the layout, and again when a layout changes it.
 
     Args:
         options: keyword arguments of rclpy.node.Node.
@@ -55,7 +55,7 @@ class RobotModelNode(PlaneNode):
         self._chosen = self.parameters.declare(ModelledRobot, read_only=True).value.robot_model
         self.parameters.finish()
         self._report = Reporter(self, "robot_model")
-        self._description = DESCRIPTION.publisher(self)
+        self._description, self._published = DESCRIPTION.publisher(self), ""
         gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
         gate.subscription(topics.LAYOUT, self._on_layout)
         self.get_logger().info("waits for a bridge, to describe a robot")
@@ -68,8 +68,13 @@ class RobotModelNode(PlaneNode):
         except FiberError as error:
             self._report.refuse(f"layout refused: {error}", "layout")
             return
+        if text == self._published:  # a display would build the model anew
+            return
+        self._published = text
         self._description.publish(String(data=text))
-        self._report.info(f"robot {robot} is described on robot_description")
+        described = f"robot {robot} is described on robot_description"
+        self._report.info(described)
+        self._report.waiting(described)
 
 
 def main(args: Sequence[str] | None = None) -> int:

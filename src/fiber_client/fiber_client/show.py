@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Print a topic of the graph as a table: outcome, layout, targets, segments or held.
+"""Print a topic of the graph as a table: outcome, layout, targets, segments, held or measured.
 
 The newest message is shown: the last one that was published, and of targets, of which none is kept,
 the next one. Codes are printed as words; docs/codes.md has their numbers. Quantities have the units
@@ -21,8 +21,9 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from fiber_client.terminal import table
 from fiber_core.errors import FiberError
-from fiber_core.outcomes import Outcome, Reason
+from fiber_core.outcomes import Outcome, Reason, Verdict
 from fiber_msgs_py import PlanStamp, Stage, topics
+from fiber_msgs_py.layout import RowKind
 from fiber_msgs_py.sessions import is_session
 from fiber_node import RosClient
 from fiber_node.ros_environment import use_loopback
@@ -34,6 +35,8 @@ CODES: dict[tuple[str, str], type[IntEnum]] = {
     ("outcome", "reason"): Reason,
     ("held", "reason"): Reason,
     ("held", "stage"): Stage,
+    ("layout", "kind"): RowKind,
+    ("measured", "verdict"): Verdict,
 }
 _TOPICS = {
     "outcome": (topics.OUTCOME,),
@@ -41,7 +44,9 @@ _TOPICS = {
     "targets": (topics.TARGETS,),
     "segments": (topics.SEGMENTS,),
     "held": (topics.HELD_BY_PLANNER, topics.HELD_BY_DISCRETIZER),
+    "measured": (topics.MEASURED,),
 }
+_UNITS = {"segments": "ticks and wire units"}  # of the table; else SI
 _TYPES = {
     PointField.INT8: "i1",
     PointField.UINT8: "u1",
@@ -61,7 +66,7 @@ def rows_of(name: str, message: PointCloud2) -> list[_Row]:
     """Return the rows of a table message by column, codes as words.
 
     Args:
-        name: one of outcome, layout, targets, segments and held.
+        name: the topic, as main has it.
         message: the message.
     """
     fields = [field for field in message.fields if not is_session(field.name)]
@@ -107,7 +112,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for row in rows_of(options.topic, message)
     ]
     try:
-        _print(rows, plan, options.format)
+        _print(rows, plan, options.format, _UNITS.get(options.topic, "m, rad and s"))
         sys.stdout.flush()
     except BrokenPipeError:  # `show layout | head`
         sys.stderr.close()
@@ -125,7 +130,7 @@ def _newest(client: RosClient, name: str, timeout_s: float) -> list[PointCloud2]
     return [max(messages, key=PlanStamp.of) for messages in received if messages]
 
 
-def _print(rows: list[_Row], plan: PlanStamp, form: str) -> None:
+def _print(rows: list[_Row], plan: PlanStamp, form: str, units: str) -> None:
     if form == "json":
         print(json.dumps({"stamp": str(plan), "rows": _finite(rows)}))
     elif form == "csv":
@@ -135,7 +140,7 @@ def _print(rows: list[_Row], plan: PlanStamp, form: str) -> None:
     else:
         lines: list[Sequence[object]] = [list(rows[0])] if rows else []
         lines += [[_cell(value) for value in row.values()] for row in rows]
-        print(f"stamp {plan}, {len(rows)} rows")
+        print(f"stamp {plan}, in {units}, {len(rows)} rows")
         if lines:
             print(table(lines))
 

@@ -95,10 +95,18 @@ def test_a_subscriber_that_comes_later_receives_the_description(new_domain):
         units, now = WireUnits.for_plane(PLANE), PlanStamp(peer.node.get_clock().now().nanoseconds)
         topics.LAYOUT.publisher(peer.node).publish(layout.encode(PLANE, units, now, claim.id))
         first = peer.collect(DESCRIPTION)
-        peer.add_node(
+        node = peer.add_node(
             lambda **options: RobotModelNode(namespace="/north", **options), robot_model=ROBOT
         )
         peer.wait_for(lambda: first, WAIT_S)
+        statuses = peer.collect(topics.DIAGNOSTICS)
+        peer.wait_for(lambda: any(f"robot {ROBOT} is" in str(each) for each in statuses), WAIT_S)
+        other = preset("desi", 19)  # arms of another shape
+        for plane in (PLANE, PLANE, other):  # the bridge repeats it
+            units = WireUnits.for_plane(plane)
+            node._on_layout(layout.encode(plane, units, now, claim.id))
+        peer.wait_for(lambda: first[-1].data == robot_urdf(other, ROBOT, FRAME), WAIT_S)
+        assert len(first) == 2
         context = Context()
         rclpy.init(args=[], context=context, domain_id=domain)
         stranger = rclpy.create_node("stranger", context=context)
@@ -115,4 +123,4 @@ def test_a_subscriber_that_comes_later_receives_the_description(new_domain):
         executor.shutdown()
         stranger.destroy_node()
         context.try_shutdown()
-    assert received[0].data == robot_urdf(PLANE, ROBOT, FRAME)
+    assert received[0].data == robot_urdf(other, ROBOT, FRAME)

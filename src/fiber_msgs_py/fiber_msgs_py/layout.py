@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Layout: the robots and obstacles of the focal plane, and the units of its orders."""
 
+from enum import IntEnum
+
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
@@ -14,13 +16,30 @@ from fiber_msgs_py.ids import checked_ids, refuse
 from fiber_msgs_py.stamps import PlanStamp
 from fiber_msgs_py.table import column_names, decode_table, encode_table
 
-__all__ = ["RECALLED", "SEEN", "decode", "decode_border_skews", "decode_unplaced", "encode"]
+__all__ = [
+    "RECALLED",
+    "SEEN",
+    "RowKind",
+    "decode",
+    "decode_border_skews",
+    "decode_unplaced",
+    "encode",
+]
 
 # of a robot whose counters do not tell its place: they read where it rested before; a camera has
 # told all but the turn of theta
 RECALLED, SEEN = 2, 3
-_ROBOT, _DISC, _WALL = 0, 1, 2  # kinds of row: robots first, then fixed discs, then walls
 
+
+class RowKind(IntEnum):
+    """What a row of the layout describes: robots come first, then fixed discs, then walls."""
+
+    ROBOT = 0
+    DISC = 1
+    WALL = 2
+
+
+_ROBOT, _DISC, _WALL = RowKind
 # lengths [m]
 _METRES = ("x", "y", "arm_theta", "arm_phi", "arm_radius", "theta_radius", "spacing", "envelope")
 # angles [rad] and speeds [rad/s]
@@ -65,8 +84,7 @@ def encode(
     unplaced: Ints | None = None,
     border_skews_s: tuple[float, float] | None = None,
 ) -> PointCloud2:
-    """Return a focal plane and its wire units as a message, without the name of the
-    plane.
+    """Return a focal plane and its wire units as a message, without the name of the plane.
 
     Args:
         plane: the focal plane.
