@@ -300,3 +300,5 @@ def test_an_argument_that_the_launch_file_does_not_have_is_named(launch_file):
     declared = {each.args[0] for each in all_of(description, "DeclareLaunchArgument")}
     others = [f"{name}:=" for name in declared]
     assert len(others) > 20 and not module["_name_unknown"](SimpleNamespace(argv=others))
+    checklist = SHARE.parents[1] / "docs" / "checklist-ros2.md"
+    assert f"| {len(others)} arguments with meaning and default |" in checklist.read_text()

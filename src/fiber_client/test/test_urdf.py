@@ -2,7 +2,9 @@
 """The URDF of a robot, read by its own rules: its frames are where the kinematics put them."""
 
 import math
+import subprocess
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ from fiber_node import BRIDGE, Claim, RosClient
 PLANE = preset("desi_outlines", 19)
 ROBOT, FRAME = 7, "north/focal_plane"
 WAIT_S = 60.0
+VIEWING = Path(__file__).parents[3] / "docs" / "viewing.md"
 
 
 def numbers(text):
@@ -81,6 +84,24 @@ def test_limits_speeds_and_boxes_are_those_of_the_plane():
     corners, radius = PLANE.phi_vertices[ROBOT], PLANE.phi_radius[ROBOT]
     np.testing.assert_allclose(middle - size / 2, corners.min(axis=0) - radius, atol=1e-9)
     np.testing.assert_allclose(middle + size / 2, corners.max(axis=0) + radius, atol=1e-9)
+
+
+def test_the_description_is_a_parameter_as_the_command_of_the_docs_hands_it_over():
+    command = next(line for line in VIEWING.read_text().splitlines() if line.startswith("URDF="))
+    text = robot_urdf(PLANE, ROBOT, FRAME)
+    echoed = f"{text}\n---\n"  # as `ros2 topic echo --field data` prints it
+    script = command[command.rindex("|") + 1 :].removesuffix(')"')
+    done = subprocess.run(script, shell=True, input=echoed, capture_output=True, text=True)
+    context = Context()
+    given = ["--ros-args", "-p", f"robot_description:={done.stdout.rstrip()}"]
+    rclpy.init(args=given, context=context)
+    node = rclpy.create_node("robot_state_publisher", context=context)
+    value = node.declare_parameter("robot_description", "").value
+    node.destroy_node()
+    context.try_shutdown()
+    assert frames(value, dict.fromkeys(("p0007/theta", "p0007/phi"), 0.5)) == frames(
+        text, dict.fromkeys(("p0007/theta", "p0007/phi"), 0.5)
+    )
 
 
 def test_a_robot_that_is_not_there_is_an_error():

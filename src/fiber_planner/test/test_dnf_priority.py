@@ -180,7 +180,7 @@ def test_the_blocker_of_a_robot_is_the_one_its_step_is_shortened_for(kind, rando
 
 def crowd(n, alone_s=None, **parameters):
     """Robots in a row that would all like to turn theta by 1 rad, and their Priorities."""
-    numbers = dict(dt=0.01, patience_s=0.05, yield_s=0.3, claims=2) | parameters
+    numbers = {"dt": 0.01, "patience_s": 0.05, "yield_s": 0.3, "claims": 2} | parameters
     centers = np.stack([10.0 * np.arange(n), np.zeros(n)], axis=1)
     limits = np.full((n, 2), np.pi)
     swarm = Swarm(

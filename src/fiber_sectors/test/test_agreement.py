@@ -51,7 +51,7 @@ def test_no_burst_of_losses_breaks_a_promise(victim, lasts_s):
 
 def mishap(rng, kind):
     at_s = rng.uniform(0.0, 0.3)
-    hosts = [dict(ahead_s=rng.uniform(-5, 5), rate_ppm=rng.uniform(-50, 50)) for _ in range(3)]
+    hosts = [{"ahead_s": rng.uniform(-5, 5), "rate_ppm": rng.uniform(-50, 50)} for _ in range(3)]
     jump_s = float(rng.choice([-1, 1]) * 10 ** rng.uniform(-4, 0))
     hosts[0] |= {
         "jump": {"jump_at_s": at_s, "jump_s": jump_s},

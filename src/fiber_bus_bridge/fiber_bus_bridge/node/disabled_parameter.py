@@ -123,7 +123,6 @@ def follow_disabled_parameter(
             list; refuses by raising a FiberError.
         refuse: called with the text of a refusal.
     """
-
     node = declared.node
 
     def on_set(parameters: Iterable[Parameter]) -> SetParametersResult:
