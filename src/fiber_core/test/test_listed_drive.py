@@ -17,6 +17,7 @@ from fiber_core.drive import (
     overloading,
     rules_broken,
 )
+from fiber_core.drive.breaches import MotorRule
 from fiber_core.drive.least_time import least_time_s
 from fiber_core.drive.named import with_drive
 from fiber_core.errors import LayoutError
@@ -111,6 +112,10 @@ def test_the_rule_and_the_value_are_told(theta, told):
     broken = rules_broken(drive, both)
     assert broken.told(drive, [0, 0], np.array([7, 9])) == [f"robot 9: phi {told}"]
     assert broken.robot.tolist() == [1] and broken.joint.tolist() == [1]
+    if broken.rule[0] == MotorRule.APPROACH:  # the whole approach, its way, is allowed
+        whole = np.copysign(drive.listed.approach_rad[1], broken.value)
+        assert broken.least <= whole <= broken.most
+        assert not broken.least <= broken.value <= broken.most
     assert len(rules_broken(Drive(2), both)) == 0
 
 

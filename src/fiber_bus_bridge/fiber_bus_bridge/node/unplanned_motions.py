@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.node.attempts import Attempts
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.unplaced_robots import refused_text, turn_unplaced, turns_of
@@ -46,6 +47,7 @@ class UnplannedMotions:
         self._check_role, self._may_go = check_role, may_go
         self._report_started, self._reporter = report_started, reporter
         self._ways: Floats | None = None  # of the robots that shall turn by code words
+        self._forgotten = False  # whether another call came between such ways and their `turn`
 
     def home(self) -> str:
         """Fold robots; return how many were started."""
@@ -64,19 +66,29 @@ class UnplannedMotions:
                 robot = int(told.ids[rows < 0][0])
                 raise MessageError("turns", "is not of this plane", robot=robot)
             self._ways = np.full(plane.n, np.nan)
-            self._ways[rows] = told.way
+            self._ways[rows], self._forgotten = told.way, False
             self._reporter.done(attempt, f"ready: turns of {len(rows)} robots")
         except FiberError as error:
             self._reporter.refuse(f"turns refused: {error}", "turns", attempt)
 
     def forget_turns(self) -> None:
-        """Let no code word wait for a call of `turn`."""
+        """Let no code word wait for a call of `turn`; that call then turns no other robots."""
+        self._forgotten |= self._ways is not None
         self._ways = None
 
     def turn(self) -> str:
-        """Turn robots by code words or at unknown places; return how many, and which rest."""
-        ways = self._ways
-        self.forget_turns()
+        """Turn robots by code words or at unknown places; return how many, and which rest.
+
+        Raises:
+            SessionError: no robot may turn, or the code words that waited were forgotten.
+        """
+        ways, forgotten = self._ways, self._forgotten
+        self._ways, self._forgotten = None, False
+        if forgotten:
+            raise SessionError(
+                "the turns that waited were forgotten by stop, clear, configure or home: send them "
+                "anew, or call turn once more for robots at unknown places"
+            )
         return self._turn_unplaced() if ways is None else self._turn_words(ways)
 
     def _turn_words(self, ways: Floats) -> str:

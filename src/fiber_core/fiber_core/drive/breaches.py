@@ -23,7 +23,7 @@ class MotorRule(IntEnum):
     LISTED_SPEED = 1  # speed of the motor [rad/s]
     LEAST_MOVE = 2  # turn of the motor [rad], at least the least one of its speed
     RAMP = 3  # rest after a move [s], at least its ramp
-    APPROACH = 4  # last move back or forth [rad], at least the approach
+    APPROACH = 4  # last move back or forth [rad], as far as the approach its way
     WHOLE_UNITS = 5  # speed of a joint [rad/s] that is not whole units of wire and list
     ACCELERATION = 6  # of a joint [rad/s2]
     SUPPLY = 7  # motors of a supply that turn at once, were the robot to move
@@ -138,7 +138,7 @@ class Breaches:
             MotorRule.RAMP: f"{_JOINTS[joint]} rests for {own[0]:.4g} s after a ramp of "
             f"{own[1]:.4g} s began",
             MotorRule.APPROACH: f"{_JOINTS[joint]} ends with a move of {x:.4g} deg, its approach "
-            f"is {least:.4g} deg in creep",
+            f"is {least if np.isfinite(least) else -most:.4g} deg in creep",
             MotorRule.WHOLE_UNITS: f"{_JOINTS[joint]} is to turn at up to {x:.4g} deg/s, and not "
             f"for whole ticks at a listed speed",
             MotorRule.ACCELERATION: f"{_JOINTS[joint]} is to change its speed by "

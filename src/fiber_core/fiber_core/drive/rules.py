@@ -39,10 +39,12 @@ def rules_broken(drive: Drive, motion: SegmentMotion) -> Breaches:
     """
     if drive.listed is None:
         return Breaches.none()
-    rule, value, least = (column.reshape(-1, 2) for column in _broken(drive, motion))
-    no_interval = rule == MotorRule.LISTED_SPEED
-    most = np.where(no_interval, np.nan, np.inf)
-    return Breaches.of(rule, rule > 0, value, np.where(no_interval, np.nan, least), most)
+    rule, value, allowed = (column.reshape(-1, 2) for column in _broken(drive, motion))
+    no_interval, falling = rule == MotorRule.LISTED_SPEED, allowed < 0.0
+    least = np.where(falling, -np.inf, allowed)
+    most = np.where(falling, allowed, np.inf)
+    least[no_interval] = most[no_interval] = np.nan
+    return Breaches.of(rule, rule > 0, value, least, most)
 
 
 def _of_motors(drive: Drive, motion: SegmentMotion) -> Floats:
@@ -79,7 +81,8 @@ def _joints_broken(
     approach_speed: int,
     returns: bool,
 ) -> tuple[Ints, Floats, Floats]:
-    # the first rule that each joint breaks, 0 for none; the value, and the one that is allowed
+    # the first rule that each joint breaks, 0 for none; the value, and the one next to it that is
+    # allowed: larger ones are too, of a move that must fall lower ones
     profiles = len(offsets) - 1
     broken = np.zeros(profiles, dtype=np.int64)
     value, allowed = np.zeros(profiles), np.zeros(profiles)
@@ -117,11 +120,13 @@ def _joints_broken(
         if broken[profile] > 0 or last_speed < 0 or approach[joint] == 0.0:
             continue
         enough = approach[joint] * (1.0 - _ROUNDING)
-        wrong = last_speed != approach_speed or last_turn * sign[joint] < enough
+        ahead = sign[joint]
+        wrong = last_speed != approach_speed or last_turn * ahead < enough
         if returns and not wrong:
-            wrong = speed_before != approach_speed or -turn_before * sign[joint] < enough
+            ahead = -ahead
+            wrong = speed_before != approach_speed or turn_before * ahead < enough
             last_turn = turn_before
         if wrong:
             broken[profile], value[profile] = _APPROACH, last_turn
-            allowed[profile] = approach[joint]
+            allowed[profile] = ahead * approach[joint]
     return broken, value, allowed
