@@ -51,11 +51,12 @@ def stranger(graph):
 def test_layout_and_joint_states_come_every_second_at_rest(graph, stranger):
     layouts = stranger.collect(PointCloud2, "focal_plane/layout")
     states = stranger.collect(JointState, "focal_plane/joint_states")
-    stranger.wait_for(lambda: len(layouts) >= 3 and len(states) >= 3)
-    assert len(layouts) <= 4 and layouts[0].width == 61
+    stranger.wait_for(lambda: len(layouts) >= 3 and len(states) >= 4)
+    assert len(layouts) <= 5 and layouts[0].width == 61
     assert layouts[0].header == layouts[2].header  # the same layout, again
     stamps = [s.header.stamp.sec + 1e-9 * s.header.stamp.nanosec for s in states]
-    np.testing.assert_allclose(np.diff(stamps), 1.0, atol=0.3)
+    # the first can be the reading at the end of the plan before
+    np.testing.assert_allclose(np.diff(stamps)[1:], 1.0, atol=0.3)
 
 
 def test_a_repeated_layout_is_no_new_layout(graph):
