@@ -56,7 +56,8 @@ def simplify_plan(
             plan.q[back], plan.choice[own] = before.q[back], before.choice[own]
             plan.folded[own], plan.changed[back] = before.folded[own], True
             measure_all(scene, plan)
-            short = plan.cost > 0.0
+            # the rest is as before, also pairs that overlap from the start and cannot part
+            short = (plan.cost > 0.0) & ~back[scene.pairs].all(axis=1)
         if back.all():
             break
         short = unconfirmed()
