@@ -48,7 +48,8 @@ def test_swapped_robots_are_named_and_written(night, capsys):
     assert main(options) == 0
     *named, counts = capsys.readouterr().out.splitlines()
     assert json.loads(counts) == {
-        "in_place": N - 5, "swapped": 4, "not_seen": 1, "not_turned": 0, "ambiguous": 0, "reversed": 0,
+        "in_place": N - 5, "swapped": 4, "not_seen": 1, "not_turned": 0,
+        "ambiguous": 0, "reversed": 0,
         "other_joint": 0,
     }  # fmt: skip
     assert [line.split(":")[0] for line in named] == [
