@@ -27,7 +27,7 @@ COMPILE_S, WAIT_S, ROBOTS = 600.0, 60.0, 19
 NODES = {"bridge", "planner", "discretizer", "recorder", "viewer", "metrology"}
 ALL_TOPICS = [value for value in vars(topics).values() if isinstance(value, Topic)]
 # viewers of others and sectors are not in this graph, and one of two kinds of exposures is heard
-UNHEARD = "/view/", "_sector", "camera/spots"
+UNHEARD = "/view/", "_sector", "camera/spots", "/lights"
 
 
 def header(sec=0, nanosec=1, frame_id="focal_plane"):

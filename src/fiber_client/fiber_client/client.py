@@ -324,10 +324,8 @@ class PlaneClient(PlaneMonitor):
         """
         client = self._services[service]
         self._wait_for_bridge(client.service_is_ready, timeout_s, f"service {service.name}")
-        request = RepeatedRequest(
-            self.node, client, service.type.Request(),
-            lambda: len(claims(self.node, BRIDGE)), self._clock,
-        )  # fmt: skip
+        living = partial(claims, self.node, BRIDGE)
+        request = RepeatedRequest(self.node, client, service.type.Request(), living, self._clock)
         self._wait_for_bridge(request.done, timeout_s, f"answer of {service.name}")
         answer = request.result()
         if answer is None:

@@ -3,6 +3,7 @@
 
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from rclpy.node import Node
@@ -66,10 +67,8 @@ class BridgeOrders:
         client = self._clients[order]
         if not client.service_is_ready():
             raise ConsoleError(f"{order}: there is no bridge in the graph")
-        request = RepeatedRequest(
-            self._node, client, _SERVICES[order].type.Request(),
-            lambda: len(claims(self._node, BRIDGE)),
-        )  # fmt: skip
+        living = partial(claims, self._node, BRIDGE)
+        request = RepeatedRequest(self._node, client, _SERVICES[order].type.Request(), living)
         if not request.wait(self._timeout_s):
             raise self._silent(order)
         answer = request.result()

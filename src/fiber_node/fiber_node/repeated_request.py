@@ -3,7 +3,7 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from rclpy.client import Client
@@ -28,7 +28,7 @@ class RepeatedRequest:
         node: the node that asks.
         client: its client of the service.
         request: the request.
-        living: returns the number of servers that live, such as that of the claims to a role.
+        living: returns the servers that live, such as the claims to a role.
         clock: returns seconds.
     """
 
@@ -37,7 +37,7 @@ class RepeatedRequest:
         node: Node,
         client: Client,
         request: Any,
-        living: Callable[[], int],
+        living: Callable[[], Collection[object]],
         clock: Callable[[], float] = time.monotonic,
     ):
         self._node, self._client, self._request, self._clock = node, client, request, clock
@@ -59,7 +59,7 @@ class RepeatedRequest:
             if servers > self._servers:
                 self._again_s = now_s + _SETTLED_S
             self._servers = servers
-            if now_s >= self._again_s and (self._none or self._living() < servers):
+            if now_s >= self._again_s and (self._none or len(self._living()) < servers):
                 self._again_s, self._none = float("inf"), False
                 self._send()
         return False

@@ -53,7 +53,7 @@ def test_the_next_server_answers_what_was_asked_when_the_dead_one_was_known_alon
         dead.wait()
         assert client.service_is_ready()  # what misleads
         request = RepeatedRequest(
-            asks.node, client, Trigger.Request(), lambda: len(claims(asks.node, PLANNER))
+            asks.node, client, Trigger.Request(), lambda: claims(asks.node, PLANNER)
         )
         serve()
         asks.wait_for(request.done, WAIT_S, "the answer of the next server")
@@ -86,7 +86,7 @@ class Graph:
 
 def test_a_request_is_sent_once_more_for_each_server_that_comes_and_none_that_goes():
     graph = Graph()
-    request = RepeatedRequest(graph, graph, SimpleNamespace(), lambda: 0, lambda: graph.now_s)
+    request = RepeatedRequest(graph, graph, SimpleNamespace(), list, lambda: graph.now_s)
     counts = [graph.after(request, servers) for servers in (1, 0, 1, 2, 1)]
     assert counts == [1, 1, 2, 3, 3]
     assert not request.done() and request.result() is None
@@ -96,13 +96,11 @@ def test_a_request_is_sent_once_more_for_each_server_that_comes_and_none_that_go
 
 
 def test_a_server_that_lives_is_asked_once_also_when_one_comes_that_stays_out():
-    graph, living = Graph(), [1]
-    request = RepeatedRequest(
-        graph, graph, SimpleNamespace(), lambda: living[0], lambda: graph.now_s
-    )
-    living[0] = 2
+    graph, living = Graph(), ["first"]
+    request = RepeatedRequest(graph, graph, SimpleNamespace(), lambda: living, lambda: graph.now_s)
+    living.append("second")
     assert graph.after(request, 2) == 1
     # the first one turns out to be dead
-    living[0] = 1
+    living.remove("first")
     assert graph.after(request, 2) == 2
     assert graph.after(request, 2) == 2
