@@ -196,3 +196,19 @@ def test_histories_that_lack_a_point_or_name_another_robot_are_refused(instrumen
     assert main(["calibrate", "--history", str(history), str(target)]) == 2
     assert "--layout names the plane" in capsys.readouterr().err
     assert not target.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["--poins", "20"], "unknown option --poins, similar is --points"),
+        ([], "one of --history, --points and --nights is missing"),
+        (["--points", "20"], "--layout names the plane, and is missing"),
+        (["--nights", "a.csv", "--layout", "b.csv"], "no effect with --nights"),
+        (["--history", "a.csv", "--layout", "b.csv", "--seed", "1"], "--seed has no effect"),
+    ],
+)
+def test_options_that_are_unknown_missing_or_without_effect_are_named(options, named, capsys):
+    with pytest.raises(SystemExit) as ended:
+        raise SystemExit(main(["calibrate", *options, "out.csv"]))
+    assert ended.value.code == 2 and named in capsys.readouterr().err

@@ -52,14 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add = parser.add_argument
     add("target", metavar="TABLE", help="the table to write: .csv, .ecsv or .fits, also with .gz")
-    what = parser.add_mutually_exclusive_group(required=True)
+    what = parser.add_mutually_exclusive_group()  # run asks for one
     what.add_argument("--history", metavar="TABLE", help="table of ordered and measured places")
     what.add_argument("--points", type=positive, metavar="N", help="choose N points to go to")
     what.add_argument("--nights", metavar="TABLES", help="tables of _fit joined by commas")
     add("--layout", metavar="FILES", help="the plane: a file, or several joined by commas")
     add("--preset", choices=sorted(PRESETS), help="supplies what the layout lacks")
     add("--error-um", type=float, default=4.0, help="error of a coordinate of a place [um]")
-    add("--seed", type=int, default=0, help="of the choice of points")
+    add("--seed", type=int, help="of the choice of points, by default 0")
     add("--figure", metavar="FILE", help="with --nights: a figure to draw, .pdf or .png")
     add(
         "--robots",
@@ -72,16 +72,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand; returns the exit code."""
     kind_of(args.target)
-    if args.nights is None and (args.figure or args.robots):
-        raise FiberError("--figure and --robots draw nights: --nights is missing")
+    _check(args)
     if args.nights is not None:
         return _trend(args)
-    if args.layout is None:
-        raise FiberError("--layout names the plane, and is missing")
     layout = read_layout(args.layout, args.preset)
     plane = layout.plane
     if args.points is not None:
-        rng = np.random.default_rng(args.seed)
+        rng = np.random.default_rng(args.seed or 0)
         write_points(args.target, plane, calibration_points(plane, args.points, rng, args.error_um))
         print(f"{args.points} points after the start for {plane.n} robots are in {args.target}")
         return DONE
@@ -102,6 +99,24 @@ def run(args: argparse.Namespace) -> int:
         print(f"and {len(bad) - _SHOWN} robots more")
     print("\n".join([f"numbers, errors and verdicts are in {beside}", *lines]))
     return DONE
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse options that are missing, or that would have no effect.
+
+    Raises:
+        FiberError: names them.
+    """
+    if args.history is None and args.points is None and args.nights is None:
+        raise FiberError("one of --history, --points and --nights is missing")
+    if args.nights is None and (args.figure or args.robots):
+        raise FiberError("--figure and --robots draw nights: --nights is missing")
+    if args.nights is None and args.layout is None:
+        raise FiberError("--layout names the plane, and is missing")
+    if args.nights is not None and (args.layout or args.preset):
+        raise FiberError("--layout and --preset have no effect with --nights")
+    if args.points is None and args.seed is not None:
+        raise FiberError("--seed has no effect without --points")
 
 
 def _trend(args: argparse.Namespace) -> int:
