@@ -14,6 +14,7 @@ from fiber_planner.scheduled import ScheduledParameters, timed
 __all__ = ["StraightPlanner"]
 
 _LEAST_S = 1e-3
+_SLACK = 0.04  # corrections have few conflicts, and need no time in which arms fold
 
 
 class StraightPlanner:
@@ -33,7 +34,7 @@ class StraightPlanner:
 
     def __init__(self, most_rad: float = 0.5, scheduled: ScheduledParameters | None = None):
         self._most_rad = most_rad
-        self._scheduled = scheduled or ScheduledParameters()
+        self._scheduled = scheduled or ScheduledParameters(slack=_SLACK)
 
     def plan(self, problem: Problem, progress: ProgressCallback | None = None) -> PlannedMotion:
         """Plan the motion; see fiber_planner.Planner."""

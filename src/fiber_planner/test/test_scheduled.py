@@ -8,7 +8,7 @@ import pytest
 
 from fiber_core import SegmentMotion, preset
 from fiber_core.clearance import Safety
-from fiber_core.drive import Drive, rules_broken
+from fiber_core.drive import Drive, motors_allowed, rules_broken
 from fiber_core.drive.least_time import least_time_s
 from fiber_core.drive.named import with_drive
 from fiber_core.fields import random_field, random_problem
@@ -206,6 +206,33 @@ def test_a_timetable_never_has_more_motors_on_than_allowed():
     assert (counted == table.on).all()
     assert table.put(rows, starts[rows], 0 * on[rows], starts[rows], on[rows]).all()
     assert table.on.sum() == counted.sum() - on[rows].sum()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_corrections_under_a_cap_are_packed_nearly_as_tight_as_joints_can_be(seed):
+    plane = with_drive(preset("desi_petals", 200), "desi", motors_on=0.55)
+    units, rng = WireUnits.for_plane(plane), np.random.default_rng(seed)
+    drawn = random_field(plane, rng, gap_mm=1.0).problem
+    turn_rad = np.deg2rad(
+        rng.uniform(0.5, 3.0, (plane.n, 2)) * rng.choice([-1.0, 1.0], (plane.n, 2))
+    )
+    targets = np.where(plane.enabled[:, None], forward(plane, drawn.start + turn_rad)[1], np.nan)
+    found = StraightPlanner().plan(replace(drawn, targets=targets))
+    # of two more joints than may turn at once some two turn one after the other (Graham 1969)
+    motors, rows = motors_of_plane(plane, units), np.flatnonzero(found.reason == Reason.OK)
+    turn = units.to_counts(found.goal) - units.encoder_counts(plane, drawn.start)
+    legs = legs_by_way_of(
+        motors, rows, units.encoder_counts(plane, drawn.start)[rows], turn[rows],
+        jogs(motors, rows, turn[rows]),
+    )  # fmt: skip
+    lasts = legs.on.reshape(len(rows), 2, LEGS // 2).sum(axis=2)
+    for supply in np.unique(plane.supply[rows]):
+        of_supply = plane.supply[rows] == supply
+        allowed = motors_allowed(plane.supply, plane.drive.motors_on)[rows][of_supply][0]
+        longest = np.sort(lasts[of_supply].ravel())[::-1]
+        assert len(longest) > allowed
+        in_turn = longest[allowed - 1] + longest[allowed]
+        assert found.motion.time_s[-1] <= 1.02 * max(in_turn, longest[0]) * units.tick_s
 
 
 def test_other_motors_are_refused():

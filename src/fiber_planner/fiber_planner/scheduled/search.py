@@ -35,6 +35,7 @@ _TRIES = 30  # times as many motions show that no way is free, as a robot in con
 _SETTLING = 4  # times as many rounds in which robots may rest
 _HELPS = 0.6  # with fewer conflicts than this share of those before, longer timetables help
 _LONGER = 1.04  # a timetable in which conflicts are left becomes longer by this
+_FITTING = 1.01  # one in which legs do not fit by this, where no arm has to fold in the time left
 
 
 class Effort(Protocol):
@@ -214,7 +215,8 @@ class Search:
             if len(left) <= _FEW * len(self._every):
                 self._rest(left)  # the search finds a place for them
                 return
-            self._table.extend(min(longest, int(np.ceil(_LONGER * self._table.ticks))))
+            longer = _LONGER if self._far else _FITTING
+            self._table.extend(min(longest, int(np.ceil(longer * self._table.ticks))))
 
     def _entered(self, rows: Rows, phases: float) -> Rows:
         # enter all robots in an empty timetable; returns those that did not fit
@@ -232,8 +234,10 @@ class Search:
         return self._enter(self._enter(rows, wanted), 0 * wanted)
 
     def _enter(self, rows: Rows, wanted: Ints) -> Rows:
-        # enter robots, those first that need longest; returns those that did not fit
-        longest_first = np.argsort(-self.legs.on[rows].sum(axis=1), kind="stable")
+        # enter robots, those first that have the joint that needs longest, as both joints can turn
+        # at once; returns those that did not fit
+        of_joints = self.legs.on[rows].reshape(len(rows), 2, LEGS // 2).sum(axis=2)
+        longest_first = np.argsort(-of_joints.max(axis=1), kind="stable")
         fits = self._table.enter(rows[longest_first], self.legs.on, wanted, self.starts)
         return rows[~fits[rows]]
 
