@@ -45,7 +45,9 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--robots", type=int, default=37)
     parser.add_argument("--only", default="", help="processes of the runs, as planner,discretizer")
     parser.add_argument("--lines", type=Path, default="bench/results/kill.jsonl", help="a run each")
-    parser.add_argument("--logs", type=Path, help="folder for the logs of the processes")
+    parser.add_argument(
+        "--logs", type=Path, help="folder for the logs of the processes, kept of runs that hang"
+    )
     return parser.parse_args(argv)
 
 

@@ -2,6 +2,7 @@
 """A small plane whose processes are killed, paused and disturbed, and the judge of its runs."""
 
 import os
+import shutil
 import signal
 import threading
 import time
@@ -35,6 +36,7 @@ _COMPILE_S, _WAIT_S = 600.0, 10.0
 _END_S = 6.0  # for which a plan should go on at most when all processes are back
 _NEVER_S = 40.0  # after which a plan without outcome has no end
 _CLIENT, _SENT_KEPT = "reconfigure", 400
+_DUMPED_S = 1.0  # by which each process has written its stacks
 _NEXT_S, GIVE_UP_S = 5.0, 40.0  # goal for the next reconfiguration, and the longest try
 
 
@@ -170,7 +172,19 @@ class Campaign:
         }
         line["gap_mm"], line["movements"] = round(float(found.min_gap_mm), 4), int(ran.sum())
         line["memory"], line["load"] = self._processes.memory_mb(), round(os.getloadavg()[0], 1)
+        if line["next_s"] >= GIVE_UP_S:
+            self._keep_logs(line, "no next plan")
         return line
+
+    def _keep_logs(self, line: _Line, why: str) -> None:
+        """Copy the logs, with where each process is at work; the next graph writes others."""
+        for name in self._processes.memory_mb():  # of those that run
+            self._processes.send(name, signal.SIGUSR1)
+        time.sleep(_DUMPED_S)
+        folder = self._folder / f"{self._seed}-{line['number']} {why}"
+        folder.mkdir(exist_ok=True)
+        for log in self._folder.glob("*.log"):
+            shutil.copy(log, folder)
 
     def _is_new(self, line: _Line) -> bool:
         """Whether the plant was killed, and counts its movements from zero."""
@@ -244,6 +258,7 @@ class Campaign:
         try:
             outcome = self._client.wait_for_outcome(stamp, _NEVER_S)
         except WaitError:
+            self._keep_logs(line, "no end")
             return None, "nothing"
         except FiberError as error:
             line["refused"] = str(error)[:200]
