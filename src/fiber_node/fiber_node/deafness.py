@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A process that cannot hear any more ends: a fault of the middleware that no setting removes."""
 
+import faulthandler
 import os
 import sys
 import threading
@@ -14,6 +15,7 @@ __all__ = ["DEAF_CODE", "watch_hearing"]
 
 DEAF_CODE = 3
 _LOOK_S, _LOOKS = 1.0, 5
+_FROZEN_S = 60.0  # no callback and no compiled loop keeps the interpreter's lock for that long
 _THREAD = "dds.udp."  # and its port: the thread of Fast DDS that receives at a socket
 _TASKS, _SOCKETS = Path("/proc/self/task"), Path("/proc/self/net/udp")
 _OPEN = Path("/proc/self/fd")
@@ -35,6 +37,11 @@ def watch_hearing(end: Callable[[int], None] = os._exit) -> None:
     then lives and hears nothing, not even a stop, and no other node finds it. Robots whose bridge
     has ended stop by themselves; a launch notices the end, or starts the node again.
 
+    A thread of Python that waits for the middleware for ever with the interpreter's lock stops all
+    others, this one too, while the middleware goes on to tell that the node is alive. After a
+    minute the process then prints where each thread is, and ends with code 1. So it does when it
+    is woken from a pause that was longer.
+
     Args:
         end: called with the exit code.
     """
@@ -45,6 +52,8 @@ def watch_hearing(end: Callable[[int], None] = os._exit) -> None:
 def _watch(end: Callable[[int], None]) -> None:
     looks: dict[_Receiver, int] = {}
     while not looks or max(looks.values()) < _LOOKS:
+        # watched by a thread that needs no interpreter; each call begins the time anew
+        faulthandler.dump_traceback_later(_FROZEN_S, exit=True, file=sys.__stderr__)
         time.sleep(_LOOK_S)
         looks = {each: looks.get(each, 0) + 1 for each in _asleep()}
     port = max(looks, key=lambda each: looks[each]).port

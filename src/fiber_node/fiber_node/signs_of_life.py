@@ -11,6 +11,7 @@ node is dead.
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Collection
 
 from rclpy.duration import Duration
@@ -33,6 +34,9 @@ __all__ = ["LIFE_QOS", "SignsOfLife", "publish_life"]
 _LEASE_S = 0.9  # the middleware of a living process tells of it each two thirds of this time
 _PATIENCE_S = 0.7  # without a sign until a node is dead: the observer may have been paused itself
 _FIRST_S = 2.0  # until the first sign
+# A subscription is not destroyed while the middleware deletes the participant that it was matched
+# with: both can wait for each other for ever, with the interpreter's lock (Fast DDS issue 6502).
+_KEPT_S = 2.0
 
 _OWN: set[str] = set()  # topics of this process, of which the middleware gives no sign to itself
 _KEPT, _MAKING = "_signs_of_life", threading.Lock()
@@ -102,6 +106,7 @@ class SignsOfLife:
     def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic):
         self._node, self._clock = node, clock
         self._signs: dict[str, dict[str, _Sign]] = {}
+        self._gone: deque[tuple[float, _Sign]] = deque()  # with the time at which each is destroyed
         self._lock = threading.Lock()
 
     @classmethod
@@ -121,9 +126,11 @@ class SignsOfLife:
             topics: all topics of this kind that are in the graph; of others nothing is kept.
         """
         with self._lock:
-            signs = self._signs.setdefault(kind, {})
+            signs, now_s = self._signs.setdefault(kind, {}), self._clock()
             for gone in signs.keys() - set(topics):
-                self._end(signs.pop(gone))
+                self._gone.append((now_s + _KEPT_S, signs.pop(gone)))
+            while self._gone and self._gone[0][0] <= now_s:
+                self._gone.popleft()[1].end()
             return {topic for topic in topics if self._is_alive(signs, topic)}
 
     def _is_alive(self, signs: dict[str, _Sign], topic: str) -> bool:
@@ -134,17 +141,16 @@ class SignsOfLife:
                 signs[topic] = _Sign(self._node, topic, self._clock)
             return signs[topic].is_alive()
         except rclpy_implementation.InvalidHandle:  # the node was cleaned up meanwhile
-            self._end(signs.pop(topic, None))
+            if topic in signs:
+                signs.pop(topic).end()
             return True
 
     def end(self) -> None:
         """Look for no sign any more: the node is about to be destroyed."""
         with self._lock:
-            for signs in self._signs.values():
-                for topic in list(signs):
-                    self._end(signs.pop(topic))
-
-    @staticmethod
-    def _end(sign: _Sign | None) -> None:
-        if sign is not None:
-            sign.end()
+            left = [sign for signs in self._signs.values() for sign in signs.values()]
+            left += [sign for _, sign in self._gone]
+            self._signs.clear()
+            self._gone.clear()
+            for sign in left:
+                sign.end()

@@ -63,3 +63,30 @@ def test_a_process_that_does_not_receive_any_more_ends(kind, code):
     )
     assert done.returncode == code, done.stderr
     assert ("has not received at port" in done.stderr) == (kind == "deaf")
+
+
+# PyDLL keeps the interpreter's lock for the call, as rclpy does where it destroys a subscription
+FROZEN = """
+import ctypes, os, sys, time
+from fiber_node import deafness
+
+deafness._LOOK_S, deafness._FROZEN_S = 0.1, 4.0
+deafness.watch_hearing()
+end = time.monotonic() + 5.0
+while time.monotonic() < end:
+    time.sleep(0.01)
+print("goes on", flush=True)
+if sys.argv[1] == "frozen":
+    ctypes.PyDLL(None).sleep(40)
+os._exit(0)
+"""
+
+
+@pytest.mark.parametrize(("kind", "code"), [("frozen", 1), ("well", 0)])
+def test_a_process_whose_interpreter_stands_still_tells_where_and_ends(kind, code):
+    done = subprocess.run(
+        [sys.executable, "-c", FROZEN, kind], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "goes on\n"
+    assert done.returncode == code, done.stderr
+    assert ("Timeout" in done.stderr and "line 12" in done.stderr) == (kind == "frozen")

@@ -126,10 +126,18 @@ def test_a_node_that_gives_no_sign_is_dead_after_a_while_and_alive_again_with_th
     others.close()
 
 
-def test_signs_of_claims_that_are_gone_are_not_kept(client):
-    signs, count = SignsOfLife(client.node), client.node.count_subscribers
+def test_signs_of_claims_that_are_gone_are_kept_only_until_the_middleware_is_done(client):
+    clock = Clock()
+    signs, count = SignsOfLife(client.node, clock), client.node.count_subscribers
     signs.alive(PLANNER, ["one", "other"])
     client.wait_for(lambda: count("one") == count("other") == 1, WAIT_S)
+    signs.alive(PLANNER, ["other"])
+    clock.now_s += 1.9
+    signs.alive(PLANNER, ["other"])
+    ((_, gone),) = signs._gone
+    with gone._subscription:  # refused once it is destroyed
+        assert count("one") == 1
+    clock.now_s += 0.2
     signs.alive(PLANNER, ["other"])
     client.wait_for(lambda: count("one") == 0, WAIT_S)
     assert count("other") == 1
