@@ -16,6 +16,7 @@ __all__ = ["DEAF_CODE", "watch_hearing"]
 DEAF_CODE = 3
 _LOOK_S, _LOOKS = 1.0, 5
 _FROZEN_S = 60.0  # no callback and no compiled loop keeps the interpreter's lock for that long
+_STDERR = 2
 _THREAD = "dds.udp."  # and its port: the thread of Fast DDS that receives at a socket
 _TASKS, _SOCKETS = Path("/proc/self/task"), Path("/proc/self/net/udp")
 _OPEN = Path("/proc/self/fd")
@@ -53,7 +54,7 @@ def _watch(end: Callable[[int], None]) -> None:
     looks: dict[_Receiver, int] = {}
     while not looks or max(looks.values()) < _LOOKS:
         # watched by a thread that needs no interpreter; each call begins the time anew
-        faulthandler.dump_traceback_later(_FROZEN_S, exit=True, file=sys.__stderr__)
+        faulthandler.dump_traceback_later(_FROZEN_S, exit=True, file=_STDERR)
         time.sleep(_LOOK_S)
         looks = {each: looks.get(each, 0) + 1 for each in _asleep()}
     port = max(looks, key=lambda each: looks[each]).port
