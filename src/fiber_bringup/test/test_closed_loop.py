@@ -11,6 +11,7 @@ from rclpy.parameter import Parameter
 from fiber_bus_bridge.plant import touching
 from fiber_client.errors import PlaneError, PlaneRefusal
 from fiber_client.reconfigure import main as reconfigure
+from fiber_client.turning import Turning
 from fiber_client.wiring import main as wiring
 from fiber_core.arm_bounds import arms_within, interval_of_tips
 from fiber_core.clearance import neighbour_pairs
@@ -368,17 +369,22 @@ def test_turns_of_another_session_or_plane_are_refused_and_none_waits(night, fir
     client = night.client
     publisher = topics.TURNS.publisher(client.node)
     client.wait_for(lambda: publisher.get_subscription_count() > 0, WAIT_S)
+    now_ns = client.now_ns()
     for ns, ids, session, why in (
-        (71, [1], f"session_{7:024x}", "turns: of session_0"),
-        (72, [99_999], client.session, "robot 99999"),
+        (now_ns, [1], f"session_{7:024x}", "turns: of session_0"),
+        (now_ns + 1, [99_999], client.session, "robot 99999"),
+        (73, [1], client.session, "not older"),
     ):
         publisher.publish(turns.encode(ids, [1], PlanStamp(ns), session))
         with pytest.raises(PlaneRefusal, match=why):
             client.wait_until_ready(PlanStamp(ns), WAIT_S)
-    with pytest.raises(PlaneRefusal, match="no robot that can be commanded is at an unknown"):
+    with pytest.raises(PlaneRefusal, match="no turns wait"):
         client.call_service(topics.TURN, WAIT_S)
-    publisher.publish(turns.encode(client.plane.ids[:1], [1], PlanStamp(73), client.session))
-    client.wait_until_ready(PlanStamp(73), WAIT_S)
+    with pytest.raises(PlaneRefusal, match="no robot that can be commanded is at an unknown"):
+        Turning(client, WAIT_S).turn_unplaced()
+    heard = PlanStamp(client.now_ns())
+    publisher.publish(turns.encode(client.plane.ids[:1], [1], heard, client.session))
+    client.wait_until_ready(heard, WAIT_S)
     client.call_service(topics.CLEAR, WAIT_S)  # and forgets it
-    with pytest.raises(PlaneRefusal, match="forgotten by stop, clear, configure or home"):
+    with pytest.raises(PlaneRefusal, match="clear, configure, home or another motion made this"):
         client.call_service(topics.TURN, WAIT_S)

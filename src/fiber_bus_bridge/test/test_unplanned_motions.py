@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motions without targets: which robots a call of `turn` means."""
+"""Motions without targets: which robots a call of `turn` means, and what a refused one leaves."""
 
 from types import SimpleNamespace
 
@@ -10,26 +10,70 @@ from unplaced_rig import new_rig
 from fiber_bus_bridge import SessionState
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.node.unplanned_motions import UnplannedMotions
+from fiber_core.wire_units import WireMotion
 from fiber_msgs_py import PlanStamp, turns
 
 
-def test_a_turn_whose_code_words_were_forgotten_turns_no_robot_at_an_unknown_place():
-    rig, refused = new_rig(), []
-    assert rig.session.robots["unplaced"].any()
-    attempts = SimpleNamespace(
-        inputs=SimpleNamespace(check_session=lambda message, name: None),
-        end_all=lambda reason, why: None, begin_home=lambda: None, ended=True,
-    )  # fmt: skip
-    reporter = SimpleNamespace(done=lambda *_: None, refuse=lambda why, *_: refused.append(why))
-    unplanned = UnplannedMotions(
-        rig.session, attempts, lambda: rig.t, lambda: None, lambda: True, lambda: "", reporter
-    )
-    before = rig.where()
-    unplanned.hear_turns(turns.encode(rig.plane.ids, np.ones(rig.plane.n, int), PlanStamp(1)))
-    assert not refused
-    unplanned.forget_turns()  # as another client stops the robots, and clears
-    with pytest.raises(SessionError, match="the turns that waited were forgotten"):
-        unplanned.turn()
+class Bridge:
+    """What the motions need of a bridge, around a session with robots at unknown places."""
+
+    def __init__(self):
+        self.rig = new_rig()
+        assert self.rig.session.robots["unplaced"].any()
+        self.refused, self.ended, self.begun = [], [], []
+        attempts = SimpleNamespace(
+            inputs=SimpleNamespace(check_session=lambda message, name: None),
+            check_turn_stamp=lambda stamp: None,
+            end_all=lambda reason, why: self.ended.append(why),
+            begin_unplanned=self.begun.append, ended=True,
+        )  # fmt: skip
+        reporter = SimpleNamespace(
+            done=lambda *_: None, refuse=lambda why, *_: self.refused.append(why)
+        )
+        self.unplanned = UnplannedMotions(
+            self.rig.session, attempts, lambda: self.rig.t, lambda: None, lambda: True, lambda: "",
+            reporter,
+        )  # fmt: skip
+
+    def hear(self, ns, ids):
+        ways = np.ones(len(ids), dtype=int)
+        self.unplanned.hear_turns(turns.encode(ids, ways, PlanStamp(ns)))
+        assert not self.refused
+
+
+@pytest.fixture
+def bridge():
+    return Bridge()
+
+
+def test_a_turn_that_this_bridge_has_not_heard_of_moves_no_robot(bridge):
+    rig, before = bridge.rig, bridge.rig.where()
+    # as a request that a new bridge gets again, or after another client has stopped the robots
+    for forget in (lambda: None, lambda: bridge.hear(1, rig.plane.ids)):
+        forget()
+        bridge.unplanned.forget_turns()
+        for _ in range(2):
+            with pytest.raises(SessionError, match="no turns wait"):
+                bridge.unplanned.turn()
     assert rig.session.state is SessionState.IDLE and np.array_equal(rig.where(), before)
-    unplanned.turn()  # the next call means the robots at unknown places
-    assert rig.session.state is SessionState.MOVING
+    assert not bridge.ended and not bridge.begun
+
+
+def test_turns_without_rows_are_of_robots_at_unknown_places_and_name_their_motion(bridge):
+    bridge.hear(5, np.zeros(0, dtype=int))
+    bridge.unplanned.turn()
+    assert bridge.rig.session.state is SessionState.MOVING
+    assert set(bridge.begun) == {PlanStamp(5)} and len(bridge.ended) == 1
+
+
+def test_a_motion_that_is_refused_ends_no_plan_and_forgets_no_turns(bridge):
+    session = bridge.rig.session
+    session.submit(WireMotion.at_rest(session.units, session.counts))
+    bridge.hear(7, np.zeros(0, dtype=int))
+    for call in (bridge.unplanned.home, bridge.unplanned.turn):
+        with pytest.raises(SessionError, match="while READY: start, or clear"):
+            call()
+    assert session.state is SessionState.READY and not bridge.ended
+    session.clear(bridge.rig.t)
+    bridge.unplanned.turn()  # which waited
+    assert set(bridge.begun) == {PlanStamp(7)}

@@ -12,6 +12,7 @@ from rclpy.utilities import remove_ros_args
 from fiber_client.client import PlaneClient
 from fiber_client.closed_loop import CameraLoop
 from fiber_client.errors import PlaneRefusal
+from fiber_client.turning import Turning
 from fiber_core.array_types import Ids, Mask
 from fiber_core.errors import FiberError
 from fiber_msgs_py import layout, topics
@@ -72,13 +73,12 @@ def recover(
     loop = CameraLoop(client, 1.0, 0, timeout_s)  # for its images alone
     ids, lost = client.plane.ids, _lost(client)
     say(f"{lost.sum()} robots at unknown places")
-    made = 0
+    made, turning = 0, Turning(client, timeout_s)
     if lost.any():
         _take_image(client, loop)
     while _lost(client).any() and made < turns:
         try:
-            with client.stops_on_error(timeout_s):
-                client.end_of(client.call_service(topics.TURN, timeout_s), timeout_s)
+            turning.turn_unplaced()
         except PlaneRefusal as refusal:
             if made == 0:
                 raise

@@ -15,11 +15,12 @@ from sensor_msgs.msg import PointCloud2
 
 from fiber_client.client import PlaneClient
 from fiber_client.errors import PlaneRefusal
-from fiber_core.array_types import Angles, Codes, Ids
+from fiber_client.turning import Turning
+from fiber_core.array_types import Angles, Ids
 from fiber_core.errors import FiberError
 from fiber_formats import kind_of, write_table
 from fiber_metrology import CodeWords, Lights, Wiring, WiringConfig, code_words, tell_wiring
-from fiber_msgs_py import PlanStamp, lights, topics, turns
+from fiber_msgs_py import PlanStamp, lights, topics
 from fiber_node.ros_environment import use_loopback
 
 __all__ = ["main", "read_wiring"]
@@ -63,22 +64,18 @@ def read_wiring(
 class _Procedure:
     def __init__(self, client: PlaneClient, timeout_s: float, say: Callable[[str], None]):
         self._client, self._timeout_s, self._say = client, timeout_s, say
-        self._turns = topics.TURNS.publisher(client.node)
+        self._turning = Turning(client, timeout_s)
         self._look = topics.LOOK.client(client.node)
         self._lights = client.collect(topics.LIGHTS)
 
     def run(self, images: int, seed: int, error_um: float) -> Wiring:
         client, plane = self._client, self._client.plane
         words = code_words(plane, np.random.default_rng(seed), images)
-        client.wait_for(
-            lambda: self._turns.get_subscription_count() > 0, self._timeout_s,
-            "a bridge that hears turns",
-        )  # fmt: skip
         rest, taken, turned = client.angles, [], np.zeros((plane.n, images))
         try:
             for k, up in enumerate(words.bits.T):
-                self._turn(plane.ids, np.where(up, 1, -1))
-                taken.append(self._image())
+                made = self._turning.turn_words(plane.ids, np.where(up, 1, -1))
+                taken.append(self._image(PlanStamp(made.stamp_ns)))
                 turned[:, k] = (client.angles - rest)[:, 1]
                 self._say(f"image {k + 1} of {images}: {len(taken[-1].places)} lights")
         except PlaneRefusal:
@@ -87,29 +84,21 @@ class _Procedure:
         self._turn_back(plane.ids)
         return tell_wiring(plane, _made(words, turned), taken, WiringConfig(error_um=error_um))
 
-    def _turn(self, ids: Ids, way: Codes) -> None:
-        client = self._client
-        stamp = PlanStamp(client.now_ns())
-        self._turns.publish(turns.encode(ids, way, stamp, client.session))
-        client.wait_until_ready(stamp, self._timeout_s)
-        with client.stops_on_error(self._timeout_s):
-            client.end_of(client.call_service(topics.TURN, self._timeout_s), self._timeout_s)
-
     def _turn_back(self, ids: Ids) -> None:
         try:
-            self._turn(ids, np.zeros(len(ids), dtype=np.int64))
+            self._turning.turn_words(ids, np.zeros(len(ids), dtype=np.int64))
         except PlaneRefusal as refusal:
             self._say(f"robots did not turn back: {refusal}")
 
-    def _image(self) -> Lights:
+    def _image(self, motion: PlanStamp) -> Lights:
         for _ in range(_AGAIN):
             try:
-                return self._one_image()
+                return self._one_image(motion)
             except PlaneRefusal as refusal:  # the metrology may hear late that a motion has ended
                 self._say(f"{refusal}; another image is taken")
-        return self._one_image()
+        return self._one_image(motion)
 
-    def _one_image(self) -> Lights:
+    def _one_image(self, motion: PlanStamp) -> Lights:
         client = self._client
         client.wait_for(self._look.service_is_ready, self._timeout_s, "service look of a metrology")
         future = self._look.call_async(topics.LOOK.type.Request())
@@ -117,15 +106,13 @@ class _Procedure:
         answer = future.result()
         if answer is None or not answer.success:
             raise PlaneRefusal("metrology", answer.message if answer else "no answer")
-        named = answer.message.removeprefix("image ").partition(":")[0]
 
         def come() -> list[PointCloud2]:
-            return [each for each in self._lights if str(PlanStamp.of(each)) == named]
+            return [each for each in self._lights if PlanStamp.of(each) == motion]
 
-        client.wait_for(come, self._timeout_s, f"lights of image {named}")
-        (message,) = come()
+        client.wait_for(come, self._timeout_s, f"lights after motion {motion}")
+        seen = lights.decode(come()[-1])
         self._lights.clear()
-        seen = lights.decode(message)
         none = np.zeros((len(seen.places), 2), dtype=np.int64)
         return Lights(seen.places, seen.seen, seen.merged, int(seen.seen.max(initial=1)), [], none)
 

@@ -33,11 +33,11 @@ class SeenLights(NamedTuple):
 
 
 def encode(seen: SeenLights, stamp: PlanStamp, session: str | None = None) -> PointCloud2:
-    """Return the lights of an image as a message, stamped with a time that names the image.
+    """Return the lights of an image as a message.
 
     Args:
         seen: the lights.
-        stamp: names the image.
+        stamp: names the plan or motion after which the image was taken.
         session: id of the session of the robots in the image.
 
     Raises:

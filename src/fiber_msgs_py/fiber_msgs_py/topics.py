@@ -257,11 +257,12 @@ MEASURED = _topic(
 TURNS = _topic(
     "turns", PointCloud2, qos.EVENTS,
     "Id, way: at the next call of `turn` phi of the robot turns up (1), down (-1) or back (0) from "
-    "where it rested. The bridge knows how far.",
+    "where it rested; without rows theta of robots at unknown places. The bridge knows how far.",
 )  # fmt: skip
 LIGHTS = _topic(
     "lights", PointCloud2, qos.RESULTS,
-    "X, y [m], number of exposures, and whether they may be two, of the lights of one image.",
+    "X, y [m], number of exposures, and whether they may be two, of the lights of one image, "
+    "stamped with the plan or motion after which it was taken.",
 )  # fmt: skip
 SPOTS = _topic(
     "camera/spots", PointCloud2, qos.EVENTS,
@@ -324,8 +325,8 @@ STOP = _service(
 HOME = _service("home", "Folds all robots that can be commanded.")
 TURN = _service(
     "turn",
-    "Turns robots so little that nothing can touch: phi of those that `turns` has just named, else "
-    "theta of robots at unknown places.",
+    "Makes the motion that `turns` has named last, so little that nothing can touch; the stamp of "
+    "`turns` names it. A bridge that has not heard them refuses.",
 )
 CLEAR = _service(
     "clear",

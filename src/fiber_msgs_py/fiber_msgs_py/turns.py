@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Turns: which way phi of each robot shall turn from where it rested, as a code word tells.
 
-The stamp names the message: the bridge answers to it on `progress`.
+A table without rows means a test turn of theta of all robots at unknown places. The stamp names the
+motion: the bridge answers to it on `progress`, and the outcome has it.
 """
 
 from typing import NamedTuple

@@ -216,10 +216,25 @@ class Attempts:
             self._session.robots["verified"].copy(), self._combined(before, attempt, result),
         )  # fmt: skip
 
-    def begin_home(self) -> None:
-        """Make the motion that folds the robots the current plan."""
+    def check_turn_stamp(self, stamp: PlanStamp) -> None:
+        """Refuse turns whose stamp cannot name the next motion.
+
+        Raises:
+            BridgeError: it is from the future, or not newer than that of a plan or motion before.
+        """
+        self.inputs.check_stamp(stamp, self._outgoing.now_ns())
+        if self.current is not None and stamp <= self.current.plan:
+            raise BridgeError(f"motion {self.current.plan} is not older than turns {stamp}")
+
+    def begin_unplanned(self, stamp: PlanStamp | None = None) -> None:
+        """Make a motion without targets the current plan.
+
+        Args:
+            stamp: names the motion; by default the present time.
+        """
         self._outlines.move_blind()
-        self.current = Attempt.first(PlanStamp(self._outgoing.now_ns()))
+        stamp = PlanStamp(self._outgoing.now_ns()) if stamp is None else stamp
+        self.current = Attempt.first(stamp)
         self._replanning, self._ended = Replanning(self._no_targets(), 1), False
 
     def forget_stamps(self) -> None:

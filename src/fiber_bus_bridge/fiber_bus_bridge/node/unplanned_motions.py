@@ -9,6 +9,7 @@ import numpy as np
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.node.attempts import Attempts
 from fiber_bus_bridge.session import Session
+from fiber_bus_bridge.session_state import SessionState
 from fiber_bus_bridge.unplaced_robots import refused_text, turn_unplaced, turns_of
 from fiber_bus_bridge.word_turns import cannot_turn, resting_text, turn_words
 from fiber_core.array_types import Floats
@@ -46,16 +47,18 @@ class UnplannedMotions:
         self._session, self._attempts, self._now_s = session, attempts, now_s
         self._check_role, self._may_go = check_role, may_go
         self._report_started, self._reporter = report_started, reporter
-        self._ways: Floats | None = None  # of the robots that shall turn by code words
-        self._forgotten = False  # whether another call came between such ways and their `turn`
+        self._waiting: tuple[PlanStamp, Floats] | None = None  # turns that no `turn` has made yet
 
     def home(self) -> str:
-        """Fold robots; return how many were started."""
-        self.forget_turns()
-        return self._move("the robots go home", self._session.home)
+        """Fold robots; return how many were started.
+
+        Raises:
+            SessionError: the bridge may not move robots, or they cannot be moved in this state.
+        """
+        return self._move("the robots go home", "go home", self._session.home)
 
     def hear_turns(self, message: Any) -> None:
-        """Keep which robots the next call of `turn` shall turn by code words, or refuse it."""
+        """Keep which turns the next call of `turn` makes, or refuse them."""
         attempt: Attempt | None = None
         try:
             attempt = Attempt.first(PlanStamp.of(message))
@@ -65,61 +68,79 @@ class UnplannedMotions:
             if (rows < 0).any():
                 robot = int(told.ids[rows < 0][0])
                 raise MessageError("turns", "is not of this plane", robot=robot)
-            self._ways = np.full(plane.n, np.nan)
-            self._ways[rows], self._forgotten = told.way, False
-            self._reporter.done(attempt, f"ready: turns of {len(rows)} robots")
+            self._attempts.check_turn_stamp(attempt.stamp)
+            ways = np.full(plane.n, np.nan)
+            ways[rows] = told.way
+            self._waiting = attempt.stamp, ways
+            of = f"{len(rows)} robots" if len(rows) else "the robots at unknown places"
+            self._reporter.done(attempt, f"ready: turns of {of}")
         except FiberError as error:
             self._reporter.refuse(f"turns refused: {error}", "turns", attempt)
 
     def forget_turns(self) -> None:
-        """Let no code word wait for a call of `turn`; that call then turns no other robots."""
-        self._forgotten |= self._ways is not None
-        self._ways = None
+        """Let no turns wait for a call of `turn`."""
+        self._waiting = None
 
     def turn(self) -> str:
-        """Turn robots by code words or at unknown places; return how many, and which rest.
+        """Make the turns that wait: of code words, or of robots at unknown places.
+
+        The motion has the stamp of these turns. A bridge that has not heard them makes none.
+
+        Returns:
+            How many robots were started, and which rest.
 
         Raises:
-            SessionError: no robot may turn, or the code words that waited were forgotten.
+            SessionError: no turns wait, no robot may turn, or robots cannot be moved in this state.
         """
-        ways, forgotten = self._ways, self._forgotten
-        self._ways, self._forgotten = None, False
-        if forgotten:
+        if self._waiting is None:
             raise SessionError(
-                "the turns that waited were forgotten by stop, clear, configure or home: send them "
-                "anew, or call turn once more for robots at unknown places"
+                "no turns wait: stop, clear, configure, home or another motion made this bridge "
+                "forget them, or they were sent to another bridge; send them anew"
             )
-        return self._turn_unplaced() if ways is None else self._turn_words(ways)
+        stamp, ways = self._waiting
+        if np.isfinite(ways).any():
+            return self._turn_words(ways, stamp)
+        return self._turn_unplaced(stamp)
 
-    def _turn_words(self, ways: Floats) -> str:
+    def _turn_words(self, ways: Floats, stamp: PlanStamp) -> str:
         refused = cannot_turn(self._session) & np.isfinite(ways)
         rest = f"; {resting_text(self._session, refused)}" if refused.any() else ""
         started = self._move(
-            "phi turns by code words",
-            lambda t, may_go: turn_words(self._session, ways, t, may_go),
-        )
+            "phi turns by code words", "turn by code words",
+            lambda t, may_go: turn_words(self._session, ways, t, may_go), stamp,
+        )  # fmt: skip
         return started + rest
 
-    def _turn_unplaced(self) -> str:
+    def _turn_unplaced(self, stamp: PlanStamp) -> str:
         _, refused = turns_of(self._session)
         rest = f"; {refused_text(self._session, refused)}" if refused.any() else ""
         started = self._move(
-            "robots at unknown places turn",
-            lambda t, may_go: turn_unplaced(self._session, t, may_go),
-        )
+            "robots at unknown places turn", "turn at unknown places",
+            lambda t, may_go: turn_unplaced(self._session, t, may_go), stamp,
+        )  # fmt: skip
         return started + rest
 
-    def _move(self, why: str, move: Callable[[float, Callable[[], bool]], float]) -> str:
+    def _move(
+        self,
+        why: str,
+        what: str,
+        move: Callable[[float, Callable[[], bool]], float],
+        stamp: PlanStamp | None = None,
+    ) -> str:
         self._check_role()
+        state = self._session.state
+        if state is not SessionState.IDLE:  # and no plan is ended, and nothing is forgotten
+            raise SessionError(f"robots cannot {what} while {state.name}: {state.value}")
+        self.forget_turns()
         self._attempts.end_all(Reason.NOT_PLANNED, why)
-        move(self._now_s(), self._may_begin)
-        self._begin()
+        move(self._now_s(), lambda: self._may_begin(stamp))
+        self._begin(stamp)
         return self._report_started()
 
-    def _may_begin(self) -> bool:
-        self._begin()
+    def _may_begin(self, stamp: PlanStamp | None) -> bool:
+        self._begin(stamp)
         return self._may_go()
 
-    def _begin(self) -> None:
+    def _begin(self, stamp: PlanStamp | None) -> None:
         if self._attempts.ended:
-            self._attempts.begin_home()
+            self._attempts.begin_unplanned(stamp)

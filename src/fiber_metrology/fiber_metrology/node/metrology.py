@@ -160,10 +160,13 @@ class MetrologyNode(ManagedNode):
         if not rest.lasts_until(self._motions.at_rest()):
             raise ImageError("the robots were told to move while the camera exposed")
         seen = combine(taken, fiducials, calibrated, self._plate.value)
-        stamp = PlanStamp(self.get_clock().now().nanoseconds)
         table = lights.SeenLights(seen.places, seen.seen, seen.merged)
-        self._lights.publish(lights.encode(table, stamp, rest.session))
-        return f"image {stamp}: {len(seen.places)} lights"
+        self._lights.publish(lights.encode(table, self._stamp_of(rest), rest.session))
+        return f"{len(seen.places)} lights"
+
+    def _stamp_of(self, rest: Rest) -> PlanStamp:
+        # of the motion that an image follows; before the first one the time of the image
+        return PlanStamp(self.get_clock().now().nanoseconds) if rest.plan is None else rest.plan
 
     def _may_measure(self) -> Rest:
         if not self.active:
@@ -182,7 +185,7 @@ class MetrologyNode(ManagedNode):
             unplaced = self._unplaced
             lost = at_unknown_places(unplaced)
             expected = replace(knowledge.expected(rest.counters), unplaced=lost)
-        stamp = PlanStamp(self.get_clock().now().nanoseconds) if rest.plan is None else rest.plan
+        stamp = self._stamp_of(rest)
         begin_s = time.monotonic()
         config = self._measure_config()
         image = measure(expected, taken, fiducials, calibrated, config)
