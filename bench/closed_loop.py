@@ -8,8 +8,8 @@ of true fibres from their targets in the focal plane.
 - asked: robots with a target. healthy: those that are lit, whose drive does not stick, and that the
   blind plan moves to their targets.
 - identified: fibres in an image whose light is told to be theirs; misidentified: told and wrong.
-- non_movers: lit robots with a joint that sticks, whose fibre is thereby off by more than what a
-  verdict needs; healthy_blamed: robots said not to have moved whose joints did.
+- non_movers: lit robots with a joint that sticks, which was told to move the fibre by more than
+  what a verdict needs; healthy_blamed: robots said not to have moved whose joints did.
 - contacts: pairs of true arms that touched, those with a robot that stuck apart.
 - image_s: from the pixels of one exposure to its spots, null without --pixels; measure_s: from
   spots to measured angles; correct_s: from spots to a certified correction; wall time of this
@@ -26,6 +26,8 @@ import time
 import numpy as np
 
 from fiber_bus_bridge.simulation import NEVER, MechanicalErrors, draw_mechanics
+from fiber_core import kinematics
+from fiber_core.array_types import Angles, Floats
 from fiber_core.errors import FiberError
 from fiber_core.fields import random_field
 from fiber_core.focal_plane import FocalPlane
@@ -81,13 +83,13 @@ def run(options: argparse.Namespace) -> dict[str, object]:
         plane = preset(options.preset, options.robots)
     _loop(preset("desi", 37), options)  # compiles
     begin = time.perf_counter()
-    loop, sticks = _loop(plane, options)
+    loop, stuck = _loop(plane, options)
     wall_s = time.perf_counter() - begin
-    return {"seed": options.seed, **figures(loop, sticks), "wall_s": round(wall_s, 2)}
+    return {"seed": options.seed, **figures(loop, stuck), "wall_s": round(wall_s, 2)}
 
 
 def _loop(plane: FocalPlane, options: argparse.Namespace) -> tuple[ClosedLoop, np.ndarray]:
-    """A closed loop of a plane, and the robots with a joint that sticks in the blind move."""
+    """A closed loop of a plane, and the joints that stick in the blind move, shape (n, 2)."""
     rng = np.random.default_rng(options.seed)
     problem = random_field(plane, rng, options.gap).problem
     errors = MechanicalErrors(**DRIVE, non_movers=options.non_movers)
@@ -102,16 +104,29 @@ def _loop(plane: FocalPlane, options: argparse.Namespace) -> tuple[ClosedLoop, n
         corrections=options.corrections, seed=options.seed,
         config=LoopConfig(exposures=options.exposures, pixels=options.pixels),
     )  # fmt: skip
-    return loop, np.any(mechanics.still_in < NEVER, axis=1)
+    return loop, mechanics.still_in < NEVER
 
 
-def figures(loop: ClosedLoop, sticks: np.ndarray) -> dict[str, object]:
+def told_mm(plane: FocalPlane, start: Angles, goal: Angles, stuck: np.ndarray) -> Floats:
+    """Return how far from where it should be a fibre is if some joints stick [mm], shape (n,).
+
+    Args:
+        plane: the focal plane.
+        start, goal: joint angles before and after the move [rad], shape (n, 2).
+        stuck: joints that stick, shape (n, 2).
+    """
+    ends = [kinematics.forward(plane, a)[1] for a in (np.where(stuck, start, goal), goal)]
+    return np.hypot(*(ends[1] - ends[0]).T)
+
+
+def figures(loop: ClosedLoop, stuck: np.ndarray) -> dict[str, object]:
     """Return what the judge finds.
 
     Args:
         loop: the moves.
-        sticks: robots with a joint that sticks in the blind move, shape (n,).
+        stuck: joints that stick in the blind move, shape (n, 2).
     """
+    sticks = stuck.any(axis=1)
     problem, moves = loop.problem, loop.moves
     blind, last = moves[0], moves[-1]
     asked = problem.asked
@@ -124,10 +139,11 @@ def figures(loop: ClosedLoop, sticks: np.ndarray) -> dict[str, object]:
         visible, told, wrong = visible + counts[0], told + counts[1], wrong + counts[2]
     ordered = blind.orders.units.to_angles(blind.run.counts)
     error_um = DriveErrors().after_um(problem.plane, problem.start, ordered)
-    far = before > 1.05e3 * MeasureConfig().judged_mm(error_um)
+    told = told_mm(problem.plane, problem.start, ordered, stuck)
+    far = told > MeasureConfig().judged_mm(error_um)
     judged = sticks & planned & loop.lit & far
     pairs = np.concatenate([m.touches.pairs[m.touches.unsafe] for m in moves])
-    stuck = np.append(sticks, np.zeros(problem.plane.fixtures, dtype=bool))[pairs].any(axis=1)
+    of_stuck = np.append(sticks, np.zeros(problem.plane.fixtures, dtype=bool))[pairs].any(axis=1)
     verdicts = last.measurement.verdict
     corrected = moves[1:2]
     correct_s = blind.measure_s + sum(move.plan_s for move in corrected)
@@ -146,8 +162,8 @@ def figures(loop: ClosedLoop, sticks: np.ndarray) -> dict[str, object]:
         "non_movers": int(judged.sum()),
         "non_movers_named": int((judged & loop.not_moved).sum()),
         "healthy_blamed": int((loop.not_moved & ~sticks).sum()),
-        "contacts": int((~stuck).sum()),
-        "contacts_of_non_movers": int(stuck.sum()),
+        "contacts": int((~of_stuck).sum()),
+        "contacts_of_non_movers": int(of_stuck.sum()),
         "verdicts": {v.name.lower(): int((verdicts == v).sum()) for v in Verdict},
         "held_blind": int((asked & ~planned).sum()),
         "image_s": _of_one(blind.image_s, len(blind.exposures)),

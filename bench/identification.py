@@ -8,10 +8,10 @@ their way: the images are those of `closed_loop.py` without its plans. Counted o
 - visible: fibres in one exposure or more; identified: told as certain; misidentified: wrongly so.
 - merged: fibres that are known to be in a light, without a place.
 - worst_um: the largest error of a measured place.
-- non_movers: robots that most exposures show with a joint that stuck, farther from where they
-  should be than a verdict needs: 0.3 mm, and 12 sigma of the drive for this move. of_ambiguous:
+- non_movers: robots that most exposures show with a joint that stuck, which was told to move the
+  fibre farther than a verdict needs: 0.3 mm, and 12 sigma of the drive for this move. of_ambiguous:
   those of them whose light is not surely theirs; another image tells. too_near: robots with a joint
-  that stuck, nearer than that.
+  that stuck, and was told less than that; near_seen: those of them whose place is told.
 - measure_cpu_s: median processor time from the spots to measured angles.
 
 The images come in blocks of 20, each of a field of its own. With --journal each block is a line of
@@ -27,7 +27,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from closed_loop import DRIVE
+from closed_loop import DRIVE, told_mm
 
 from fiber_bus_bridge.simulation import (
     NEVER,
@@ -49,7 +49,7 @@ from fiber_metrology.camera import CameraConfig, SimulatedCamera, fiducial_place
 _BLOCK = 20  # images of each pair of fields
 _NAMES = (
     *("visible", "identified", "misidentified", "merged", "ambiguous", "non_movers"),
-    *("non_movers_named", "of_ambiguous", "too_near", "healthy_blamed"),
+    *("non_movers_named", "of_ambiguous", "too_near", "near_seen", "healthy_blamed"),
 )
 _DARK, _NON_MOVERS = 0.02, 0.01
 
@@ -111,12 +111,16 @@ def _block(
     start, goal = field.problem.start, field.goal
     total, cpu_s, worst_mm = dict.fromkeys(_NAMES, 0), [], 0.0
     for _ in range(images):
-        arms, sticks = _after_a_move(plane, start, goal, rng)
+        arms, stuck = _after_a_move(plane, start, goal, rng)
+        sticks = stuck.any(axis=1)
         tips = kinematics.forward(plane, arms)[1]
         lit = rng.random(plane.n) >= _DARK
         taken = [camera.expose(tips, fiducials, lit, rng) for _ in range(options.exposures)]
         error_um = DriveErrors().after_um(plane, start, goal)
-        expected = Expected(plane, goal, start, np.full((plane.n, 2), 3e-3), error_um)
+        expected = Expected(
+            plane, goal, start, np.full((plane.n, 2), 3e-3), error_um,
+            joints_rad=DriveErrors().joints_rad(plane, start, goal),
+        )  # fmt: skip
         begin = time.process_time()
         image = measure(expected, [e.spots for e in taken], fiducials, camera.calibrated)
         cpu_s.append(time.process_time() - begin)
@@ -124,16 +128,16 @@ def _block(
         first = image.lights.first[image.light[rows]]
         owner = np.array([taken[k].owner[spot] for spot, k in first], dtype=np.int64)
         visible = np.isin(np.arange(plane.n), np.concatenate([e.owner for e in taken]))
-        away = np.hypot(*(tips - kinematics.forward(plane, goal)[1]).T)
         times = sum(np.isin(np.arange(plane.n), e.owner).astype(int) for e in taken)
-        stuck = sticks & (2 * times >= options.exposures)
-        far = away > 1.05 * MeasureConfig().judged_mm(error_um)
-        judged = stuck & far
+        shown = sticks & (2 * times >= options.exposures)
+        far = told_mm(plane, start, goal, stuck) > MeasureConfig().judged_mm(error_um)
+        judged, near = shown & far, shown & ~far
         worst_mm = max(worst_mm, float(np.hypot(*(image.places - tips)[rows].T).max()))
         masks = (
             visible, image.certain & visible, owner != rows, image.verdict == Verdict.MERGED,
             image.verdict == Verdict.AMBIGUOUS, judged, judged & image.not_moved,
-            judged & (image.verdict == Verdict.AMBIGUOUS), stuck & ~far, image.not_moved & ~sticks,
+            judged & (image.verdict == Verdict.AMBIGUOUS), near, near & image.certain,
+            image.not_moved & ~sticks,
         )  # fmt: skip
         for name, mask in zip(_NAMES, masks):
             total[name] += int(mask.sum())
@@ -146,14 +150,14 @@ def _block(
 def _after_a_move(
     plane: FocalPlane, start: Angles, goal: Angles, rng: np.random.Generator
 ) -> tuple[Angles, np.ndarray]:
-    """Angles of the true arms after a straight move, and the robots of which a joint stuck."""
+    """Angles of the true arms after a straight move, and the joints that stuck, shape (n, 2)."""
     mechanics = draw_mechanics(plane.n, MechanicalErrors(**DRIVE, non_movers=_NON_MOVERS), rng)
     way = (goal - start).ravel()
     speed = np.where(way >= 0.0, 1.0, -1.0)
     lasts = np.maximum(np.abs(way), 1e-12)
     motion = SegmentMotion(start, np.arange(2 * plane.n + 1), lasts, speed)
     _, state = arms_motion(mechanics, arms_at(mechanics, start), motion)
-    return true_angles(mechanics, state), np.any(mechanics.still_in < NEVER, axis=1)
+    return true_angles(mechanics, state), mechanics.still_in < NEVER
 
 
 if __name__ == "__main__":

@@ -7,13 +7,15 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiber_core.array_types import Angles, Floats, Points
+from fiber_core.array_types import Angles, Floats, Ints, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.kinematics import configurations, most_configurations
 
-__all__ = ["BEYOND_RAD", "angles_of_places"]
+__all__ = ["BEYOND_RAD", "angles_of_places", "likeliest_angles"]
 
 BEYOND_RAD = 0.05  # an arm may stand this far beyond a stop of its counter
+_STEPS = 20  # of Gauss and Newton, which converge slowly where the arm is straight
+_LEAST_RAD = 1e-9  # of the error of a joint that its drive keeps
 
 
 def angles_of_places(
@@ -53,6 +55,72 @@ def angles_of_places(
     rows = most_configurations(plane) + 8  # of limits that are a little wider
     _angles(plane.arms, offsets, limits, plane.limits, near, error, rows, out, wide, outside)
     return out, wide, outside
+
+
+def likeliest_angles(
+    plane: FocalPlane,
+    rows: Ints,
+    places: Points,
+    sigma_mm: Floats,
+    expected: Angles,
+    sigma_rad: Angles,
+) -> Angles:
+    """Return the joint angles that measured places and expected angles together make likeliest.
+
+    They are the least of |tip(q) - place|^2 / sigma_mm^2 + sum_j ((q_j - expected_j) / sigma_j)^2.
+    The tip is nearly on the place: expected angles tell how theta and phi share what it leaves
+    open, which is much where the arm is stretched or folded.
+
+    Args:
+        plane: the focal plane.
+        rows: the robots, shape (k,).
+        places: their measured places [mm], shape (k, 2).
+        sigma_mm: error of one coordinate of each place, 1 sigma [mm], shape (k,).
+        expected: angles by the drive [rad], shape (k, 2).
+        sigma_rad: their errors, 1 sigma [rad], shape (k, 2).
+
+    Returns:
+        The angles, within the limits of their joints [rad], shape (k, 2).
+    """
+    out = np.array(expected)
+    _likeliest(
+        plane.arms[rows], places - plane.centers[rows], plane.limits[rows], sigma_mm,
+        expected, np.maximum(sigma_rad, _LEAST_RAD), out,
+    )  # fmt: skip
+    return out
+
+
+@nb.njit(cache=True)
+def _within(step, angle, limits):
+    """The step of an angle that ends within its limits."""
+    return min(max(angle + step, limits[0]), limits[1]) - angle
+
+
+@nb.njit(cache=True)
+def _likeliest(arms: Floats, offsets: Points, limits, sigma_mm, expected, sigma_rad, out):
+    for i in range(len(arms)):
+        arm1, arm2 = arms[i]
+        trust = 1.0 / sigma_mm[i] ** 2
+        weight = 1.0 / sigma_rad[i] ** 2
+        for _ in range(_STEPS):
+            x2 = arm2 * math.cos(out[i, 0] + out[i, 1])
+            y2 = arm2 * math.sin(out[i, 0] + out[i, 1])
+            x, y = arm1 * math.cos(out[i, 0]) + x2, arm1 * math.sin(out[i, 0]) + y2
+            off_x, off_y = offsets[i, 0] - x, offsets[i, 1] - y
+            # the tip moves by (-y, x) with theta and by (-y2, x2) with phi
+            a = trust * (x * x + y * y) + weight[0]
+            b = trust * (y * y2 + x * x2)
+            c = trust * (x2 * x2 + y2 * y2) + weight[1]
+            theta = trust * (x * off_y - y * off_x) + weight[0] * (expected[i, 0] - out[i, 0])
+            phi = trust * (x2 * off_y - y2 * off_x) + weight[1] * (expected[i, 1] - out[i, 1])
+            # a joint at its limit stays there, and the other one makes the best of it
+            turn = _within((a * phi - b * theta) / (a * c - b * b), out[i, 1], limits[i, 1])
+            free = (theta - b * turn) / a
+            swing = _within(free, out[i, 0], limits[i, 0])
+            if swing != free:
+                turn = _within((phi - b * swing) / c, out[i, 1], limits[i, 1])
+            out[i, 0] += swing
+            out[i, 1] += turn
 
 
 @nb.njit(cache=True)

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiber_core.arm_bounds import grown
 from fiber_core.array_types import Mask
 from fiber_core.problem import Problem
 from fiber_core.validation import frozen_array
@@ -29,7 +28,10 @@ def follows(measurement: Measurement) -> Mask:
 
 
 def correction_problem(
-    measurement: Measurement, targets: ArrayLike, tolerance_um: float = 0.0
+    measurement: Measurement,
+    targets: ArrayLike,
+    outlines_off_mm: ArrayLike,
+    tolerance_um: float = 0.0,
 ) -> Problem:
     """Return the problem that brings the fibres of an image to their targets.
 
@@ -39,16 +41,25 @@ def correction_problem(
     Args:
         measurement: where the robots are.
         targets: targets of the fibres [mm], shape (n, 2), nan without a target.
+        outlines_off_mm: how far points of the theta and the phi outline may be from where the
+            angles put them [mm], shape (n, 2), as `Knowledge.outlines_off_mm` tells.
         tolerance_um: a fibre that is so close to its target is left there [um].
 
     Raises:
-        MetrologyError: the targets have another shape.
+        MetrologyError: an argument has another shape.
     """
     plane = measurement.plane
     asked = frozen_array(targets, np.float64, (plane.n, 2), "targets", MetrologyError)
     moves = follows(measurement) & plane.enabled
     off_mm = np.hypot(*(measurement.places - asked).T)
     moved = moves & (off_mm > tolerance_um * 1e-3)
-    wider = grown(plane, measurement.interval_rad, measurement.error_mm)
-    problem_plane = replace(wider, enabled=moves)
+    theta_mm, phi_mm = frozen_array(
+        outlines_off_mm, np.float64, (plane.n, 2), "outlines_off_mm", MetrologyError
+    ).T
+    problem_plane = replace(
+        plane,
+        theta_radius=plane.theta_radius + theta_mm,
+        phi_radius=plane.phi_radius + phi_mm,
+        enabled=moves,
+    )
     return Problem(problem_plane, measurement.angles, np.where(moved[:, None], asked, np.nan))

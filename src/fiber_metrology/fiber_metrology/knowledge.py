@@ -67,11 +67,29 @@ class DriveErrors:
             plane: the focal plane.
             before, after: joint angles by the counters [rad], shape (n, 2).
         """
-        after = np.asarray(after, dtype=float)
-        offsets = kinematics.forward(plane, after)[1] - plane.centers
-        levers = np.stack([np.hypot(*offsets.T), plane.arms[:, 1]], axis=1)
-        turned_mm = np.abs(after - np.asarray(before, dtype=float)) * levers
-        return np.hypot(self.base_um, 1e3 * self.scale * np.hypot(*turned_mm.T))
+        joints_mm = self.joints_rad(plane, before, after) * _levers_at(plane, after)
+        return 1e3 * np.hypot(*joints_mm.T)
+
+    def joints_rad(self, plane: FocalPlane, before: ArrayLike, after: ArrayLike) -> Angles:
+        """Return the error of each joint angle after a blind move, 1 sigma [rad], shape (n, 2).
+
+        Args:
+            plane, before, after: as for after_um.
+        """
+        turned = np.abs(np.asarray(after, dtype=float) - np.asarray(before, dtype=float))
+        return np.hypot(_even_rad(plane, after, self.base_um), self.scale * turned)
+
+
+def _levers_at(plane: FocalPlane, angles: ArrayLike) -> Floats:
+    """How far each fibre is from its axes of theta and phi [mm], shape (n, 2)."""
+    offsets = kinematics.forward(plane, np.asarray(angles, dtype=float))[1] - plane.centers
+    return np.stack([np.hypot(*offsets.T), plane.arms[:, 1]], axis=1)
+
+
+def _even_rad(plane: FocalPlane, angles: ArrayLike, error_um: ArrayLike) -> Angles:
+    """The error of both joint angles that together makes one of the fibre [rad], shape (n, 2)."""
+    even = 1e-3 * np.asarray(error_um) / np.hypot(*_levers_at(plane, angles).T)
+    return np.stack([even, even], axis=1)
 
 
 class Knowledge:
@@ -98,6 +116,7 @@ class Knowledge:
         self._before: Angles | None = None  # of each robot, before it moved last
         self._before_rad: Angles = self._known.copy()
         self._error_um: Floats = np.full(plane.n, self._drive.blind_um)
+        self._joints_rad: Angles = self._error_um[:, None] * 1e-3 / plane.arms
         self._follows: Mask = np.zeros(plane.n, dtype=bool)
         # robots of which some image showed no light at all, and no image anything else
         self._missed: Mask = np.zeros(plane.n, dtype=bool)
@@ -122,9 +141,13 @@ class Knowledge:
         self._before = np.where(moved[:, None], begin, before)
         self._before_rad = np.where(moved[:, None], self._known, self._before_rad)
         error = self._drive.after_um(self.plane, begin, counters)
+        joints = self._drive.joints_rad(self.plane, begin, counters)
         if self._straight:
             error = np.where(self._follows, self._drive.corrected_um, error)
+            even = _even_rad(self.plane, counters, error)
+            joints = np.where(self._follows[:, None], even, joints)
         self._error_um = np.where(moved, error, self._error_um)
+        self._joints_rad = np.where(moved[:, None], joints, self._joints_rad)
         # until the next image nothing better than the drive is known of what moved
         self._known = np.where(moved[:, None], self._blind_rad, self._known)
         self._follows &= ~moved
@@ -141,17 +164,22 @@ class Knowledge:
             self._take_motion(counters)
         assert self._before is not None
         dark = self._missed & ~self._lit
-        return Expected(self.plane, counters, self._before, self._before_rad, self._error_um, dark)
+        return Expected(
+            self.plane, counters, self._before, self._before_rad, self._error_um, dark,
+            joints_rad=self._joints_rad,
+        )  # fmt: skip
 
     def outlines_off_mm(self, image: Measurement) -> Floats:
         """Return how far points of the outlines may be from where the angles put them.
 
-        Of a robot that the image shows, as it was measured; of any other, as the drive leaves it.
+        Of a robot that the image shows, as it was measured; of any other, as the drive leaves it,
+        or as it was known if it has not moved since.
 
         Returns:
             Bounds for the theta and the phi outline [mm], shape (n, 2).
         """
-        unseen = self._drive.interval_rad(self.plane)
+        moved = interval_of_tips(self.plane, self._drive.sigmas * self._error_um * 1e-3)
+        unseen = np.minimum(moved, self._known)
         half_rad = np.where(image.certain[:, None], image.interval_rad, unseen)
         return np.stack(arms_within(self.plane, half_rad, image.error_mm), axis=1)
 
@@ -168,5 +196,6 @@ class Knowledge:
         before = image.angles if self._before is None else self._before
         self._before = np.where(seen, image.angles, before)
         self._before_rad = np.where(seen, image.interval_rad, self._before_rad)
-        where = image.certain
-        self._error_um = np.where(where, self._drive.corrected_um, self._error_um)
+        self._error_um = np.where(image.certain, self._drive.corrected_um, self._error_um)
+        even = _even_rad(self.plane, image.angles, self._error_um)
+        self._joints_rad = np.where(seen, even, self._joints_rad)

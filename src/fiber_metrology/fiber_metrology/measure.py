@@ -17,7 +17,7 @@ from fiber_core.clearance import levers_of
 from fiber_core.focal_plane import FIXED_JOINT_RAD, FocalPlane
 from fiber_core.outcomes import STILL, Verdict
 from fiber_core.validation import frozen_array
-from fiber_metrology.angles import angles_of_places
+from fiber_metrology.angles import angles_of_places, likeliest_angles
 from fiber_metrology.errors import ImageError, MetrologyError
 from fiber_metrology.exposures import Lights, combine
 from fiber_metrology.identify import IdentifyConfig, identify
@@ -102,6 +102,8 @@ class Expected:
             shape (n,).
         dark: fibres without light in earlier images, shape (n,); by default none.
         unplaced: robots at unknown places, of which no light is told, shape (n,); by default none.
+        joints_rad: error of each joint angle after the motion, 1 sigma [rad], shape (n, 2): where a
+            fibre is of which one joint stuck. By default that place has the error error_um.
 
     Raises:
         MetrologyError: a shape does not fit, or a value is out of range; names it.
@@ -114,6 +116,7 @@ class Expected:
     error_um: ArrayLike
     dark: ArrayLike | None = None
     unplaced: ArrayLike | None = None
+    joints_rad: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         n = self.plane.n
@@ -127,6 +130,11 @@ class Expected:
         if not ((error > 0.0) & np.isfinite(error)).all():
             raise MetrologyError(f"error_um must be positive, got {error.min()}")
         object.__setattr__(self, "error_um", error)
+        if self.joints_rad is not None:
+            joints = frozen_array(self.joints_rad, np.float64, (n, 2), "joints_rad", MetrologyError)
+            if not ((joints >= 0.0) & np.isfinite(joints)).all():
+                raise MetrologyError(f"joints_rad must not be negative, got {joints.min()}")
+            object.__setattr__(self, "joints_rad", joints)
         for name in ("dark", "unplaced"):
             given = getattr(self, name)
             value = np.zeros(n) if given is None else given
@@ -228,25 +236,26 @@ def measure(
     sure = certain & ~merged
     measured = np.full((plane.n, 2), np.nan)
     measured[sure] = lights.places[found.light[sure]]
-    where = np.where(found.first_place <= config.blame, found.where, 0)
-    near = _angles_there(expected, np.maximum(where, 0))
+    where = np.where(found.first_place <= config.blame, np.maximum(found.where, 0), 0)
+    where = np.where(_judged(expected, places, config)[np.arange(plane.n), where], where, 0)
+    near = _angles_there(expected, where)
     seen = np.ones(plane.n)
     seen[has] = lights.seen[found.light[has]]
     error_mm = np.where(sure, config.error_um * 1e-3 / np.sqrt(seen), np.nan)
     bound_mm = config.sigmas * error_mm
     angles, interval, _ = angles_of_places(plane, measured, near, bound_mm)
-    verdict = np.where(sure, _THERE[np.maximum(where, 0)], Verdict.MISSING)
+    verdict = np.where(sure, _THERE[where], Verdict.MISSING)
     off = np.hypot(*(measured - places[:, 0]).T)
     far = off > config.off_model * sigma[:, 0]
     verdict = np.where(sure & far & (where == 0), Verdict.OFF_MODEL, verdict)
-    keeps = np.where(sure & (verdict != Verdict.OFF_MODEL), np.maximum(where, 0), -1)
+    keeps = np.where(sure & (verdict != Verdict.OFF_MODEL), where, -1)
     angles, interval, bound_mm = _by_drive(
         expected, measured, angles, interval, bound_mm, keeps, config
     )
     verdict = np.where(has & ~certain, Verdict.AMBIGUOUS, verdict)
     # a joint is named with the doubt of blame, its place is told as a fact with less alone
     stuck = has & ~certain & (found.doubt <= config.blame) & (where > 0) & ~merged
-    verdict = np.where(stuck, _THERE[np.maximum(where, 0)], verdict)
+    verdict = np.where(stuck, _THERE[where], verdict)
     verdict = np.where(certain & merged, Verdict.MERGED, verdict)
     verdict = np.where(~has & (found.doubt > config.identify.certain) & (found.group >= 0),
                        Verdict.AMBIGUOUS, verdict)  # fmt: skip
@@ -275,10 +284,10 @@ def _by_drive(
 ) -> tuple[Angles, Angles, Floats]:
     """Angles, intervals and bounds, by the drive where that tells more than the place.
 
-    The place says nothing of theta where an arm is folded, nor which elbow it has where it is
+    The place says nothing of theta where an arm is folded, and little of either joint where it is
     folded or stretched. Then a joint is about its counter, or about where it was before, as the
     hypothesis `where` says and every other one with which the fibre would be there too; -1 for a
-    robot that keeps to none.
+    robot that keeps to none. The angles are those that place and drive together make likeliest.
     """
     plane, n = expected.plane, expected.plane.n
     drive_mm = config.drive_sigmas * np.asarray(expected.error_um) * 1e-3
@@ -293,12 +302,19 @@ def _by_drive(
         may_be = ((off_mm <= within_mm) | (where == number))[:, None]
         low = np.where(may_be, np.minimum(low, there - half), low)
         high = np.where(may_be, np.maximum(high, there + half), high)
-    better = (where >= 0)[:, None] & (interval > _DOUBTFUL * (high - low) / 2.0)
-    low, high = np.where(better, low, angles), np.where(better, high, angles)
-    # of an angle that the place says nothing of the middle is as likely as any
-    likely = np.where(interval >= math.pi, (low + high) / 2.0, np.clip(angles, low, high))
-    inside = np.where(better, likely, angles)
-    interval = np.where(better, np.maximum(high - inside, inside - low), interval)
+    # a robot off its model may be at none of its places
+    low, high = (np.where(np.isfinite(end), end, angles) for end in (low, high))
+    half, middle = (high - low) / 2.0, (high + low) / 2.0
+    better = (where >= 0)[:, None] & (interval > _DOUBTFUL * half)
+    rows, inside = np.flatnonzero(better.any(axis=1)), np.array(angles)
+    inside[rows] = likeliest_angles(
+        plane, rows, measured[rows], bound_mm[rows] / config.sigmas, middle[rows],
+        half[rows] / config.drive_sigmas,
+    )  # fmt: skip
+    # a place that pulls a joint away from its counter says that the drive erred that way
+    pulled = np.where(interval < math.pi, 2.0, 1.0)
+    by_drive = half + pulled * np.abs(inside - middle)
+    interval = np.where(better, by_drive, interval + np.abs(inside - angles))
     moved_mm = np.hypot(*(kinematics.forward(plane, inside)[1] - measured).T)
     return inside, interval, np.where(better.any(axis=1), bound_mm + moved_mm, bound_mm)
 
@@ -337,22 +353,37 @@ def _hypotheses(expected: Expected, config: MeasureConfig) -> tuple[Floats, Floa
         places[:, k] = kinematics.forward(plane, _angles_there(expected, np.full(n, k)))[1]
         sigma[:, k] = np.hypot(moved_mm, error_mm)
     # where it was is known as well as it was measured then
-    known_mm = (expected.before_rad * levers_of(plane)).sum(axis=1) / config.sigmas
-    sigma[:, 1] = np.hypot(np.minimum(known_mm, moved_mm), error_mm)
+    known_mm = expected.before_rad * levers_of(plane) / config.sigmas
+    known_mm = np.minimum(known_mm, moved_mm[:, None])
+    whole_mm = np.minimum(known_mm.sum(axis=1), moved_mm)
+    sigma[:, 1] = np.hypot(whole_mm, error_mm)
+    if expected.joints_rad is not None:  # a joint that stuck has the error of its place before
+        joints = np.asarray(expected.joints_rad)
+        by_phi = joints[:, 1] * plane.arms[:, 1]
+        by_theta = joints[:, 0] * np.hypot(*(places[:, 3] - plane.centers).T)
+        sigma[:, 2] = np.sqrt(by_phi**2 + known_mm[:, 0] ** 2 + error_mm**2)
+        sigma[:, 3] = np.sqrt(by_theta**2 + known_mm[:, 1] ** 2 + error_mm**2)
     chance = np.empty((n, 4))
     chance[:, 1:] = config.identify.unmoved * np.array([0.5, 0.25, 0.25])
-    turned = np.abs(expected.counters - expected.before) > FIXED_JOINT_RAD
-    away = np.hypot(*np.moveaxis(places - places[:, :1], -1, 0))
-    asked = away > config.judged_mm(expected.error_um)[:, None]
-    asked[:, 1] &= turned.all(axis=1)  # one joint alone is one of the other two
-    asked[:, 2] &= turned[:, 0]
-    asked[:, 3] &= turned[:, 1]
-    asked[:, 0] = True
+    asked = _turned(expected)
     asked &= ~np.asarray(expected.unplaced)[:, None]
     places[~asked] = np.nan
     chance[~asked] = 0.0
     chance[:, 0] = 1.0 - config.identify.none - chance[:, 1:].sum(axis=1)
     return places, sigma, chance
+
+
+def _turned(expected: Expected) -> Mask:
+    """Which of the places of each robot are places of its own, shape (n, 4)."""
+    turned = np.abs(expected.counters - expected.before) > FIXED_JOINT_RAD
+    # if one joint alone was to turn, nothing moved is one of the other two
+    return np.stack([np.ones(len(turned), dtype=bool), turned.all(axis=1), *turned.T], axis=1)
+
+
+def _judged(expected: Expected, places: Floats, config: MeasureConfig) -> Mask:
+    """At which of its places each robot is told to have a joint that did not turn, shape (n, 4)."""
+    away = np.hypot(*np.moveaxis(places - places[:, :1], -1, 0))
+    return away > config.judged_mm(expected.error_um)[:, None]
 
 
 def _unseen(expected: Expected, config: MeasureConfig) -> Angles:

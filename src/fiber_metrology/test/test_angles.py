@@ -7,6 +7,7 @@ import pytest
 from fiber_core import kinematics
 from fiber_core.presets import preset
 from fiber_metrology import angles_of_places
+from fiber_metrology.angles import likeliest_angles
 
 
 @pytest.mark.parametrize("name", ["desi", "sdss_v", "moons", "pfs"])
@@ -67,3 +68,51 @@ def test_an_arm_beyond_its_stop_points_to_its_place_from_the_stop():
     at_stop = np.hypot(*(kinematics.forward(plane, near)[1] - plane.centers).T)
     assert (np.hypot(*off.T) <= np.abs(reach - at_stop) + 1e-6).all()
     assert (np.abs(found - true) <= wide + 1e-9).all()
+
+
+def test_angles_by_place_and_drive_together_put_the_fibre_on_its_place_where_the_arm_is_straight():
+    plane, rng = preset("desi", 1000), np.random.default_rng(5)
+    true = rng.uniform(*np.moveaxis(plane.limits, -1, 0))
+    true[:, 1] = np.clip(rng.choice([0.05, 0.2, np.pi - 0.05], plane.n), *plane.limits[:, 1].T)
+    sigma_mm, sigma_rad = np.full(plane.n, 2.5e-3), np.full((plane.n, 2), 0.012)
+    expected = np.clip(
+        true + 0.012 * rng.normal(size=true.shape), *np.moveaxis(plane.limits, -1, 0)
+    )
+    places = kinematics.forward(plane, true)[1] + 2.5e-3 * rng.normal(size=true.shape)
+    rows = np.arange(plane.n)
+    found = likeliest_angles(plane, rows, places, sigma_mm, expected, sigma_rad)
+    assert ((found >= plane.limits[..., 0]) & (found <= plane.limits[..., 1])).all()
+
+    def cost(angles):
+        off = (kinematics.forward(plane, angles)[1] - places) / sigma_mm[:, None]
+        return ((off**2) + ((angles - expected) / sigma_rad) ** 2).sum(axis=1)
+
+    least = cost(found)
+    for step in (
+        [1e-4, 0.0],
+        [-1e-4, 0.0],
+        [0.0, 1e-4],
+        [0.0, -1e-4],
+        [1e-4, -1e-4],
+        [-1e-4, 1e-4],
+    ):
+        near = np.clip(found + step, plane.limits[..., 0], plane.limits[..., 1])
+        assert (least <= cost(near) + 1e-6).all(), step
+    # better than each of both alone
+    alone, _, _ = angles_of_places(plane, places, expected, 4 * sigma_mm)
+    error = [np.sqrt(np.mean((a - true) ** 2)) for a in (found, alone, expected)]
+    assert error[0] < min(error[1:])
+    off_um = 1e3 * np.hypot(*(kinematics.forward(plane, found)[1] - places).T)
+    assert np.sqrt(np.mean(off_um**2)) < 4.0
+
+
+def test_only_the_robots_that_are_named_get_angles_by_both():
+    plane = preset("desi", 7)
+    true = np.tile([0.3, 0.1], (7, 1))
+    rows = np.array([2, 5])
+    places = kinematics.forward(plane, true)[1][rows]
+    found = likeliest_angles(
+        plane, rows, places, np.full(2, 1e-3), true[rows] + 1e-3, np.full((2, 2), 1e-2)
+    )
+    assert found.shape == (2, 2)
+    np.testing.assert_allclose(found, true[rows], atol=2e-3)

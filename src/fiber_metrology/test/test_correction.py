@@ -18,16 +18,22 @@ def test_the_problem_starts_at_measured_angles_and_leaves_what_does_not_follow(s
     image = scene.measure(scene.expose(lit))
     targets = kinematics.forward(scene.plane, scene.counters)[1]
     targets[3] = np.nan
-    problem = correction_problem(image, targets)
+    off_mm = scene.rng.uniform(0.0, 0.1, (N, 2))
+    problem = correction_problem(image, targets, off_mm)
     np.testing.assert_array_equal(problem.start, image.angles)
+    wider = [problem.plane.theta_radius - scene.plane.theta_radius,
+             problem.plane.phi_radius - scene.plane.phi_radius]  # fmt: skip
+    np.testing.assert_allclose(np.stack(wider, axis=1), off_mm)
     left = [0, 1, 7]
     assert not problem.plane.enabled[left].any() and not problem.asked[[*left, 3]].any()
     assert problem.plane.enabled.sum() == N - 3 and problem.asked.sum() == N - 4
-    close = correction_problem(image, targets, tolerance_um=60.0)
+    close = correction_problem(image, targets, off_mm, tolerance_um=60.0)
     off = np.hypot(*(image.places - targets).T)
     np.testing.assert_array_equal(close.asked, follows(image) & (off > 0.06))
     with pytest.raises(MetrologyError, match="targets has shape"):
-        correction_problem(image, targets[1:])
+        correction_problem(image, targets[1:], off_mm)
+    with pytest.raises(MetrologyError, match="outlines_off_mm has shape"):
+        correction_problem(image, targets, off_mm[1:])
 
 
 @pytest.mark.parametrize("name", ["desi_outlines", "sdss_v"])

@@ -217,8 +217,9 @@ def closed_loop(
                 image_s,
             )
         )
+        off_mm = knowledge.outlines_off_mm(image)
         knowledge.learn(image)
-        now = correction_problem(image, problem.targets, config.tolerance_um)
+        now = correction_problem(image, problem.targets, off_mm, config.tolerance_um)
     return ClosedLoop(problem, moves, lit)
 
 
