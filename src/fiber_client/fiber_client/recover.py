@@ -15,6 +15,7 @@ from fiber_client.errors import PlaneRefusal
 from fiber_client.turning import Turning
 from fiber_core.array_types import Ids, Mask
 from fiber_core.errors import FiberError
+from fiber_core.outcomes import Verdict
 from fiber_msgs_py import layout, topics
 from fiber_node.ros_environment import use_loopback
 
@@ -27,8 +28,9 @@ The counters of robots that lost their power tell nothing, where the bridge has 
 session.counters_kept false. The command asks all robots anew (the service configure) and takes
 images between small turns of theta of all such robots at once. Each turn moves no point of an
 arm by more than half of the margin that the last certificate left, so nothing can touch. The light
-of each robot turns about its own axis and tells where its arms are. Exit code 0: all robots that
-answer are in use again.
+of each robot turns about its own axis and tells where its arms are. The command ends when
+no robot is left with a light in its reach that may be its own. Exit code 0: all robots that answer
+are in use again.
 """
 
 
@@ -74,9 +76,11 @@ def recover(
     ids, lost = client.plane.ids, _lost(client)
     say(f"{lost.sum()} robots at unknown places")
     made, turning = 0, Turning(client, timeout_s)
+    # robots that another image may tell: not those without a light in their reach
+    lit = np.ones(len(ids), dtype=bool)
     if lost.any():
-        _take_image(client, loop)
-    while _lost(client).any() and made < turns:
+        lit = _take_image(client, loop)
+    while (_lost(client) & lit).any() and made < turns:
         try:
             turning.turn_unplaced()
         except PlaneRefusal as refusal:
@@ -85,14 +89,21 @@ def recover(
             say(str(refusal))  # what was found stays found
             break
         made += 1
-        _take_image(client, loop)
-        say(f"after test turn {made}: {_lost(client).sum()} robots at unknown places")
+        lit = _take_image(client, loop)
+        say(
+            f"after test turn {made}: {_lost(client).sum()} robots at unknown places, "
+            f"{(_lost(client) & lit).sum()} of them beside a light that may be theirs"
+        )
     left, seen = _lost(client), client.unplaced == layout.SEEN
     return Recovery(ids[lost], ids[lost & ~left & ~seen], ids[lost & seen], ids[left], made)
 
 
-def _take_image(client: PlaneClient, loop: CameraLoop) -> None:
-    """Take an image, and wait until the layout tells which robots it has found."""
+def _take_image(client: PlaneClient, loop: CameraLoop) -> Mask:
+    """Take an image, and wait until the layout tells which robots it has found.
+
+    Returns:
+        The robots but those of which the image shows no light, shape (n,).
+    """
     try:
         image = loop.take_image()
     except PlaneRefusal:  # counters that were set just before may have come late: once more
@@ -102,6 +113,8 @@ def _take_image(client: PlaneClient, loop: CameraLoop) -> None:
     client.wait_for(
         lambda: not _lost(client)[rows].any(), loop.timeout_s, "the robots found at known places"
     )
+    none = image.ids[np.isin(image.verdict, (Verdict.MISSING, Verdict.DARK))]
+    return ~np.isin(client.plane.ids, none)
 
 
 def _lost(client: PlaneClient) -> Mask:

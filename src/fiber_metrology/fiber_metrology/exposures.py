@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from fiber_core.array_types import Bools, Floats, Ints, Points
+from fiber_core.array_types import Bools, Floats, Ints, Mask, Points
+from fiber_core.focal_plane import FocalPlane
 from fiber_metrology.errors import ImageError
 from fiber_metrology.plate import Plate, PlateConfig, solve_plate
 from fiber_metrology.spots import Spots
 
-__all__ = ["Lights", "combine"]
+__all__ = ["Lights", "beside_free_lights", "combine"]
 
 _SAME_MM = 0.06  # between spots of one fibre in two exposures; ten times the error of one
 # A spot counts as two if its light, its width, or both together are so many sigma above the usual.
@@ -82,6 +83,25 @@ def combine(
     mean = np.stack([np.bincount(group, flat[:, axis]) / seen for axis in range(2)], axis=1)
     first = np.unique(group, return_index=True)[1]
     return Lights(mean, seen, doubtful[first], len(exposures), plates, which[first])
+
+
+def beside_free_lights(plane: FocalPlane, lights: Lights, owned: Ints) -> Mask:
+    """Return the robots with a light in reach that is of no robot and that most exposures saw.
+
+    Args:
+        plane: the focal plane.
+        lights: the lights of the exposures.
+        owned: rows of the lights that are of some robot, shape (k,).
+
+    Returns:
+        These robots, shape (n,).
+    """
+    free = 2 * lights.seen >= lights.exposures
+    free[owned] = False
+    if not free.any():
+        return np.zeros(plane.n, dtype=bool)
+    apart = cKDTree(lights.places[free]).query(plane.centers)[0]
+    return np.asarray(apart <= plane.arms.sum(axis=1))
 
 
 def _sigmas(values: Floats) -> Floats:

@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from fiber_core import bounds, kinematics
 from fiber_core.arm_bounds import interval_of_tips
@@ -19,7 +18,7 @@ from fiber_core.outcomes import STILL, Verdict
 from fiber_core.validation import frozen_array
 from fiber_metrology.angles import angles_of_places, likeliest_angles
 from fiber_metrology.errors import ImageError, MetrologyError
-from fiber_metrology.exposures import Lights, combine
+from fiber_metrology.exposures import Lights, beside_free_lights, combine
 from fiber_metrology.identify import IdentifyConfig, identify
 from fiber_metrology.plate import PlateConfig
 from fiber_metrology.spots import Spots
@@ -260,7 +259,7 @@ def measure(
     verdict = np.where(~has & (found.doubt > config.identify.certain) & (found.group >= 0),
                        Verdict.AMBIGUOUS, verdict)  # fmt: skip
     # a light that is not where any robot should be: a joint may have slipped, so none is dark there
-    free = _beside_free_lights(plane, lights, found.light[has])
+    free = beside_free_lights(plane, lights, found.light[has])
     verdict = np.where((verdict == Verdict.MISSING) & free, Verdict.UNEXPLAINED, verdict)
     verdict = np.where((verdict == Verdict.MISSING) & expected.dark, Verdict.DARK, verdict)
     verdict = np.where(unplaced, Verdict.UNPLACED, verdict)
@@ -317,16 +316,6 @@ def _by_drive(
     interval = np.where(better, by_drive, interval + np.abs(inside - angles))
     moved_mm = np.hypot(*(kinematics.forward(plane, inside)[1] - measured).T)
     return inside, interval, np.where(better.any(axis=1), bound_mm + moved_mm, bound_mm)
-
-
-def _beside_free_lights(plane: FocalPlane, lights: Lights, owned: Ints) -> Mask:
-    """Robots with a light in reach that most exposures saw and that is of no robot, shape (n,)."""
-    free = 2 * lights.seen >= lights.exposures
-    free[owned] = False
-    if not free.any():
-        return np.zeros(plane.n, dtype=bool)
-    apart = cKDTree(lights.places[free]).query(plane.centers)[0]
-    return np.asarray(apart <= plane.arms.sum(axis=1))
 
 
 def _still(where: Ints) -> NDArray[np.bool_]:

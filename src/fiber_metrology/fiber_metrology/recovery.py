@@ -10,7 +10,7 @@ the elbow. A folded arm of which no memory tells the elbow is not told either.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,8 +42,8 @@ class RecoveryConfig:
 
     Args:
         margin_mm: gap that the outlines of robots at rest keep [mm].
-        error_um: rms error of one coordinate of a place in one image [um]; about 2.5 um with nine
-            exposures.
+        error_um: rms error of one coordinate of a place in one image [um], where all exposures
+            saw its light; about 2.5 um with nine exposures.
         least: least share of a turn that the arm makes, the rest being lost motion.
         sigmas: errors at which an interval ends.
         identify: chances, as for an image.
@@ -159,15 +159,16 @@ def recover(
     rested = np.full((n, 2), np.nan) if recalled is None else recalled
     rested = frozen_array(rested, np.float64, (n, 2), "recalled", MetrologyError)
     _refuse_both_elbows(plane, wanted)
-    track, first, last = _tracks(before, after)
-    row, light, weight = _pairs(plane, first, last, turned, config, wanted)
+    tracks = _tracks(before, after, config)
+    row, light, weight = _pairs(plane, tracks, turned, config, wanted)
     # dark, or lacking in an image
     none = max(config.identify.none - config.identify.missed, 0.0) + 2 * config.identify.missed**2
-    found, doubt = most_likely(row, light, weight, plane.n, len(track), none)
+    found, doubt = most_likely(row, light, weight, plane.n, len(tracks.light), none)
     certain = (found >= 0) & (doubt <= config.identify.certain)
     places = np.full((plane.n, 2), np.nan)
-    places[certain] = last[found[certain]]
-    error_mm = np.where(certain, config.sigmas * config.error_um * 1e-3, np.nan)
+    places[certain] = tracks.last[found[certain]]
+    error_mm = np.full(plane.n, np.nan)
+    error_mm[certain] = config.sigmas * tracks.error_mm[found[certain]]
     near = np.where(np.isnan(rested), plane.limits.mean(axis=2), rested)
     unremembered: Mask = np.asarray(np.isnan(rested).any(axis=1))
     beyond = np.where(unremembered, 0.0, BEYOND_RAD)
@@ -183,7 +184,7 @@ def recover(
     other = (angles[:, 0] + _TURN_RAD <= high) | (angles[:, 0] - _TURN_RAD >= low)
     other &= ~(np.abs(angles[:, 0] - rested[:, 0]) < _TURN_RAD / 4.0)
     told = np.full(plane.n, -1)
-    told[certain] = track[found[certain]]
+    told[certain] = tracks.light[found[certain]]
     return Recovered(told, places, angles, interval, error_mm, doubt, certain & ~other)
 
 
@@ -198,38 +199,46 @@ def _widen_by_other_elbow(
     interval[:, 1] += np.where(straight, 2.0 * np.abs(phi), 0.0)
 
 
-def _tracks(before: Lights, after: Lights) -> tuple[Ints, Points, Points]:
-    """Lights that both images show: their rows in the second, and both places [mm], (s, 2)."""
-    here, there = before.places[_lasting(before)], np.flatnonzero(_lasting(after))
-    ends = after.places[there]
-    if not len(here) or not len(ends):
-        return np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2))
-    apart, at = cKDTree(ends).query(here)
-    back = cKDTree(here).query(ends)[1]
-    kept = (apart <= _TRACK_MM) & (back[at] == np.arange(len(at)))
-    return there[at[kept]], here[kept], ends[at[kept]]
+class _Tracks(NamedTuple):
+    # lights that both images show: their rows in the second, both places, and the error of a
+    # coordinate of the second place and of the movement [mm]
+    light: Ints
+    first: Points
+    last: Points
+    error_mm: Floats
+    moved_mm: Floats
 
 
-def _lasting(lights: Lights) -> Mask:
-    # a place that few of the exposures have is a stray light's, or not known well
-    return ~lights.merged & (2 * lights.seen >= lights.exposures)
+def _tracks(before: Lights, after: Lights, config: RecoveryConfig) -> _Tracks:
+    here, there = np.flatnonzero(~before.merged), np.flatnonzero(~after.merged)
+    if len(here) and len(there):
+        ends = after.places[there]
+        apart, at = cKDTree(ends).query(before.places[here])
+        back = cKDTree(before.places[here]).query(ends)[1]
+        kept = (apart <= _TRACK_MM) & (back[at] == np.arange(len(at)))
+        here, there = here[kept], there[at[kept]]
+    else:
+        here, there = here[:0], there[:0]
+    seen = before.seen[here], after.seen[there]
+    # fewer exposures, a larger error
+    error = [1e-3 * config.error_um * np.sqrt(of.exposures / k)
+             for of, k in zip((before, after), seen)]  # fmt: skip
+    # a stray light that lasts is seen as often as a fibre: the number tells nothing of which it is
+    return _Tracks(there, before.places[here], after.places[there], error[1], np.hypot(*error))
 
 
 def _pairs(
-    plane: FocalPlane,
-    first: Points,
-    last: Points,
-    turned: Floats,
-    config: RecoveryConfig,
-    among: Mask,
+    plane: FocalPlane, tracks: _Tracks, turned: Floats, config: RecoveryConfig, among: Mask
 ) -> tuple[Ints, Ints, Floats]:
     """Robots and lights in their reach, and the evidence over that of a stray light, (p,) each."""
-    sigma_mm = np.sqrt(2.0) * config.error_um * 1e-3
-    reach = plane.arms.sum(axis=1) + config.sigmas * config.error_um * 1e-3
+    first, last = tracks.first, tracks.last
+    furthest_mm = config.sigmas * float(tracks.error_mm.max(initial=0.0))
+    reach = plane.arms.sum(axis=1) + furthest_mm
     near = cKDTree(first).query_ball_point(plane.centers, reach) if len(first) else []
     row = np.repeat(np.arange(len(near)), [len(each) for each in near])
     light = np.array([k for each in near for k in each], dtype=np.int64)
     row, light = row[among[row]], light[among[row]]
+    sigma_mm = tracks.moved_mm[light]
     moved = last[light] - first[light]
     off_mm = _off_turn(first[light] - plane.centers[row], moved, turned[row], config.least)
     stays = _density(np.hypot(*moved.T), sigma_mm)
@@ -251,6 +260,6 @@ def _off_turn(arm: Points, moved: Points, turn: Floats, least: float) -> Floats:
     return np.hypot(*(moved - share[:, None] * way).T)
 
 
-def _density(off_mm: Floats, sigma_mm: float) -> Floats:
+def _density(off_mm: Floats, sigma_mm: Floats) -> Floats:
     far = np.minimum(off_mm / sigma_mm, _SIGMAS) ** 2 / 2.0
     return np.where(off_mm < _SIGMAS * sigma_mm, np.exp(-far), 0.0) / (2 * np.pi * sigma_mm**2)

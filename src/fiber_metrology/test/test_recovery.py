@@ -9,13 +9,16 @@ from metrology_scene import N, Scene
 
 from fiber_core.clearance import gaps, neighbour_pairs
 from fiber_metrology import (
+    MeasureConfig,
     MetrologyError,
     RecoveryConfig,
+    Verdict,
     combine,
     recover,
     turn_within_margin,
 )
 from fiber_metrology.camera import CameraConfig
+from fiber_metrology.node.turn_images import TurnImages
 
 
 class Lost(Scene):
@@ -25,13 +28,13 @@ class Lost(Scene):
         super().__init__(seed, CameraConfig())
         self.turned = turn_within_margin(self.plane)
 
-    def images(self, share=1.0, lit=None, still=()):
+    def images(self, share=1.0, lit=None, still=(), exposures=9):
         """Lights before and after turns of which robots make a share; `still` make none."""
         made, taken = self.turned * share, []
         made[list(still)] = 0.0
         for turn in (0.0, made):
             self.true[:, 0] += turn
-            shots = [each.spots for each in self.expose(lit, exposures=9)]
+            shots = [each.spots for each in self.expose(lit, exposures=exposures)]
             taken.append(combine(shots, self.fiducials, self.camera.calibrated))
         return taken
 
@@ -92,3 +95,38 @@ def test_what_cannot_be_recovered_is_refused_or_not_told():
     limits[5, 1, 0] = -np.pi
     with pytest.raises(MetrologyError, match="robot 5 has both elbows"):
         turn_within_margin(replace(lost.plane, limits=limits))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_images_of_three_exposures_find_fibres_that_some_of_these_lack(seed):
+    lost = Lost(seed)
+    lit = lost.rng.random(N) >= 0.02
+    images = lost.images(lost.rng.uniform(0.6, 1.0, N), lit, exposures=3)
+    config = RecoveryConfig(error_um=4.5 / np.sqrt(3.0))
+    rows = lost.check(recover(lost.plane, *images, lost.turned, config))
+    once = sum(int((each.seen == 1).sum()) for each in images)
+    assert once > 4 and not rows[~lit].any() and rows.sum() >= 0.98 * lit.sum()
+
+
+def test_a_robot_without_a_free_light_in_its_reach_is_missing_after_a_turn():
+    lost = Lost(2)
+    lost.camera.config = replace(lost.camera.config, stray=0.0, missing=0.0, merged=0.0)
+    dark = np.arange(N) % 10 == 0
+    still = np.flatnonzero(np.arange(N) % 10 == 5)
+    turns, told = TurnImages(), []
+    counters = lost.counters.copy()
+    unplaced = np.ones(N, dtype=np.int64)
+    made = lost.turned.copy()
+    made[still] = 0.0
+    for turn, of_arm in ((0.0, 0.0), (lost.turned, made)):
+        counters[:, 0] += turn
+        lost.true[:, 0] += of_arm
+        image = lost.measure(lost.expose(~dark, exposures=3), counters=counters,
+                             unplaced=np.ones(N, dtype=bool))  # fmt: skip
+        told.append(turns.find(image, counters.copy(), unplaced, "a", MeasureConfig()))
+    assert (told[0].verdict == Verdict.UNPLACED).all()  # one image alone tells nothing
+    left = ~told[1].certain
+    missing = told[1].verdict == Verdict.MISSING
+    assert left[dark].all() and missing[dark].sum() > 0.5 * dark.sum()
+    assert not missing[~dark].any()  # a light that is not told may be theirs
+    assert (told[1].verdict[left & ~missing] == Verdict.UNPLACED).all()

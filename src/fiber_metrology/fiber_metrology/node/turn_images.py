@@ -8,7 +8,7 @@ import numpy as np
 
 from fiber_core.array_types import Angles, Codes, Ints, Mask
 from fiber_core.outcomes import Verdict
-from fiber_metrology.exposures import Lights
+from fiber_metrology.exposures import Lights, beside_free_lights
 from fiber_metrology.measure import MeasureConfig, Measurement
 from fiber_metrology.recovery import Recovered, RecoveryConfig, recover
 from fiber_msgs_py import layout
@@ -50,7 +50,8 @@ class TurnImages:
         """Return an image with the robots that it and the one before tell.
 
         A robot is told as measured, or, if its turn of theta is not known, at its place and as
-        unplaced.
+        unplaced. One without a light in its reach that may be its own is missing: another turn
+        does not help it.
 
         Args:
             image: what the image tells of the other robots.
@@ -77,7 +78,7 @@ class TurnImages:
         about = RecoveryConfig(error_um=error_um, sigmas=config.sigmas, identify=config.identify)
         recalled = np.where((unplaced == layout.RECALLED)[:, None], counters, np.nan)
         found = recover(image.plane, first, second, turned[:, 0], about, among, recalled)
-        return _with_found(image, found, rows)
+        return _with_found(image, found, rows, lost)
 
 
 def _of_others(image: Measurement) -> tuple[Lights, Ints]:
@@ -92,14 +93,17 @@ def _of_others(image: Measurement) -> tuple[Lights, Ints]:
     return less, rows
 
 
-def _with_found(image: Measurement, found: Recovered, rows: Ints) -> Measurement:
+def _with_found(image: Measurement, found: Recovered, rows: Ints, lost: Mask) -> Measurement:
     here = found.certain
     light = np.array(image.light)
     light[here] = rows[found.light[here]]
+    owned = light[here | image.certain]
+    dark = lost & ~here & ~beside_free_lights(image.plane, image.lights, owned)
+    verdict = np.where(here & found.turn_known, Verdict.MEASURED, image.verdict)
     pair = here[:, None]
     return replace(
         image,
-        verdict=np.where(here & found.turn_known, Verdict.MEASURED, image.verdict),
+        verdict=np.where(dark, Verdict.MISSING, verdict),
         places=np.where(pair, found.places, image.places),
         angles=np.where(pair, found.angles, image.angles),
         interval_rad=np.where(pair, found.interval_rad, image.interval_rad),
