@@ -139,8 +139,9 @@ def figures(loop: ClosedLoop, stuck: np.ndarray) -> dict[str, object]:
         visible, told, wrong = visible + counts[0], told + counts[1], wrong + counts[2]
     ordered = blind.orders.units.to_angles(blind.run.counts)
     error_um = DriveErrors().after_um(problem.plane, problem.start, ordered)
-    told = told_mm(problem.plane, problem.start, ordered, stuck)
-    far = told > MeasureConfig().judged_mm(error_um)
+    far = told_mm(problem.plane, problem.start, ordered, stuck) > MeasureConfig().judged_mm(
+        error_um
+    )
     judged = sticks & planned & loop.lit & far
     pairs = np.concatenate([m.touches.pairs[m.touches.unsafe] for m in moves])
     of_stuck = np.append(sticks, np.zeros(problem.plane.fixtures, dtype=bool))[pairs].any(axis=1)

@@ -6,8 +6,8 @@ Images before and after a small turn of all robots tell which light is of which 
 plan is certified with what is known. Robots that are not found, their neighbours, and robots
 of which another turn of theta is in range stay. Drives, dark fibres and camera are simulated.
 
-- found, wrong: robots told as certain, and those of which that is not true; visible: fibres that
-  all images show.
+- found, wrong: robots told as certain, and those of which that is not true; lit: fibres with light;
+  visible: fibres that both images show, in one exposure or more.
 - outside: robots found whose true angles are not in their intervals.
 - closest_um: smallest gap of the true outlines in the test turn, as certified.
 - planned, held: robots with a target that the first plan moves, or holds; resting: robots that have
@@ -60,9 +60,10 @@ def main() -> int:
     parser.add_argument("--robots", type=int)
     parser.add_argument("--exposures", type=int, default=9)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--no-plan", action="store_true", help="find the robots, and plan nothing")
     found = run(parser.parse_args())
     print(json.dumps(found))
-    return int(bool(found["wrong"] or found["outside"] or found["contacts"]))
+    return int(bool(found["wrong"] or found["outside"] or found.get("contacts")))
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
@@ -103,11 +104,14 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     off = np.abs((found.angles - true + np.pi) % (2 * np.pi) - np.pi)
     outside = found.certain & (off > found.interval_rad + 1e-9).any(axis=1)
     about = {
-        "preset": options.preset, "robots": n, "seed": options.seed, "visible": int(visible.sum()),
+        "preset": options.preset, "robots": n, "seed": options.seed, "exposures": options.exposures,
+        "lit": int(lit.sum()), "visible": int(visible.sum()),
         "found": len(rows), "wrong": int((owner != rows).sum()), "outside": int(outside.sum()),
         "turn_unknown": int((found.certain & ~found.turn_known).sum()),
         "closest_um": round(float(closest_um), 1), "recover_cpu_s": round(cpu_s, 3),
     }  # fmt: skip
+    if options.no_plan:
+        return about
     return about | _first_plan(plane, found, (mechanics, state), rng, float(lasts.max()))
 
 

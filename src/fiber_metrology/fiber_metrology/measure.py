@@ -237,7 +237,8 @@ def measure(
     measured[sure] = lights.places[found.light[sure]]
     where = np.where(found.first_place <= config.blame, np.maximum(found.where, 0), 0)
     where = np.where(_judged(expected, places, config)[np.arange(plane.n), where], where, 0)
-    near = _angles_there(expected, where)
+    # the likeliest place tells elbow and turn, also where it gives no verdict
+    near = _angles_there(expected, np.where(found.first_place < 0.5, np.maximum(found.where, 0), 0))
     seen = np.ones(plane.n)
     seen[has] = lights.seen[found.light[has]]
     error_mm = np.where(sure, config.error_um * 1e-3 / np.sqrt(seen), np.nan)
@@ -264,7 +265,9 @@ def measure(
     verdict = np.where((verdict == Verdict.MISSING) & expected.dark, Verdict.DARK, verdict)
     verdict = np.where(unplaced, Verdict.UNPLACED, verdict)
     unknown = ~sure
-    angles[unknown] = near[unknown]  # by the counters where no light tells more
+    angles[unknown] = _angles_there(expected, where)[
+        unknown
+    ]  # by the counters where no light tells more
     interval[unknown] = _unseen(expected, config)[unknown]
     return Measurement(
         plane, verdict, measured, angles, interval, bound_mm,
@@ -291,6 +294,8 @@ def _by_drive(
     plane, n = expected.plane, expected.plane.n
     drive_mm = config.drive_sigmas * np.asarray(expected.error_um) * 1e-3
     drive_rad = interval_of_tips(plane, drive_mm)
+    if expected.joints_rad is not None:
+        drive_rad = config.drive_sigmas * np.asarray(expected.joints_rad)
     known_mm = (expected.before_rad * levers_of(plane)).sum(axis=1)
     within_mm = bound_mm + math.sqrt(2.0) * drive_mm + known_mm
     low, high = np.full((n, 2), np.inf), np.full((n, 2), -np.inf)

@@ -6,6 +6,7 @@ import pytest
 from metrology_scene import N, Scene, owners
 
 from fiber_core import kinematics
+from fiber_core.outcomes import STILL
 from fiber_core.presets import preset
 from fiber_metrology import (
     DriveErrors,
@@ -252,3 +253,19 @@ def test_outlines_of_an_unseen_robot_hold_what_its_own_move_leaves_and_nothing_i
     moved = np.flatnonzero(unseen & ~rested)
     order = np.argsort(np.asarray(expected.error_um)[moved])
     assert (np.diff(off_mm[moved[order], 1]) >= -1e-12).all()
+
+
+def test_theta_that_stuck_almost_a_turn_from_where_it_should_be_is_told_with_its_turn():
+    # 345 deg were ordered and the fibre is 15 deg from where it should be: too near for a verdict,
+    # and nearer to a turn more than to where the joint rests
+    scene, drive = Scene(5), DriveErrors()
+    scene.counters[:, 1] = scene.before[:, 1] = 1.9
+    scene.before[:, 0], scene.counters[:, 0] = -3.0, -3.0 + np.deg2rad(345.0)
+    scene.true = scene.before.copy()
+    told = scene.plane, scene.before, scene.counters
+    image = scene.measure(
+        scene.expose(), error_um=drive.after_um(*told), joints_rad=drive.joints_rad(*told)
+    )
+    assert image.certain.mean() > 0.9 and not np.isin(image.verdict, STILL).any()
+    off = np.abs(image.angles - scene.true)[image.certain]
+    assert (off <= image.interval_rad[image.certain] + 1e-9).all()
