@@ -55,7 +55,7 @@ class UnplannedMotions:
         Raises:
             SessionError: the bridge may not move robots, or they cannot be moved in this state.
         """
-        return self._move("the robots go home", "go home", self._session.home)
+        return self._move("the robots go home", "home", self._session.home)
 
     def hear_turns(self, message: Any) -> None:
         """Keep which turns the next call of `turn` makes, or refuse them."""
@@ -130,7 +130,7 @@ class UnplannedMotions:
         self._check_role()
         state = self._session.state
         if state is not SessionState.IDLE:  # and no plan is ended, and nothing is forgotten
-            raise SessionError(f"robots cannot {what} while {state.name}: {state.value}")
+            raise SessionError(f"cannot {what} while {state.name}: {state.value}")
         self.forget_turns()
         self._attempts.end_all(Reason.NOT_PLANNED, why)
         move(self._now_s(), lambda: self._may_begin(stamp))
