@@ -13,7 +13,15 @@ from numba import njit
 from fiber_core.array_types import Bools, Floats, Rows
 from fiber_core.clearance import Neighbours, most_neighbours
 from fiber_core.motion import MotionArrays
-from fiber_discretizer.tracing import FINEST_RAD, move_out, pose_bodies, turn_from
+from fiber_discretizer.tracing import (
+    FINEST_RAD,
+    least_spare,
+    move_out,
+    pose_bodies,
+    turn_from,
+    turn_on,
+    within_reach,
+)
 
 __all__ = [
     "FINEST_RAD",
@@ -26,6 +34,7 @@ __all__ = [
 
 _SEARCH_STEPS = 24  # largest number of steps to a bound in a search, which looks for any path
 _ALL_STEPS = 1 << 30  # each step is FINEST_RAD or more, so the approach ends by itself
+_FAR_MM = 1e-6  # far above the rounding of a gap
 
 
 class Task(NamedTuple):
@@ -169,19 +178,39 @@ def free_intervals(task: Task) -> tuple[Floats, Floats]:
         may use up the gap to a neighbour, or the end is a joint limit or at the full reach.
     """
     m, t = task.times.shape
-    wish = task.desired[:, task.joint]
-    corridors = Corridors(
-        wish.copy(), np.empty((2, m, t)), np.empty((2, m, t)), np.ones(m, np.bool_)
-    )
+    low, high = task.desired[:, task.joint].copy(), task.desired[:, task.joint].copy()
     most = most_neighbours(task.neighbours)
     poses, work = np.empty((most, 4)), np.empty((2, most))
+    own = np.empty(most, np.int64), np.empty(most), np.empty((most, 4)), np.empty(most, np.int64)
     for r in range(m):
         robot = _robot(task, task.rows[r], _ALL_STEPS, poses, work)
         for k in range(t):
-            if _begin_at(task, corridors, robot, r, k, wish[r, k], 0):
-                for w in range(2):
-                    _reaches(task, corridors, robot, r, k, corridors.bounds[w, r, k])
-    return corridors.free[0], corridors.free[1]
+            low[r, k], high[r, k] = _free_interval(task, robot, r, k, own)
+    return low, high
+
+
+@njit(cache=True)
+def _free_interval(task, robot, r, k, own):
+    # Ends of the interval at one sample. Neighbours out of reach of the joint are left out, which
+    # changes no end: each neighbour has a bound of its own.
+    scene, axis, angles = robot
+    joint, lever, bottom, top, _ = axis
+    angles[0], angles[1] = task.desired[r, 0, k], task.desired[r, 1, k]
+    here = angles[joint]
+    pose_bodies(task.motion, scene[2], task.times[r, k], scene[4])
+    bodies, required, poses, near = own
+    count = within_reach(scene, joint, angles, lever * FINEST_RAD + _FAR_MM, near)
+    for q in range(count):
+        bodies[q], required[q] = scene[2][near[q]], scene[3][near[q]]
+        for j in range(4):
+            poses[q, j] = scene[4][near[q], j]
+    part = (scene[0], scene[1], bodies[:count], required[:count], poses, scene[5])
+    low, high = max(bottom, here - task.reach), min(top, here + task.reach)
+    if not low <= here <= high or least_spare(part, axis, angles, task.reach) < 0.0:
+        return here, here
+    down = turn_on(part, axis, angles, here, -1, here - low)
+    up = turn_on(part, axis, angles, here, 1, high - here)
+    return (here - down if down < here - low else low), (here + up if up < high - here else high)
 
 
 @njit(cache=True)

@@ -10,9 +10,17 @@ import math
 import numpy as np
 from numba import njit
 
-from fiber_core.clearance import posed_gap
+from fiber_core.clearance import posed_gap, swept_gap
 
-__all__ = ["FINEST_RAD", "move_out", "pose_bodies", "turn_from"]
+__all__ = [
+    "FINEST_RAD",
+    "least_spare",
+    "move_out",
+    "pose_bodies",
+    "turn_from",
+    "turn_on",
+    "within_reach",
+]
 
 FINEST_RAD = 2e-3  # a smaller step ends the approach
 _OUT_RAD = 0.02  # least step out of a neighbour
@@ -52,11 +60,23 @@ def turn_from(scene, axis, angles, free, way, reach):
 
     Each neighbour has a bound; only the neighbour with the least bound is evaluated again.
     """
+    angles[axis[0]] = free
+    least_spare(scene, axis, angles, reach)
+    return turn_on(scene, axis, angles, free, way, reach)
+
+
+@njit(cache=True)
+def least_spare(scene, axis, angles, reach):
+    """Measure the spare gaps to all neighbours for turns up to `reach`; return the least [mm]."""
+    return _measure(scene, angles, axis[1] * reach + _FAR_MM)
+
+
+@njit(cache=True)
+def turn_on(scene, axis, angles, free, way, reach):
+    """Return the same as turn_from; the spare gaps at the free angle are measured already."""
     work, count = scene[5], len(scene[2])
     joint, lever, most_steps = axis[0], axis[1], axis[4]
     spare, bound = work[0], work[1]
-    angles[joint] = free
-    _measure(scene, angles, lever * reach + _FAR_MM)
     for q in range(count):
         bound[q] = spare[q] / lever
     steps, turned = 0, reach
@@ -73,6 +93,31 @@ def turn_from(scene, axis, angles, free, way, reach):
         if more < FINEST_RAD:
             return turned
         bound[q] = turned + more
+
+
+@njit(cache=True)
+def within_reach(scene, joint, angles, finest_mm, near):
+    """Fill in which neighbours the robot can come near, however far the joint turns.
+
+    Args:
+        scene: the robot, with the poses of its neighbours.
+        joint: the joint that turns.
+        angles: the joint angles of the robot [rad], shape (2,).
+        finest_mm: spare gap above which a neighbour never counts [mm].
+        near: numbers of these neighbours, written.
+
+    Returns:
+        How many there are.
+    """
+    table, i, bodies, required, poses, _ = scene
+    c, s = math.cos(angles[0]), math.sin(angles[0])
+    count = 0
+    for q in range(len(bodies)):
+        gap = swept_gap(table, i, joint, c, s, bodies[q], poses[q])
+        if gap < required[q] + finest_mm:
+            near[count] = q
+            count += 1
+    return count
 
 
 @njit(cache=True)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Corridors and free intervals: free of neighbours inside, and as wide as that allows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,6 +16,7 @@ from fiber_core.clearance import (
     sampled_gaps,
 )
 from fiber_core.motion import SegmentMotion
+from fiber_core.presets import preset
 from fiber_core.ragged import Parts
 from fiber_discretizer.corridor import (
     FINEST_RAD,
@@ -22,6 +25,7 @@ from fiber_discretizer.corridor import (
     keep_inside,
     open_corridors,
 )
+from fiber_discretizer.tracing import pose_bodies, turn_from
 
 REQUIRED_MM = 0.1
 TRIANGLE = [[0.0, 0.0], [10.4, 0.0], [5.2, 9.0]]
@@ -133,6 +137,41 @@ def test_a_joint_is_free_between_the_ends_of_its_interval(plane_at, seed, joint)
     for part in np.linspace(0.0, 1.0, 9):
         turned = low + part * (high - low)
         assert np.all(least_spare_gap(plane, angles, joint, turned)[wide] >= -1e-9)
+
+
+def plain_interval(task, row, k):
+    """The ends of the interval of one robot at one sample, with all of its neighbours."""
+    near = slice(*task.neighbours.offsets[row : row + 2])
+    bodies, required = task.neighbours.body[near], task.required[task.neighbours.pair[near]]
+    poses = np.empty((len(bodies), 4))
+    pose_bodies(task.motion, bodies, task.times[row, k], poses)
+    scene = (task.table, row, bodies, required, poses, np.empty((2, len(bodies))))
+    here, (bottom, top) = task.desired[row, task.joint, k], task.limits[row, task.joint]
+    ends = [max(bottom, here - task.reach), min(top, here + task.reach)]
+    axis = (task.joint, task.levers[row, task.joint], bottom, top, 1 << 30)
+    if not ends[0] <= here <= ends[1]:
+        return here, here
+    angles = task.desired[row, :, k].copy()
+    for w, way in enumerate((-1, 1)):
+        reach = way * (ends[w] - here)
+        turned = turn_from(scene, axis, angles, here, way, reach)
+        if (scene[5][0] < 0.0).any() and turned <= 0.0:  # not free from the start
+            return here, here
+        ends[w] = here + way * turned if turned < reach else ends[w]
+    return tuple(ends)
+
+
+@pytest.mark.parametrize("outlines", [False, True])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_neighbours_out_of_reach_change_no_interval(outlines, joint):
+    obstacles = [[-4.0, 5.0, 0.3], [5.2, 3.0, 0.5]]
+    plane = replace(preset("desi_outlines" if outlines else "desi", 7), obstacles=obstacles)
+    task, _ = task_of(plane, random_motion(np.random.default_rng(5), 7), np.arange(7), joint)
+    low, high = free_intervals(task)
+    plain = [[plain_interval(task, row, k) for k in range(SAMPLES)] for row in range(7)]
+    np.testing.assert_array_equal(np.stack([low, high], axis=-1), plain)
+    assert (high > low).any() and (high == low).any()
+    assert (high - low < 2 * REACH_RAD - 1e-9).mean() > 0.1
 
 
 @given(

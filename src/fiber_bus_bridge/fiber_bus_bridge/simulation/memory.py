@@ -24,6 +24,22 @@ ORDER_BYTES = 4 + 2 * MAX_SEGMENTS * 4  # longest LOAD frame: 32-bit segments
 # by which the robot works: their checksum is computed as that of a CONFIG with them.
 MEMORY = np.dtype(
     [
+        # what every frame and heartbeat looks at comes first, in one or two cache lines
+        ("powered", "?"),
+        ("deaf", "?"),  # receives no frame
+        ("call_deaf", "?"),  # receives no general call
+        ("busy", "?"),  # refuses every frame
+        ("boots_until_s", "f8"),  # the robot receives nothing before this time [s]
+        ("state", "i8"),
+        ("done_s", "f8"),  # end of the motion unless it is broken off [s]
+        ("heartbeat_s", "f8"),  # time of the last heartbeat [s]
+        ("silence_s", "f8"),  # longest time between two heartbeats while moving, 0 = no limit [s]
+        ("jam_s", "f8", (2,)),  # a joint is jammed from this time on [s], a defect
+        ("alert_s", "f8"),  # pulls the alert line from this time on, until read or cleared [s]
+        ("started_s", "f8"),  # start of the motion, at the end of the countdown [s]
+        ("halted_s", "f8"),  # end of the last motion [s]
+        ("watchdog_s", "f8"),
+        ("loaded_s", "f8"),  # time at which the order was stored [s]
         # construction
         ("address", "i8"),
         ("ten_bit", "?"),
@@ -33,38 +49,22 @@ MEMORY = np.dtype(
         ("clock_ppm", "f8"),
         ("start_skew_s", "f8"),
         ("volatile", "?"),  # the encoders read 0 after a boot
-        # defects
-        ("jam_s", "f8", (2,)),  # a joint is jammed from this time on [s]
-        ("deaf", "?"),  # receives no frame
-        ("call_deaf", "?"),  # receives no general call
-        ("busy", "?"),  # refuses every frame
-        ("powered", "?"),
-        ("boots_until_s", "f8"),  # the robot receives nothing before this time [s]
         # kept without power, unless volatile
         ("position", "i8", (2,)),  # encoders at rest, or where the motion began [quanta]
         ("boot", "i8"),
-        # lost without power; what every frame looks at comes first
-        ("state", "i8"),
-        ("done_s", "f8"),  # end of the motion unless it is broken off [s]
-        ("heartbeat_s", "f8"),  # time of the last heartbeat [s]
-        ("silence_s", "f8"),  # longest time between two heartbeats while moving, 0 = no limit [s]
+        # lost without power
         ("fault", "i8"),
         ("alerts", "i8"),
-        ("alert_s", "f8"),  # pulls the alert line from this time on, until read or cleared [s]
         ("identity_requested", "?"),
         ("tick_us", "i8"),
         ("velocity_bits", "i8"),
         ("duration_bits", "i8"),
         ("limits", "i8", (2, 2)),  # [quanta]
         ("speed", "i8", (2,)),  # [velocity units]
-        ("watchdog_s", "f8"),
         ("slot", "i8"),  # in the roll call of its bus
         ("sequence", "i8"),
         ("executed", "i8"),  # sequence number of the order started last, or NOTHING
         ("order_length", "i8"),
-        ("loaded_s", "f8"),  # time at which the order was stored [s]
-        ("started_s", "f8"),  # start of the motion, at the end of the countdown [s]
-        ("halted_s", "f8"),  # end of the last motion [s]
         ("order", "u1", (ORDER_BYTES,)),
         ("counts", "i8", (2,)),  # segments of the running order
         ("ticks", "i8", (2, MAX_SEGMENTS)),

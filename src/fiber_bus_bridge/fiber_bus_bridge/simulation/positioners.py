@@ -133,8 +133,9 @@ class Positioners:
 
         A robot pulls the line from its stop or boot until its complete status is read.
         """
-        self.advance(t)
-        return self.powered & (self.memory["alert_s"] <= t)
+        found = np.empty(self.n, dtype=np.bool_)
+        _alerting(self.memory, *self._event_queue, t, found)
+        return found
 
     def power(self, rows: ArrayLike, on: bool, t: float) -> None:
         """Switch the power of some robots at time t [s]; with power they boot unconfigured."""
@@ -224,6 +225,13 @@ def _positions(m, t, out):
 def _advance_all(m, events, next_event, last_event, t):
     for row in range(len(m)):
         apply_events(m, events, next_event, last_event, row, t)
+
+
+@njit(cache=True)
+def _alerting(m, events, next_event, last_event, t, out):
+    for row in range(len(m)):
+        apply_events(m, events, next_event, last_event, row, t)
+        out[row] = m[row].powered and m[row].alert_s <= t
 
 
 @njit(cache=True)

@@ -5,14 +5,16 @@ The motion of the counters is what the robots did with their orders; the arms fo
 `Mechanics` let them.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.bus import BusBackend, Recovery, Replies
 from fiber_bus_bridge.simulation.mechanics import Mechanics
-from fiber_bus_bridge.simulation.memory import Memory
+from fiber_bus_bridge.simulation.memory import Memory, Robot
 from fiber_bus_bridge.simulation.positioners import Positioners
 from fiber_bus_bridge.simulation.true_arms import ArmState, arms_motion
 from fiber_bus_bridge.wire import Frames, RobotState
@@ -70,35 +72,57 @@ class Movements(NamedTuple):
             The motion, and for each segment the number of its movement among those of its robot,
             from 0, -1 for a wait between two, shape (m,).
         """
-        n = len(start)
-        durations: list[list[float]] = [[] for _ in range(2 * n)]
-        speeds: list[list[float]] = [[] for _ in range(2 * n)]
-        numbers: list[list[int]] = [[] for _ in range(2 * n)]
-        begun = np.zeros(n, dtype=np.int64)
-        now = np.full(n, begin_s)
         ended_s = np.where(np.isnan(self.ended_s), until_s, self.ended_s)
-        for k, row in enumerate(self.row):
-            lasts_s = ended_s[k] - self.started_s[k]
-            if lasts_s <= 0.0:
-                continue  # broken off in its countdown
-            for joint in range(2):
-                count = self.counts[k, joint]
-                ends = np.cumsum(self.ticks[k, joint, :count] * self.tick_s[k])
-                lasts = np.diff(np.minimum(ends, lasts_s), prepend=0.0)
-                speed = self.velocity[k, joint, :count] * quantum_rad / self.tick_s[k]
-                pieces = [(self.started_s[k] - now[row], 0.0), *zip(lasts, speed)]
-                pieces.append((lasts_s - lasts.sum(), 0.0))
-                for at, (duration, velocity) in enumerate(pieces):
-                    if duration > 0.0:
-                        durations[2 * row + joint].append(duration)
-                        speeds[2 * row + joint].append(velocity)
-                        numbers[2 * row + joint].append(begun[row] if at else -1)
-            now[row] = ended_s[k]
-            begun[row] += 1
-        offsets = Parts.from_counts([len(d) for d in durations]).offsets
-        flat = [np.array([x for part in parts for x in part]) for parts in (durations, speeds)]
-        movement = np.array([x for part in numbers for x in part], dtype=np.int64)
-        return SegmentMotion(start * quantum_rad, offsets, *flat), movement
+        # copies: one type of arrays, wherever they come from
+        row, counts, ticks, velocity = (
+            np.array(each, dtype=np.int64)
+            for each in (self.row, self.counts, self.ticks, self.velocity)
+        )
+        started_s, tick_s = (np.array(each, dtype=float) for each in (self.started_s, self.tick_s))
+        owner, duration, speed, movement = _pieces(
+            len(start), row, started_s, ended_s, tick_s, counts, ticks, velocity,
+            float(quantum_rad), float(begin_s),
+        )  # fmt: skip
+        order = np.argsort(owner, kind="stable")
+        offsets = Parts.from_owners(owner[order], 2 * len(start)).offsets
+        motion = SegmentMotion(start * quantum_rad, offsets, duration[order], speed[order])
+        return motion, movement[order]
+
+
+@njit(cache=True)
+def _pieces(
+    n: int, rows: Rows, started_s: Floats, ended_s: Floats, tick_s: Floats,
+    counts: Ints, ticks: Ints, velocity: Ints, quantum_rad: float, begin_s: float,
+) -> tuple[Ints, Floats, Floats, Ints]:  # fmt: skip
+    """Return owner, duration, speed and movement of all segments, a movement after the other.
+
+    A joint waits for its movement, turns segment by segment until the movement ends, and rests for
+    what is left of it. Pieces that last no time are left out.
+    """
+    most = len(rows) * (2 * ticks.shape[2] + 4)
+    owner, movement = np.empty((2, most), dtype=np.int64)
+    duration, speed = np.empty((2, most))
+    now, begun, used = np.full(n, begin_s), np.zeros(n, dtype=np.int64), 0
+    for k in range(len(rows)):
+        row, lasts_s = rows[k], ended_s[k] - started_s[k]
+        if lasts_s <= 0.0:
+            continue  # broken off in its countdown
+        for joint in range(2):
+            owner[used], duration[used] = 2 * row + joint, started_s[k] - now[row]
+            speed[used], movement[used] = 0.0, -1
+            used += duration[used] > 0.0
+            end = before = 0.0
+            for m in range(counts[k, joint] + 1):
+                rests = m == counts[k, joint]  # for what is left
+                end = np.inf if rests else end + ticks[k, joint, m] * tick_s[k]
+                owner[used], duration[used] = 2 * row + joint, min(end, lasts_s) - before
+                speed[used] = 0.0 if rests else velocity[k, joint, m] * quantum_rad / tick_s[k]
+                movement[used] = begun[row]
+                before = min(end, lasts_s)
+                used += duration[used] > 0.0
+        now[row] = ended_s[k]
+        begun[row] += 1
+    return owner[:used], duration[:used], speed[:used], movement[:used]
 
 
 def _turned(r: np.void) -> Counts:
@@ -108,6 +132,16 @@ def _turned(r: np.void) -> Counts:
     ends = np.cumsum(r["ticks"] * used, axis=1)
     done = np.diff(np.minimum(ends, max(left, 0.0)), axis=1, prepend=0)
     return np.rint((done * r["velocity"] * used).sum(axis=1)).astype(np.int64)
+
+
+@njit(cache=True)
+def _has_news(memory: Sequence[Robot], last_started_s: Floats, open_: Ints, go_s: Floats) -> bool:
+    """Return whether a robot has started, or a movement that was observed has ended."""
+    for row in range(len(memory)):
+        r = memory[row]
+        if r.started_s != last_started_s[row] or (open_[row] >= 0 and r.halted_s > go_s[row]):
+            return True
+    return False
 
 
 class TrueMotion:
@@ -156,6 +190,8 @@ class TrueMotion:
     def observe(self) -> None:
         """Record the robots that have started or stopped since the last call."""
         memory = self._robots.memory
+        if not _has_news(memory, self._last_started_s, self._open, self._go_s):
+            return
         self._close_ended()
         for row in np.flatnonzero(memory["started_s"] != self._last_started_s):
             self._last_started_s[row] = memory["started_s"][row]

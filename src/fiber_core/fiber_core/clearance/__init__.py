@@ -10,7 +10,14 @@ from fiber_core.clearance.certificate import (
     unproven,
 )
 from fiber_core.clearance.collision_bodies import Bodies, bodies_of
-from fiber_core.clearance.distance import gaps, pair_gap, pair_gap_below, posed_gap, sampled_gaps
+from fiber_core.clearance.distance import (
+    gaps,
+    pair_gap,
+    pair_gap_below,
+    posed_gap,
+    sampled_gaps,
+    swept_gap,
+)
 from fiber_core.clearance.hold_unsafe import hold_until_safe
 from fiber_core.clearance.neighbours import (
     Neighbours,
@@ -41,5 +48,6 @@ __all__ = [
     "posed_gap",
     "sampled_gaps",
     "smallest_gaps",
+    "swept_gap",
     "unproven",
 ]

@@ -25,7 +25,7 @@ from fiber_core.clearance.gjk import gjk_distance
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.threads import share_out
 
-__all__ = ["gaps", "pair_gap", "pair_gap_below", "posed_gap", "sampled_gaps"]
+__all__ = ["gaps", "pair_gap", "pair_gap_below", "posed_gap", "sampled_gaps", "swept_gap"]
 
 _LEAST_PAIRS = 2000  # of a thread: fewer are done sooner than it begins
 
@@ -170,6 +170,61 @@ def _link_gap(
             return bound
     p, q = p + VERTICES, q + VERTICES
     return gjk_distance(table, a, p, p_count, b, q, q_count, x, y, c, s, cutoff + radii) - radii
+
+
+@nb.njit(cache=True, error_model="numpy")
+def swept_gap(
+    table: Floats, a: int, joint: int, ca: float, sa: float, b: int, pose: Floats
+) -> float:
+    """Return a lower bound of the gap of two bodies at all angles of one joint of the first [mm].
+
+    The links are taken as circles, that which turns as the one that it sweeps.
+
+    Args:
+        table: outlines, the table of Bodies.
+        a, b: rows of the two bodies.
+        joint: the joint of a that turns, 0 theta, 1 phi.
+        ca, sa: cosine and sine of theta of a; they do not count where theta turns.
+        pose: cosine and sine of theta of b, then of its theta + phi, shape (4,).
+    """
+    x, y = table[b, X] - table[a, X], table[b, Y] - table[a, Y]
+    theta_a, theta_b = int(table[a, THETA]), int(table[b, THETA])
+    elbow_x, elbow_y = x + table[b, ARM1] * pose[0], y + table[b, ARM1] * pose[1]
+    px, py, p_radius = _circle(table, b, PHI, elbow_x, elbow_y, pose[2], pose[3])
+    tx, ty, t_radius = _circle(table, b, theta_b, x, y, pose[0], pose[1])
+    has_theta = table[b, theta_b + COUNT] > 0.0
+    swept, still = _link_reach(table, a, PHI), -np.inf
+    around_x = around_y = still_x = still_y = 0.0
+    if joint == 0:
+        swept = max(table[a, ARM1] + swept, _link_reach(table, a, theta_a))
+    else:
+        around_x, around_y = table[a, ARM1] * ca, table[a, ARM1] * sa
+        if table[a, theta_a + COUNT] > 0.0:
+            still_x, still_y, still = _circle(table, a, theta_a, 0.0, 0.0, ca, sa)
+    gap = np.hypot(px - around_x, py - around_y) - p_radius - swept
+    gap = min(gap, np.hypot(px - still_x, py - still_y) - p_radius - still)
+    if has_theta:
+        gap = min(gap, np.hypot(tx - around_x, ty - around_y) - t_radius - swept)
+        gap = min(gap, np.hypot(tx - still_x, ty - still_y) - t_radius - still)
+    return gap
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _circle(
+    table: Floats, a: int, link: int, x: float, y: float, c: float, s: float
+) -> tuple[float, float, float]:
+    # circle around a link whose origin is at (x, y), turned by (c, s), its rounding included
+    u, v = table[a, link + DISC], table[a, link + DISC + 1]
+    return x + c * u - s * v, y + s * u + c * v, table[a, link + DISC + 2] + table[a, link + RADIUS]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _link_reach(table: Floats, a: int, link: int) -> float:
+    # from the origin of a link to its farthest point, or more; 0 without an outline
+    if table[a, link + COUNT] == 0.0:
+        return 0.0
+    x, y, radius = _circle(table, a, link, 0.0, 0.0, 1.0, 0.0)
+    return float(np.hypot(x, y)) + radius
 
 
 def gaps(plane: FocalPlane, pairs: ArrayLike, angles: ArrayLike) -> Gaps:
