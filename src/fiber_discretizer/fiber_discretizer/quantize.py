@@ -134,6 +134,9 @@ def _quantize(
                 left = tick - now
                 span = left // -(-left // max_ticks)
                 v = _nearest_velocity(count, wanted - count, left, span, bounds)
+                if k == last - 1 and span == left:
+                    rest = np.int64(np.ceil(time[last] - 1e-6)) - tick
+                    v = _in_time(v, count, goal[i], span, rest, bounds)
                 ticks.append(span)
                 velocity.append(v)
                 count += v * span
@@ -159,6 +162,21 @@ def _nearest_velocity(count, travel, left, span, bounds):
     v = np.int64(np.rint(travel / left))
     v = min(max(v, -fastest), fastest)
     return min(max(v, -((count - low) // span)), (high - count) // span)
+
+
+@njit(cache=True)
+def _in_time(v, count, goal, span, rest, bounds):
+    # The velocity before the last segment, rounded the other way where the goal would else be too
+    # far for the `rest` ticks of that one: a whole tick more of all robots.
+    fastest, low, high = bounds
+    left = goal - (count + v * span)
+    if abs(left) <= fastest * rest:
+        return v
+    other = v + (1 if left > 0 else -1)
+    after = count + other * span
+    if abs(other) > fastest or not low <= after <= high or abs(goal - after) > fastest * rest:
+        return v
+    return other
 
 
 @njit(cache=True)

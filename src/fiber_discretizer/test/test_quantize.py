@@ -192,3 +192,19 @@ def test_polylines_decode_the_same_motion_as_the_wire():
     lines, motion = polylines_of(segments), segments.decoded()
     for t in (0.0, 0.333, 1.0, 2.2, 9.0):
         np.testing.assert_allclose(lines([t])[:, 0], motion(t).ravel(), rtol=0, atol=1e-12)
+
+
+def test_a_short_last_line_at_full_speed_ends_in_time():
+    # what rounding leaves of a long line before it is more than a short line at full speed catches
+    rng, ticks, last, share = np.random.default_rng(3), 480, 8, 0.998
+    speeds = share * SPEED * rng.uniform(0.2, 0.9, 2000)
+    knots = UNITS.tick_s * np.array([0.0, ticks, ticks + last])
+    turned = speeds * knots[1]
+    ends = np.stack([0.0 * turned, turned, turned + share * SPEED * last * UNITS.tick_s], axis=1)
+    paths = Polylines(3 * np.arange(2001), np.tile(knots, 2000), ends.ravel())
+    goal, segments = rounded(paths, latest_s=knots[-1])
+    check_fields(segments)
+    assert segments.decoded().makespan_s <= knots[-1] + 1e-9
+    assert np.abs(segments.end - goal).max() <= Rounding().worst_quanta
+    beside = np.abs(segments.decoded()(knots[1]).ravel() - turned)
+    assert beside.max() <= 0.05 + ticks * UNITS.quantum_rad  # the slack, and a unit of velocity
