@@ -90,7 +90,9 @@ def test_collision_cost_agrees_with_dense_sampling(name):
     required, seen = 0.1, 0
     for _ in range(150):
         a, b = facing[:, :, None] + np.cumsum(rng.normal(0, 0.15, (2, 2, _STEPS + 1)), 2)
-        found = collision_cost(scene.bodies, scene.lever, 0, 1, a, b, required, 0.0, 0, np.inf)
+        found, when = collision_cost(
+            scene.bodies, scene.lever, 0, 1, a, b, required, 0.0, 0, np.inf
+        )
         fine = np.linspace(0, _STEPS, 40 * _STEPS + 1)
         ta, pa, tb, pb = (np.interp(fine, np.arange(_STEPS + 1), x) for x in (*a, *b))
         gap = np.array([pair_gap(scene.bodies, 0, 1, *q) for q in zip(ta, pa, tb, pb)])
@@ -103,7 +105,7 @@ def test_collision_cost_agrees_with_dense_sampling(name):
             assert found > 0.0
         assert found == pytest.approx(integral, rel=0.3, abs=_DEEPEST * 0.15)
         if found > 0.0:
-            part = collision_cost(
+            part, _ = collision_cost(
                 scene.bodies, scene.lever, 0, 1, a, b, required, 0.0, 0, found / 3
             )
             assert part > found / 3

@@ -6,7 +6,7 @@ import numba as nb
 from fiber_core.array_types import Floats
 from fiber_core.clearance import Bodies, pair_gap_below
 
-__all__ = ["collision_cost"]
+__all__ = ["collision_cost", "least_cost_at"]
 
 _FINE_MM = 0.3  # smallest relative displacement between two evaluations of a pair
 _DEEPEST = 15.0  # number of intervals for which the largest depth counts
@@ -35,8 +35,10 @@ def collision_cost(
     required_early: float,
     release: int,
     limit: float,
-) -> float:
-    """Return the collision cost of two robots during a motion; 0 if they keep their gap.
+) -> tuple[float, int]:
+    """Return the collision cost of two robots during a motion, and when they are nearest.
+
+    The cost is 0 if they keep their gap.
 
     The cost is the integral of max(0, required - gap) over time [mm x intervals] plus
     _DEEPEST times the largest value of max(0, required - gap). Without the second term the
@@ -57,10 +59,13 @@ def collision_cost(
             `required`.
         release: grid time from which they must keep `required`.
         limit: value above which the exact result does not matter.
+
+    Returns:
+        The cost, and the grid time nearest to the greatest depth that was found, -1 without.
     """
     last = qa.shape[1] - 1
     k, w = 0, 0.0  # the present instant is the fraction w of interval k
-    total = deepest = 0.0
+    total, deepest, when = 0.0, 0.0, -1
     while True:
         if k == last:
             theta_a, phi_a, theta_b, phi_b = qa[0, k], qa[1, k], qb[0, k], qb[1, k]
@@ -72,16 +77,18 @@ def collision_cost(
         need = required_early if k < release else required
         slack = pair_gap_below(bodies, a, b, theta_a, phi_a, theta_b, phi_b, need + _FAR_MM) - need
         if k == last:
-            return total + max(0.0, -slack) + _DEEPEST * max(deepest, -slack)
+            when = last if -slack > deepest else when
+            return total + max(0.0, -slack) + _DEEPEST * max(deepest, -slack), when
         if slack < 0.0:
             stride = _stride(lever, a, qa, k) + _stride(lever, b, qb, k)
             step = 1.0 - w
             if stride > 0.0:
                 step = min(step, max(-slack, _FINE_MM) / stride)
             total -= slack * step
-            deepest = max(deepest, -slack)
+            if -slack > deepest:
+                deepest, when = -slack, k if w < 0.5 else k + 1
             if total + _DEEPEST * deepest > limit:
-                return total + _DEEPEST * deepest
+                return total + _DEEPEST * deepest, when
             w += step
             if w >= 1.0 - 1e-9:
                 k, w = k + 1, 0.0
@@ -96,3 +103,24 @@ def collision_cost(
                 k, w = k + 1, 0.0
                 if k == release:
                     break
+
+
+@nb.njit(cache=True, error_model="numpy")
+def least_cost_at(
+    bodies: Bodies,
+    a: int,
+    b: int,
+    qa: Floats,
+    qb: Floats,
+    required: float,
+    required_early: float,
+    release: int,
+    k: int,
+) -> float:
+    """Return the collision cost that two robots have by their gap at one grid time alone.
+
+    Arguments as for collision_cost; k is the grid time.
+    """
+    need = required_early if k < release else required
+    gap = pair_gap_below(bodies, a, b, qa[0, k], qa[1, k], qb[0, k], qb[1, k], need)
+    return _DEEPEST * max(0.0, need - gap)

@@ -54,7 +54,7 @@ class _Buffers(NamedTuple):
     best_profile: Floats
     costs: Floats  # with each neighbour
     best_costs: Floats
-    order: Ints  # of the neighbours, as weighted_cost evaluates them
+    order: Ints  # of the neighbours, as weighted_cost evaluates them, (2, m)
     folded: Ints  # (2,)
     best_folded: Ints
 
@@ -118,7 +118,7 @@ def sweep(
 def _buffers(scene, plan):
     profile = np.empty((2, plan.q.shape[2]))
     costs = np.empty(most_neighbours(scene.near))
-    order = np.empty(len(costs), dtype=np.int64)
+    order = np.empty((2, len(costs)), dtype=np.int64)
     folded, best_folded = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
     return _Buffers(
         profile, np.empty_like(profile), costs, np.empty_like(costs), order, folded, best_folded
@@ -293,7 +293,7 @@ def restore(
     """
     profile = np.empty((2, plan.q.shape[2]))
     costs = np.empty(most_neighbours(scene.near))
-    order = np.empty(len(costs), dtype=np.int64)
+    order = np.empty((2, len(costs)), dtype=np.int64)
     count = 0
     for row in rows:
         i = int(row)

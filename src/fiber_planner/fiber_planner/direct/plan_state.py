@@ -8,7 +8,7 @@ import numpy as np
 
 from fiber_core.array_types import Bools, Floats, Ints
 from fiber_core.threads import share_out
-from fiber_planner.direct.collision_cost import collision_cost
+from fiber_planner.direct.collision_cost import collision_cost, least_cost_at
 from fiber_planner.direct.profile_sampling import copy_profile
 from fiber_planner.direct.scene import Scene
 
@@ -24,6 +24,7 @@ __all__ = [
     "weighted_cost",
 ]
 
+_NEVER = -1  # no conflict with a neighbour is known
 _LEAST_PAIRS = 400  # of a thread: fewer are done sooner than it begins
 
 
@@ -61,6 +62,7 @@ class PlanState(NamedTuple):
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _pair_cost(scene, plan, p, qa, qb, limit):
+    # the collision cost of a pair, and when the two are nearest
     a, b = scene.pairs[p]
     return collision_cost(
         scene.bodies, scene.lever, a, b, qa, qb,
@@ -87,7 +89,7 @@ def measure_pairs(scene: Scene, plan: PlanState, pairs: Ints) -> None:
 def _measure_pairs(scene, plan, pairs):
     for p in pairs:
         a, b = scene.pairs[p]
-        plan.cost[p] = _pair_cost(scene, plan, p, plan.q[a], plan.q[b], np.inf)
+        plan.cost[p], _ = _pair_cost(scene, plan, p, plan.q[a], plan.q[b], np.inf)
 
 
 @nb.njit(cache=True)
@@ -112,23 +114,26 @@ def count_conflicts(plan: PlanState) -> int:
 def rank_neighbours(scene: Scene, plan: PlanState, i: int, order: Ints) -> None:
     """Sort the neighbours of robot i by weighted collision cost, highest first.
 
+    No grid time is known yet at which one of them was in conflict.
+
     Args:
         scene: the robots and their surroundings.
         plan: the plan, with its costs.
         i: row of the robot.
-        order: indices of the neighbours, counted from scene.near.offsets[i], written.
+        order: indices of the neighbours, counted from scene.near.offsets[i], and for each
+            neighbour, in the second row, when it was in conflict last; written, shape (2, m).
     """
     begin, count = scene.near.offsets[i], scene.near.offsets[i + 1] - scene.near.offsets[i]
     for e in range(count):
         p = scene.near.pair[begin + e]
         at = e
         while at > 0:
-            q = scene.near.pair[begin + order[at - 1]]
+            q = scene.near.pair[begin + order[0, at - 1]]
             if plan.weight[q] * plan.cost[q] >= plan.weight[p] * plan.cost[p]:
                 break
-            order[at] = order[at - 1]
+            order[0, at] = order[0, at - 1]
             at -= 1
-        order[at] = e
+        order[0, at], order[1, e] = e, _NEVER
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
@@ -137,29 +142,58 @@ def weighted_cost(
 ) -> float:
     """Return the weighted collision cost that robot i would have with another profile.
 
+    Similar profiles are in conflict at about the same time: where a neighbour was in conflict last,
+    its gap alone often shows that a profile costs too much.
+
     Args:
         scene: the robots and their surroundings.
         plan: the plan of all other robots.
         i: row of the robot.
         profile: its joint angles on the grid [rad], shape (2, k + 1).
         best: value above which the exact result does not matter.
-        order: order in which the neighbours are evaluated, from rank_neighbours.
+        order: order in which the neighbours are evaluated, from rank_neighbours; written.
         costs: collision cost with each neighbour, written for those that were evaluated.
     """
     total = 0.0
     begin = scene.near.offsets[i]
+    if _least_cost(scene, plan, i, profile, best, order) > best:
+        return np.inf
     for at in range(scene.near.offsets[i + 1] - begin):
-        e = int(begin + order[at])
+        e = int(begin + order[0, at])
         p = int(scene.near.pair[e])
         limit = (best - total) / plan.weight[p]
         a, b = scene.pairs[p]  # always in this order: the result is the same for both robots
         qa = profile if a == i else plan.q[a]
         qb = profile if b == i else plan.q[b]
-        cost = _pair_cost(scene, plan, p, qa, qb, limit)
+        cost, when = _pair_cost(scene, plan, p, qa, qb, limit)
         costs[e - begin] = cost
+        if when != _NEVER:
+            order[1, e - begin] = when
         total += plan.weight[p] * cost
         if total > best:
             return total
+    return total
+
+
+@nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _least_cost(scene, plan, i, profile, best, order):
+    # the weighted cost of a profile by its gaps at the times of the last conflicts, as far as it
+    # does not exceed `best`
+    total, begin = 0.0, scene.near.offsets[i]
+    for at in range(scene.near.offsets[i + 1] - begin):
+        e = order[0, at]
+        if order[1, e] == _NEVER:
+            continue
+        p = int(scene.near.pair[begin + e])
+        a, b = scene.pairs[p]
+        qa = profile if a == i else plan.q[a]
+        qb = profile if b == i else plan.q[b]
+        total += plan.weight[p] * least_cost_at(
+            scene.bodies, a, b, qa, qb,
+            plan.required[p], plan.required_early[p], plan.release[p], order[1, e],
+        )  # fmt: skip
+        if total > best:
+            break
     return total
 
 
@@ -181,17 +215,20 @@ def is_free(
         costs: zeros, written where the profile is free.
     """
     begin = scene.near.offsets[i]
+    if _least_cost(scene, plan, i, profile, 0.0, order) > 0.0:
+        return False
     for at in range(scene.near.offsets[i + 1] - begin):
-        e = int(begin + order[at])
+        e = int(begin + order[0, at])
         p = int(scene.near.pair[e])
         a, b = scene.pairs[p]
         qa = profile if a == i else plan.q[a]
         qb = profile if b == i else plan.q[b]
         costs[e - begin] = 0.0
-        if _pair_cost(scene, plan, p, qa, qb, 0.0) > 0.0:
+        cost, when = _pair_cost(scene, plan, p, qa, qb, 0.0)
+        if cost > 0.0:
             for k in range(at, 0, -1):
-                order[k] = order[k - 1]
-            order[0] = e - begin
+                order[0, k] = order[0, k - 1]
+            order[0, 0], order[1, e - begin] = e - begin, when
             return False
     return True
 

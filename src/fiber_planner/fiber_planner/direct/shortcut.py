@@ -58,7 +58,7 @@ def shortcut_profiles(
     steps = plan.q.shape[2]
     profile = np.empty((2, steps))
     costs = np.empty(most_neighbours(scene.near))
-    order = np.empty(len(costs), dtype=np.int64)
+    order = np.empty((2, len(costs)), dtype=np.int64)
     breaks = np.empty(steps + 1, dtype=np.int64)
     changed = 0
     for row in rows:
