@@ -135,8 +135,8 @@ def _turned(r: np.void) -> Counts:
 
 
 @njit(cache=True)
-def _has_news(memory: Sequence[Robot], last_started_s: Floats, open_: Ints, go_s: Floats) -> bool:
-    """Return whether a robot has started, or a movement that was observed has ended."""
+def _has_news(memory, last_started_s, open_, go_s):
+    # whether a robot has started, or a movement that was observed has ended
     for row in range(len(memory)):
         r = memory[row]
         if r.started_s != last_started_s[row] or (open_[row] >= 0 and r.halted_s > go_s[row]):
