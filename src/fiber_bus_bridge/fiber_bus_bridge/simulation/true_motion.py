@@ -5,7 +5,6 @@ The motion of the counters is what the robots did with their orders; the arms fo
 `Mechanics` let them.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.bus import BusBackend, Recovery, Replies
 from fiber_bus_bridge.simulation.mechanics import Mechanics
-from fiber_bus_bridge.simulation.memory import Memory, Robot
+from fiber_bus_bridge.simulation.memory import Memory
 from fiber_bus_bridge.simulation.positioners import Positioners
 from fiber_bus_bridge.simulation.true_arms import ArmState, arms_motion
 from fiber_bus_bridge.wire import Frames, RobotState
