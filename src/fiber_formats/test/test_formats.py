@@ -43,6 +43,17 @@ def test_desi_state_gives_the_observed_tips(made_up):
     assert np.allclose(np.rad2deg(plane.limits[:, 1, 0]), rows["OFFSET_P"])
 
 
+def test_desi_state_gives_starts_of_robots_that_guide_too(made_up, tmp_path):
+    # a calibration holds them as robots, a layout of a state does not
+    whole = made_up / "desi_state.ecsv"
+    text = whole.read_text().replace(" M01005 POS ", " M01005 ETC ")
+    (tmp_path / "state.ecsv").write_text(text)
+    plane = read_layout(whole).plane
+    starts = read_starts(tmp_path / "state.ecsv", plane)
+    assert np.array_equal(starts.angles, read_starts(whole, plane).angles)
+    assert 9001 not in read_layout(tmp_path / "state.ecsv").plane.ids
+
+
 def test_desi_state_names_what_it_does_not_use(made_up):
     layout = read_layout(made_up / "desi_state.ecsv")
     assert layout.summary == (

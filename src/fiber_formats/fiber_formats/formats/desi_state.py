@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """DESI: state of the whole plane on one night (`fp-*.ecsv` of desihub/fpoffline).
 
-Robots are the rows of DEVICE_TYPE POS. The zero of theta is OFFSET_T in the frame of the petal,
+Robots are the rows of DEVICE_TYPE POS; starts are also those of ETC, which a calibration holds as
+robots. The zero of theta is OFFSET_T in the frame of the petal,
 which is turned by 36 (PETAL_LOC - 3) degrees. Present angles are POS_T and POS_P, counted from
 that zero and from OFFSET_P: tips from them lie 58 um (median) from the observed ones.
 """
@@ -33,7 +34,7 @@ def matches(source: Source) -> bool:
 
 def layout(source: Source) -> LayoutColumns:
     """Read the positioners; disabled are those with DEVICE_CLASSIFIED_NONFUNCTIONAL."""
-    columns, notices = _positioners(source)
+    columns, notices = _positioners(source, "POS")
     petal = columns.whole("PETAL_LOC", least=0, most=9, what="is not a petal from 0 to 9")
     bus = columns.whole("BUS_ID", otherwise=_NO_BUS)
     found = {
@@ -76,7 +77,7 @@ def layout(source: Source) -> LayoutColumns:
 
 def starts(source: Source) -> StartColumns:
     """Read the angles after the last move of the night."""
-    columns, notices = _positioners(source)
+    columns, notices = _positioners(source, "POS", "ETC")
     ids = columns.ids("LOCATION")
     petal = columns.whole("PETAL_LOC", least=0, most=9, what="is not a petal from 0 to 9")
     theta = columns.numbers("POS_T", "deg", missing=True) + columns.numbers("OFFSET_T", "deg")
@@ -86,14 +87,16 @@ def starts(source: Source) -> StartColumns:
     return StartColumns(ids, angles, notices=notices)
 
 
-def _positioners(source: Source) -> tuple[Columns, tuple[str, ...]]:
+def _positioners(source: Source, *robots: str) -> tuple[Columns, tuple[str, ...]]:
+    # the rows of some types, and which others there are
     table = source.only.table_with(*_SIGN)
     every = Columns(table)
     kinds = every.words("DEVICE_TYPE")
     every.check()
-    columns = Columns(table, keep=kinds == "POS")
+    wanted = np.isin(kinds, robots)
+    columns = Columns(table, keep=wanted)
     columns.words("DEVICE_TYPE")
-    others, counts = np.unique(kinds[kinds != "POS"], return_counts=True)
+    others, counts = np.unique(kinds[~wanted], return_counts=True)
     if not len(others):
         return columns, ()
     listed = ", ".join(f"{count} {kind}" for kind, count in zip(others, counts))
