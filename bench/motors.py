@@ -48,7 +48,9 @@ preset `desi_petals`. What ends allow: robots that can reach their targets at on
 approach, past bodies that rest. Bounds: one robot alone with its motors, approach included; the
 motor time of a supply over the number of motors that it may feed; goals are of the larger one, for
 motors of any speed of the first. Near: pairs nearer than 0.05 mm that do not touch. Rules,
-supplies, contacts and gaps are judged from the files.
+supplies, contacts and gaps are judged from the files. A robot is on its
+target within 0.1 mm: one that a correction left at its start as near as that counts, and shows in
+the end error.
 Blind errors of linear robots are of simulated arms, drawn for 54 um rms with arms of 3 mm; each
 plan moves the arms of 20 draws, as the rms of one draw of 460 robots differs from the next, and
 contacts are those of the first.

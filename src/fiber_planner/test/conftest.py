@@ -8,11 +8,16 @@ import pytest
 from hypothesis import settings
 
 from fiber_core.fields import random_problem
-from fiber_core.presets import preset
+from fiber_core.presets import PRESETS, plane_from, preset
+from fiber_core.problem import Problem
+from fiber_planner.direct.plan_state import PlanState, measure_all
+from fiber_planner.direct.scene import scene_of
 
 # New draws in every run: a law holds for all of them, and a failure prints how to repeat it.
 settings.register_profile("laws", derandomize=False, database=None, deadline=None, print_blob=True)
 settings.load_profile("laws")
+
+_STEPS = 24  # of the profiles of two robots that pass each other
 
 
 def row_of_robots(places, **columns):
@@ -59,6 +64,26 @@ def least_tip_distance(plane, angles):
     return least
 
 
+def passing_robots(rng, required):
+    """Two DESI-like robots on profiles of three lines; they pass each other with little between."""
+    plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
+    ends = np.array([[[-1.2, 0.9], [1.4, 1.1]], [[1.1, 2.3], [3.3, 2.1]]])
+    scene = scene_of(Problem(plane, ends[:, 0], np.full((2, 2), np.nan)))
+    q = np.empty((2, 2, _STEPS + 1))
+    for i, joint in np.ndindex(2, 2):
+        s, g = ends[i, :, joint]
+        via = s + (g - s) * np.array([0.3, 0.7]) + rng.uniform(-0.3, 0.3, 2)
+        q[i, joint] = np.interp(np.arange(_STEPS + 1), [0, 7, 16, _STEPS], [s, *via, g])
+    pairs = len(scene.pairs)
+    plan = PlanState(
+        q, np.zeros(2, dtype=np.int64), np.full(pairs, required), np.full(pairs, required),
+        np.zeros(pairs, dtype=np.int64), np.ones(pairs), np.zeros(pairs),
+        np.zeros((2, 2), dtype=np.int64), np.zeros(2, dtype=bool), np.ones(2, dtype=bool),
+    )  # fmt: skip
+    measure_all(scene, plan)
+    return scene, plan
+
+
 @pytest.fixture
 def robots():
     return row_of_robots
@@ -82,3 +107,8 @@ def closest_tips():
 @pytest.fixture
 def tips_at():
     return tips_of
+
+
+@pytest.fixture
+def two_robots():
+    return passing_robots

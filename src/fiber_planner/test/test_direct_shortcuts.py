@@ -6,17 +6,15 @@ import pytest
 
 from fiber_core.fields import random_problem
 from fiber_core.motors import motors_of
-from fiber_core.presets import PRESETS, plane_from, preset
-from fiber_core.problem import Problem
+from fiber_core.presets import preset
 from fiber_planner.direct import DirectParameters
 from fiber_planner.direct.compression import compress_profiles
 from fiber_planner.direct.initial_plan import choose_ends, straight_plan
-from fiber_planner.direct.plan_state import PlanState, measure_all
+from fiber_planner.direct.plan_state import measure_all
 from fiber_planner.direct.scene import scene_of
 from fiber_planner.direct.shortcut import shortcut_profiles
 from fiber_planner.direct.time_grid import time_grid
 
-_STEPS = 24
 _STEP_S = 0.1
 
 
@@ -28,30 +26,10 @@ def _lines(row):
     return 1 + int((np.abs(np.diff(row[: moving[-1] + 2], 2)) > 1e-9).sum())
 
 
-def _two_robots(rng, required):
-    """Two DESI-like robots on profiles of three lines; they pass each other with little between."""
-    plane = plane_from(PRESETS["desi"], np.arange(2), [[0.0, 0.0], [10.4, 0.0]])
-    ends = np.array([[[-1.2, 0.9], [1.4, 1.1]], [[1.1, 2.3], [3.3, 2.1]]])
-    scene = scene_of(Problem(plane, ends[:, 0], np.full((2, 2), np.nan)))
-    q = np.empty((2, 2, _STEPS + 1))
-    for i, joint in np.ndindex(2, 2):
-        s, g = ends[i, :, joint]
-        via = s + (g - s) * np.array([0.3, 0.7]) + rng.uniform(-0.3, 0.3, 2)
-        q[i, joint] = np.interp(np.arange(_STEPS + 1), [0, 7, 16, _STEPS], [s, *via, g])
-    pairs = len(scene.pairs)
-    plan = PlanState(
-        q, np.zeros(2, dtype=np.int64), np.full(pairs, required), np.full(pairs, required),
-        np.zeros(pairs, dtype=np.int64), np.ones(pairs), np.zeros(pairs),
-        np.zeros((2, 2), dtype=np.int64), np.zeros(2, dtype=bool), np.ones(2, dtype=bool),
-    )  # fmt: skip
-    measure_all(scene, plan)
-    return scene, plan
-
-
-def test_moved_breakpoints_leave_fewer_lines_and_keep_ends_limits_and_the_gap():
+def test_moved_breakpoints_leave_fewer_lines_and_keep_ends_limits_and_the_gap(two_robots):
     rng, fewer, differ, tried = np.random.default_rng(7), 0, 0, 0
     for _ in range(80):
-        scene, plan = _two_robots(rng, 0.1)
+        scene, plan = two_robots(rng, 0.1)
         if (plan.cost > 0.0).any():
             continue
         tried += 1
