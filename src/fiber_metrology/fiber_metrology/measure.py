@@ -265,9 +265,8 @@ def measure(
     verdict = np.where((verdict == Verdict.MISSING) & expected.dark, Verdict.DARK, verdict)
     verdict = np.where(unplaced, Verdict.UNPLACED, verdict)
     unknown = ~sure
-    angles[unknown] = _angles_there(expected, where)[
-        unknown
-    ]  # by the counters where no light tells more
+    # by the counters where no light tells more
+    angles[unknown] = _angles_there(expected, where)[unknown]
     interval[unknown] = _unseen(expected, config)[unknown]
     return Measurement(
         plane, verdict, measured, angles, interval, bound_mm,
