@@ -174,25 +174,6 @@ def test_orders_that_come_again_or_without_targets_are_dropped_with_a_message(re
     rest.until(lambda: np.array_equal(rest.counts(), turning().end))
 
 
-def test_newer_orders_replace_those_that_wait(rest):
-    rest.ask(20, PLANE.ids, PLANE.centers + 3.0)
-    rest.ready(20)
-    rest.ready(21, turning(ticks=10))
-    result, reason, _ = rest.end(20)
-    assert np.all(result == Outcome.HELD) and np.all(reason == Reason.STOPPED)
-    # which plan is meant is not known any more
-    answer = rest.call(topics.START)
-    assert not answer.success and "have taken the place of plan 0.000000020" in answer.message
-    assert np.array_equal(rest.counts(), COUNTS)
-    rest.name_plan("0.000000020")
-    answer = rest.call(topics.START)
-    assert not answer.success and "the orders of plan 0.000000021 wait" in answer.message
-    rest.name_plan("0.000000021")
-    assert rest.call(topics.START).success
-    rest.end(21)
-    rest.until(lambda: np.array_equal(rest.counts(), turning(ticks=10).end))
-
-
 def test_the_bridge_answers_after_a_stop_while_a_tick_is_due(tmp_path):
     with RosClient("rest") as peer:
         rest = Rest(peer, problem_file(tmp_path), time_scale=1.0)

@@ -155,6 +155,11 @@ class AcceptedPlans:
         """Whether an accepted plan waits for its orders."""
         return bool(self._open)
 
+    @property
+    def newest(self) -> PlanStamp | None:
+        """The newest accepted plan whose orders have not come yet, None without one."""
+        return max(self._open, default=None)
+
     def take(self, stamp: PlanStamp) -> None:
         """Take a plan whose orders have come; plans accepted before it end without orders."""
         order = list(self._open)

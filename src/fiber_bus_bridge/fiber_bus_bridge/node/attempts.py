@@ -186,11 +186,16 @@ class Attempts:
             plan: stamp of the plan that shall start, as text; empty for the one that was ready.
 
         Raises:
-            SessionError: names the plan whose orders wait.
+            SessionError: names the plan whose orders wait, or whose targets have come since.
         """
         if self._session.state is not SessionState.READY or self.current is None:
             return  # the session says what is missing
-        waiting = self.current.plan
+        waiting, newer = self.current.plan, self._accepted.newest
+        if newer is not None:  # it is planned from where the robots are now
+            raise SessionError(
+                f"cannot start plan {waiting}: targets of plan {newer} have come since; "
+                "wait for its orders, or clear"
+            )
         if plan and plan != str(waiting):
             raise SessionError(f"cannot start plan {plan}: the orders of plan {waiting} wait")
         if not plan and self._replaced is not None:
