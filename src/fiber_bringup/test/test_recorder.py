@@ -2,6 +2,7 @@
 """The recorder in a running graph: its recordings agree with the graph and the frames."""
 
 import os
+import select
 
 import numpy as np
 import pytest
@@ -166,8 +167,11 @@ def test_a_recorder_that_writes_answers_at_once(tmp_path):
         )
         answer = asked.call_async(GetParameters.Request(names=["folder"]))
         peer.wait_for(answer.done, 20.0, "an answer of the recorder")
-        with open(slow, "rb") as file:
-            file.read()
+        reader = os.open(slow, os.O_RDONLY | os.O_NONBLOCK)
+        peer.wait_for(lambda: select.select([reader], [], [], 0)[0], 20.0, "the recording")
+        os.set_blocking(reader, True)
+        with open(reader, "rb") as file:
+            assert file.read()
 
 
 def test_an_outcome_that_is_told_again_leaves_the_recording_as_it_is(tmp_path):
