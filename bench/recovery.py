@@ -9,6 +9,8 @@ of which another turn of theta is in range stay. Drives, dark fibres and camera 
 - found, wrong: robots told as certain, and those of which that is not true; lit: fibres with light;
   visible: fibres that both images show, in one exposure or more.
 - outside: robots found whose true angles are not in their intervals.
+- turn_unknown: robots found of which another turn of theta is in range; turn_wrong: robots told
+  with another turn than the true one.
 - closest_um: smallest gap of the true outlines in the test turn, as certified.
 - planned, held: robots with a target that the first plan moves, or holds; resting: robots that have
   none, for the causes above. Robots that are not found may be anywhere: what can reach them rests.
@@ -54,7 +56,7 @@ _SPEED = 0.2  # of the joints in a test turn, as a share of their limits
 
 
 def main() -> int:
-    """Run it; return 1 if a robot was told wrongly, or true arms touch."""
+    """Run it; return 1 if a robot or its turn was told wrongly, or true arms touch."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--preset", default="desi")
     parser.add_argument("--robots", type=int)
@@ -63,7 +65,8 @@ def main() -> int:
     parser.add_argument("--no-plan", action="store_true", help="find the robots, and plan nothing")
     found = run(parser.parse_args())
     print(json.dumps(found))
-    return int(bool(found["wrong"] or found["outside"] or found.get("contacts")))
+    wrong = ("wrong", "outside", "turn_wrong", "contacts")
+    return int(any(found.get(each) for each in wrong))
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
@@ -108,6 +111,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
         "lit": int(lit.sum()), "visible": int(visible.sum()),
         "found": len(rows), "wrong": int((owner != rows).sum()), "outside": int(outside.sum()),
         "turn_unknown": int((found.certain & ~found.turn_known).sum()),
+        "turn_wrong": int((found.turn_known & (np.abs(found.angles - true) > np.pi)[:, 0]).sum()),
         "closest_um": round(float(closest_um), 1), "recover_cpu_s": round(cpu_s, 3),
     }  # fmt: skip
     if options.no_plan:

@@ -48,6 +48,8 @@ class Night:
         self.metrology, self.camera = self.graph.nodes[-2:]
         self.client = PlaneClient(domain, args=[])
         self.client.wait_for_graph(COMPILE_S)
+        # its layout may come to the camera later than to the client
+        self.client.wait_for(lambda: self.camera._plane is not None, WAIT_S)
 
     def end(self):
         self.client.close()

@@ -6,10 +6,11 @@ import pytest
 from night import COMPILE_S, WAIT_S, Night
 
 from fiber_bus_bridge.plant import touching
-from fiber_bus_bridge.simulation import Event
+from fiber_bus_bridge.simulation import Event, true_angles
 from fiber_client.recover import main as recover_command
 from fiber_client.recover import recover
 from fiber_core import kinematics
+from fiber_core.clearance import Safety
 from fiber_core.outcomes import Outcome
 from fiber_msgs_py import layout, topics
 
@@ -47,6 +48,14 @@ def check_found(night, ended, rows):
     assert off_um(night)[seen].max() < 20.0
 
 
+def turns_are_true(night):
+    """Whether theta of each robot in use is that of its true arm, with its turn."""
+    night.true_fibres()  # the arms follow until now
+    true = true_angles(night.camera._mechanics, night.camera._arms)[:, 0]
+    rows = night.client.plane.enabled & night.camera._lit
+    return bool(np.abs(true - night.client.angles[:, 0])[rows].max() < 0.5)
+
+
 def moves_again(night, seed):
     ids, xy_mm = night.field(seed)
     blind = night.client.reconfigure(ids, xy_mm, COMPILE_S)
@@ -65,9 +74,9 @@ def test_at_first_all_robots_are_at_unknown_places_and_most_come_into_use(night)
     n = night.client.plane.n
     assert (night.client.unplaced == 1).all() and not night.client.plane.enabled.any()
     before = night.true_fibres()
-    ended = recover(night.client, COMPILE_S)
+    ended = recover(night.client, COMPILE_S, to_stops=False)
     check_found(night, ended, np.arange(n))
-    assert len(ended.found) >= 0.8 * n
+    assert len(ended.found) >= 0.8 * n and len(ended.turn_unknown) > 0
     moved_mm = np.hypot(*(night.true_fibres() - before).T)
     assert 0.0 < moved_mm.max() <= 0.5 * night.graph.nodes[0]._session.protocol.safety.margin_mm
     assert nothing_touched(night)
@@ -81,7 +90,7 @@ def test_some_robots_that_lose_their_power_at_rest_come_back_with_their_turn(nig
     usable = np.flatnonzero(night.client.plane.enabled & night.camera._lit)
     rows = usable[::5]
     cut_power(night, rows)
-    ended = recover(night.client, COMPILE_S)
+    ended = recover(night.client, COMPILE_S, to_stops=False)
     fresh = np.isin(night.client.plane.ids[rows], ended.lost)
     assert fresh.all()
     # the memory tells the turn of these, and images all else
@@ -89,6 +98,7 @@ def test_some_robots_that_lose_their_power_at_rest_come_back_with_their_turn(nig
     assert off_um(night)[rows].max() < 20.0
     assert night.client.plane.enabled[rows].all() and nothing_touched(night)
     assert moves_again(night, 2).count(Outcome.REACHED) > 0.5 * night.client.plane.n
+    assert turns_are_true(night)
 
 
 def test_a_bus_that_loses_its_power_comes_back(night):
@@ -96,7 +106,7 @@ def test_a_bus_that_loses_its_power_comes_back(night):
     rows = np.flatnonzero(bus == bus[0])
     in_use = night.client.plane.enabled[rows] & night.camera._lit[rows]
     cut_power(night, rows)
-    ended = recover(night.client, COMPILE_S)
+    ended = recover(night.client, COMPILE_S, to_stops=False)
     assert set(night.client.plane.ids[rows][in_use]) <= set(ended.found)
     assert off_um(night)[rows[in_use]].max() < 20.0 and nothing_touched(night)
 
@@ -122,9 +132,10 @@ def test_robots_whose_power_fails_in_motion_come_back(night):
     plant.robots.schedule(())
     assert failed.count(Outcome.FAILED) > 0
     client.call_service(topics.CLEAR, WAIT_S)
-    ended = recover(client, COMPILE_S)
+    ended = recover(client, COMPILE_S, to_stops=False)
     assert set(ended.lost) >= set(client.plane.ids[rows])
     check_lit = np.isin(client.plane.ids, np.concatenate([ended.found, ended.turn_unknown]))
+    assert turns_are_true(night)
     assert check_lit[rows].mean() > 0.9 and off_um(night)[rows[check_lit[rows]]].max() < 20.0
     assert nothing_touched(night)
 
@@ -141,8 +152,24 @@ def test_a_bridge_that_begins_anew_remembers_which_places_are_unknown(night):
     assert bridge.trigger_configure() and bridge.trigger_activate()
     night.client.wait_for(lambda: night.client.session != before, WAIT_S)
     night.client.wait_for(lambda: (night.client.unplaced[rows] > 0).all(), WAIT_S)
-    ended = recover(night.client, COMPILE_S)
+    ended = recover(night.client, COMPILE_S, to_stops=False)
     assert set(night.client.plane.ids[rows]) <= set(ended.found)
+
+
+def test_robots_of_which_another_turn_is_in_range_turn_to_their_stops(night):
+    client = night.client
+    wide = client.plane.ids[client.unplaced == layout.SEEN]
+    before = night.true_fibres()
+    told = []
+    ended = recover(client, COMPILE_S, say=told.append)
+    assert set(wide) <= set(ended.lost) and len(ended.turn_unknown) < len(wide)
+    assert len(ended.notes) == len(ended.turn_unknown) and ended.stop_turns > 0
+    assert f"after turn {ended.stop_turns} to stops:" in "\n".join(told)
+    moved_mm = np.hypot(*(night.true_fibres() - before).T)
+    rows = client.plane.index_of(wide)
+    assert moved_mm[rows].max() > 0.1  # and the others have rested, but for test turns
+    assert np.delete(moved_mm, rows).max() <= Safety().margin_mm
+    assert turns_are_true(night) and nothing_touched(night)
 
 
 def test_the_command_finds_all_robots_after_a_loss_of_all_power(night, monkeypatch, capfd):

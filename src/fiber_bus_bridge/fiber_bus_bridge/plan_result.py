@@ -36,6 +36,7 @@ class Plan:
             known places.
         about: joint angles from which `within_mm` counts [rad], shape (n, 2), of robots at known
             places; None for the start of the motion.
+        to_stops: whether robots turn to their stops, whose turn of theta is unknown.
     """
 
     motion: WireMotion
@@ -43,6 +44,7 @@ class Plan:
     fibre: Ints
     within_mm: Floats | None = None
     about: Angles | None = None
+    to_stops: bool = False
 
     @classmethod
     def of(
@@ -83,6 +85,11 @@ class Plan:
     def asked(self) -> Mask:
         """Robots with a target, shape (n,)."""
         return np.all(np.isfinite(self.goals), axis=1)
+
+    @property
+    def resumes(self) -> bool:
+        """Whether robots that were stopped after a failure go on."""
+        return self.within_mm is None and not self.to_stops
 
     @property
     def moves(self) -> Mask:

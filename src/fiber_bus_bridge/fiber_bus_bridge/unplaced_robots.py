@@ -14,10 +14,10 @@ from fiber_bus_bridge.session import Session
 from fiber_core.array_types import Ints, Mask
 from fiber_core.clearance import levers_of
 
-__all__ = ["refused_text", "turn_unplaced", "turns_of"]
+__all__ = ["LEAST_TURN", "refused_text", "turn_unplaced", "turns_of"]
 
 _SLOW = 5  # a test turn is so many times slower than theta can
-_LEAST = 2  # a camera tells little of a turn that is shorter than a full one over this number
+LEAST_TURN = 2  # a camera tells little of a turn that is shorter than a full one over this number
 
 
 def turn_unplaced(session: Session, t: float, may_go: Callable[[], bool] = lambda: True) -> float:
@@ -75,7 +75,7 @@ def turns_of(session: Session) -> tuple[Ints, Mask]:
     theta = robots["counts"][:, 0]
     to_stop = np.maximum(np.stack([theta - low, high - theta], axis=1), 0)
     may = np.minimum(np.minimum(robots["turn_limit"], to_stop), full[:, None])
-    far = (may * _LEAST >= full[:, None]) & chosen[:, None]
+    far = (may * LEAST_TURN >= full[:, None]) & chosen[:, None]
     way = int(np.argmax(far.sum(axis=0)[::-1]))  # up where as many robots may
     turn = np.where(far[:, 1 - way], may[:, 1 - way], 0)
     return turn if way == 0 else -turn, chosen & (turn == 0)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from unplaced_rig import new_rig
+from unplaced_rig import ALL, new_rig, place
 
 from fiber_bus_bridge import SessionState
 from fiber_bus_bridge.errors import SessionError
@@ -20,7 +20,7 @@ class Bridge:
     def __init__(self):
         self.rig = new_rig()
         assert self.rig.session.robots["unplaced"].any()
-        self.refused, self.ended, self.begun = [], [], []
+        self.refused, self.ended, self.begun, self.published = [], [], [], []
         attempts = SimpleNamespace(
             inputs=SimpleNamespace(check_session=lambda message, name: None),
             check_turn_stamp=lambda stamp: None,
@@ -30,9 +30,13 @@ class Bridge:
         reporter = SimpleNamespace(
             done=lambda *_: None, refuse=lambda why, *_: self.refused.append(why)
         )
+        outgoing = SimpleNamespace(
+            publish_layout=lambda: self.published.append("layout"),
+            publish_encoders=lambda: self.published.append("encoders"),
+        )
         self.unplanned = UnplannedMotions(
             self.rig.session, attempts, lambda: self.rig.t, lambda: None, lambda: True, lambda: "",
-            reporter,
+            outgoing, reporter,
         )  # fmt: skip
 
     def hear(self, ns, ids):
@@ -77,3 +81,16 @@ def test_a_motion_that_is_refused_ends_no_plan_and_forgets_no_turns(bridge):
     session.clear(bridge.rig.t)
     bridge.unplanned.turn()  # which waited
     assert set(bridge.begun) == {PlanStamp(7)}
+
+
+def test_a_turn_to_stops_tells_the_layout_before_any_image(bridge):
+    rig = bridge.rig
+    theta = np.where(np.arange(len(ALL)) == 3, 3.0, 0.0)  # of which another turn is in range
+    counts = rig.units.encoder_counts(rig.plane, np.stack([theta, np.full(len(ALL), 2.6)], axis=1))
+    place(rig, counts, ALL, turn_known=theta == 0.0)
+    ids = rig.plane.ids[[3]]
+    bridge.unplanned.hear_turns(turns.encode(ids, [turns.TO_UPPER_STOP], PlanStamp(9)))
+    bridge.unplanned.turn()
+    assert bridge.published == ["encoders", "layout"] and set(bridge.begun) == {PlanStamp(9)}
+    assert np.array_equal(np.flatnonzero(rig.session.loaded_plan.started), [3])
+    assert rig.session.robots["lost"][3]

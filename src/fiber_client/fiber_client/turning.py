@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turns so small that nothing can touch, made by the bridge: of code words, or as tests."""
+"""Turns made by the bridge: so small that nothing can touch, or certified, to stops."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,12 +28,21 @@ class Turning:
         """Turn theta of all robots at unknown places; see `turn_words`."""
         return self.turn_words(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
+    def turn_to_stops(self, ids: ArrayLike, way: ArrayLike) -> PlanOutcome:
+        """Turn theta of robots that a camera has seen without their turn; see `turn_words`.
+
+        Args:
+            ids: ids of the robots, shape (k,), at least one.
+            way: -1 for the lower stop, 1 for the upper one, shape (k,).
+        """
+        return self.turn_words(ids, np.asarray(way) * turns.TO_UPPER_STOP)
+
     def turn_words(self, ids: ArrayLike, way: ArrayLike) -> PlanOutcome:
         """Turn phi of robots up, down or back to where it rested.
 
         Args:
             ids: ids of the robots, shape (k,).
-            way: 1 up, -1 down, 0 back, shape (k,).
+            way: 1 up, -1 down, 0 back, shape (k,), as `turns` has it.
 
         Returns:
             The outcome, whose stamp is that of the turns.

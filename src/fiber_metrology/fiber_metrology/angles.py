@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 from fiber_core.array_types import Angles, Floats, Ints, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.kinematics import configurations, most_configurations
+from fiber_core.turns_of_theta import BEYOND_RAD
 
-__all__ = ["BEYOND_RAD", "angles_of_places", "likeliest_angles"]
+__all__ = ["angles_of_places", "likeliest_angles"]
 
-BEYOND_RAD = 0.05  # an arm may stand this far beyond a stop of its counter
 _STEPS = 20  # of Gauss and Newton, which converge slowly where the arm is straight
 _LEAST_RAD = 1e-9  # of the error of a joint that its drive keeps
 

@@ -20,8 +20,9 @@ from fiber_core import bounds
 from fiber_core.arm_bounds import turn_within
 from fiber_core.array_types import Angles, Floats, Ints, Mask, Points
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.turns_of_theta import BEYOND_RAD, turns_in_range
 from fiber_core.validation import frozen_array
-from fiber_metrology.angles import BEYOND_RAD, angles_of_places
+from fiber_metrology.angles import angles_of_places
 from fiber_metrology.errors import MetrologyError
 from fiber_metrology.exposures import Lights
 from fiber_metrology.identify import IdentifyConfig, most_likely
@@ -80,7 +81,8 @@ class Recovered:
         interval_rad: half the width of their intervals [rad], shape (n, 2), nan without a place.
         error_mm: bound of the error of each place [mm], shape (n,), nan without a place.
         doubt: probability of anything else, shape (n,).
-        turn_known: whether one turn of theta alone is in its range, or was recalled, shape (n,).
+        turn_known: whether one turn of theta alone is in its range, a little widened, or was
+            recalled, shape (n,).
     """
 
     light: Ints
@@ -180,8 +182,9 @@ def recover(
     for column in (places, angles, interval, error_mm):
         column[folded] = np.nan
     _widen_by_other_elbow(plane, angles, interval, unremembered)
-    low, high = plane.limits[:, 0].T
-    other = (angles[:, 0] + _TURN_RAD <= high) | (angles[:, 0] - _TURN_RAD >= low)
+    # a place just outside the range of the other turn may be of an arm beyond its stop
+    lowest, highest = turns_in_range(plane.limits[:, 0], angles[:, 0], BEYOND_RAD + interval[:, 0])
+    other = highest > lowest
     other &= ~(np.abs(angles[:, 0] - rested[:, 0]) < _TURN_RAD / 4.0)
     told = np.full(plane.n, -1)
     told[certain] = tracks.light[found[certain]]

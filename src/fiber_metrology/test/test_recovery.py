@@ -8,6 +8,7 @@ import pytest
 from metrology_scene import N, Scene
 
 from fiber_core.clearance import gaps, neighbour_pairs
+from fiber_core.turns_of_theta import BEYOND_RAD
 from fiber_metrology import (
     MeasureConfig,
     MetrologyError,
@@ -81,8 +82,21 @@ def test_theta_with_another_turn_in_its_range_is_told():
     found = recover(lost.plane, *lost.images(0.9), lost.turned)
     theta = found.angles[:, 0]
     limit = lost.plane.limits[:, 0, 1]
-    near_stop = found.certain & (np.abs(theta) > 2 * np.pi - limit)
+    beyond = BEYOND_RAD + found.interval_rad[:, 0]
+    near_stop = found.certain & (np.abs(theta) >= 2 * np.pi - limit - beyond)
     assert (found.turn_known == (found.certain & ~near_stop)).all()
+    assert 0 < near_stop.sum() < 0.2 * N
+
+
+def test_an_arm_at_or_beyond_its_stop_is_not_told_with_another_turn():
+    lost = Lost(4)
+    low, high = lost.plane.limits[0, 0]
+    lost.true[:, 0] = np.where(np.arange(N) % 2, low, high)
+    lost.true[:, 0] += np.where(np.arange(N) % 2, -1, 1) * lost.rng.uniform(0.0, 0.045, N)
+    found = recover(lost.plane, *lost.images(), lost.turned)
+    assert found.certain.mean() > 0.5 and not found.turn_known.any()
+    # the angle in range is the other one, and would be believed
+    assert (np.abs(found.angles - lost.true)[found.certain, 0] > 1.0).all()
 
 
 def test_what_cannot_be_recovered_is_refused_or_not_told():

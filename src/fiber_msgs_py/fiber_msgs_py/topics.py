@@ -257,7 +257,8 @@ MEASURED = _topic(
 TURNS = _topic(
     "turns", PointCloud2, qos.EVENTS,
     "Id, way: at the next call of `turn` phi of the robot turns up (1), down (-1) or back (0) from "
-    "where it rested; without rows theta of robots at unknown places. The bridge knows how far.",
+    "where it rested; or of all rows theta to the upper (2) or lower (-2) stop; without rows theta "
+    "of robots at unknown places. The bridge knows how far.",
 )  # fmt: skip
 LIGHTS = _topic(
     "lights", PointCloud2, qos.RESULTS,

@@ -112,6 +112,8 @@ def test_turns_and_lights_come_back_with_their_session():
     message = turns.encode([4, 9, 2], [1, -1, 0], PlanStamp(5), "session_0123456789abcdef01234567")
     got = turns.decode(message)
     assert got.ids.tolist() == [4, 9, 2] and got.way.tolist() == [1, -1, 0]
+    to_stops = [turns.TO_UPPER_STOP, turns.TO_LOWER_STOP]
+    assert turns.decode(turns.encode([4, 9], to_stops, PlanStamp(5))).way.tolist() == to_stops
     assert session_of(message) == "session_0123456789abcdef01234567"
     sent = lights.SeenLights(np.array([[1.5, -2.0], [0.0, 400.0]]), [3, 1], [False, True])
     seen = lights.decode(lights.encode(sent, PlanStamp(5), "session_0123456789abcdef01234567"))
@@ -124,7 +126,12 @@ def test_turns_and_lights_come_back_with_their_session():
 
 @pytest.mark.parametrize(
     ("ids", "way", "words"),
-    [([4], [2], "robot 4.*way.*2"), ([4, 4], [1, 1], "twice"), ([4], [1, 1], "shape of way")],
+    [
+        ([4], [3], "robot 4.*way.*3"),
+        ([4, 4], [1, 1], "twice"),
+        ([4], [1, 1], "shape of way"),
+        ([4, 9], [1, 2], "robot 9.*way.*2.*other robots turn phi"),
+    ],
 )
 def test_turns_that_no_robot_makes_are_refused(ids, way, words):
     with pytest.raises(MessageError, match=words):

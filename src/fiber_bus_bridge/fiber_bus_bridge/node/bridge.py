@@ -135,7 +135,7 @@ class BridgeNode(ManagedNode):
         )  # fmt: skip
         self._unplanned = UnplannedMotions(
             self._session, self._attempts, self._time.now_s, self._check_role, self._may_go,
-            self._report_started, self.reporter,
+            self._report_started, self._outgoing, self.reporter,
         )  # fmt: skip
         self._subscribe()
         self._make_timers()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motions without targets and planner: home, and test turns."""
+"""Motions without targets and planner: home, test turns, and turns to a stop."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,8 +8,10 @@ import numpy as np
 
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.node.attempts import Attempts
+from fiber_bus_bridge.node.publishers import Publishers
 from fiber_bus_bridge.session import Session
 from fiber_bus_bridge.session_state import SessionState
+from fiber_bus_bridge.stop_turns import blocked_text, turn_to_stops
 from fiber_bus_bridge.unplaced_robots import refused_text, turn_unplaced, turns_of
 from fiber_bus_bridge.word_turns import cannot_turn, resting_text, turn_words
 from fiber_core.array_types import Floats
@@ -32,6 +34,7 @@ class UnplannedMotions:
         may_go: asked when the orders are certified.
         reporter: answers to messages.
         report_started: tells how many robots were started.
+        outgoing: publishes layout and encoders.
     """
 
     def __init__(
@@ -42,11 +45,13 @@ class UnplannedMotions:
         check_role: Callable[[], None],
         may_go: Callable[[], bool],
         report_started: Callable[[], str],
+        outgoing: Publishers,
         reporter: Reporter,
     ):
         self._session, self._attempts, self._now_s = session, attempts, now_s
         self._check_role, self._may_go = check_role, may_go
-        self._report_started, self._reporter = report_started, reporter
+        self._report_started = report_started
+        self._outgoing, self._reporter = outgoing, reporter
         self._waiting: tuple[PlanStamp, Floats] | None = None  # turns that no `turn` has made yet
 
     def home(self) -> str:
@@ -82,7 +87,7 @@ class UnplannedMotions:
         self._waiting = None
 
     def turn(self) -> str:
-        """Make the turns that wait: of code words, or of robots at unknown places.
+        """Make the turns that wait: of code words, to stops, or of robots at unknown places.
 
         The motion has the stamp of these turns. A bridge that has not heard them makes none.
 
@@ -98,6 +103,8 @@ class UnplannedMotions:
                 "forget them, or they were sent to another bridge; send them anew"
             )
         stamp, ways = self._waiting
+        if (np.abs(ways) == turns.TO_UPPER_STOP).any():
+            return self._turn_to_stops(ways, stamp)
         if np.isfinite(ways).any():
             return self._turn_words(ways, stamp)
         return self._turn_unplaced(stamp)
@@ -110,6 +117,23 @@ class UnplannedMotions:
             lambda t, may_go: turn_words(self._session, ways, t, may_go), stamp,
         )  # fmt: skip
         return started + rest
+
+    def _turn_to_stops(self, ways: Floats, stamp: PlanStamp) -> str:
+        text = blocked_text(self._session, ways)
+        started = self._move(
+            "robots turn to their stops", "turn to stops",
+            lambda t, may_go: turn_to_stops(self._session, ways, t, self._told(may_go)), stamp,
+        )  # fmt: skip
+        self._outgoing.publish_layout()  # before an image: their places are unknown now
+        return f"{started}; {text}" if text else started
+
+    def _told(self, may_go: Callable[[], bool]) -> Callable[[], bool]:
+        # the motion begins at counters that were set just now
+        def tell_and_ask() -> bool:
+            self._outgoing.publish_encoders()
+            return may_go()
+
+        return tell_and_ask
 
     def _turn_unplaced(self, stamp: PlanStamp) -> str:
         _, refused = turns_of(self._session)

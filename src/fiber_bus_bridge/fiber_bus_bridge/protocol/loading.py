@@ -8,6 +8,7 @@ are loaded again, and the GO has no effect on that robot.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,8 +31,10 @@ from fiber_bus_bridge.wire import (
 )
 from fiber_core.array_types import Bools, Codes, Mask, Rows
 from fiber_core.clearance import Certificate
+from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Reason
+from fiber_core.turns_of_theta import BEYOND_RAD
 from fiber_core.wire_units import WireMotion
 
 __all__ = [
@@ -78,8 +81,8 @@ def begin_plan(c: Context, t: float, may_go: Callable[[], bool]) -> None:
 def prepare(c: Context, motion: WireMotion, wanted: Mask, t: float) -> Phase:
     """Begin a phase: the wanted robots shall move, unless a lost robot is beside them.
 
-    A robot at an unknown place moves in a test turn alone, also if a camera has told all but its
-    turn of theta.
+    A robot at an unknown place moves in a test turn alone, or to its stops if a camera has told all
+    but its turn of theta.
 
     Args:
         c: the controller.
@@ -90,6 +93,8 @@ def prepare(c: Context, motion: WireMotion, wanted: Mask, t: float) -> Phase:
     lost, unplaced = c.robots["lost"], c.robots["unplaced"]
     if c.plan is not None and c.plan.within_mm is not None and c.plan.about is None:
         lost = unplaced = np.zeros_like(lost)
+    if c.plan is not None and c.plan.to_stops:
+        unplaced = unplaced & ~c.robots["seen"]
     blocked = wanted & (neighbours_of(lost, c.pairs) | lost | unplaced)
     begin_phase(c.robots, c.buses, wanted, blocked)
     c.phase = Phase(motion.only(wanted & ~blocked), t)
@@ -137,8 +142,16 @@ def certify(c: Context, phase: Phase) -> Event:
 
 def _certified(c: Context, motion: SegmentMotion) -> tuple[SegmentMotion, Mask, Certificate]:
     if c.plan is None or c.plan.within_mm is None:
-        return c.certify(c.plane, motion, c.safety)
+        return c.certify(_range_of(c), motion, c.safety)
     return hold_beyond(c.plane, motion, c.safety, c.plan.within_mm, c.plan.about)
+
+
+def _range_of(c: Context) -> FocalPlane:
+    """The plane, with ranges of theta in which arms may stand that turn away from a stop."""
+    if c.plan is None or not c.plan.to_stops:
+        return c.plane
+    beyond = np.array([[-BEYOND_RAD, BEYOND_RAD], [0.0, 0.0]])
+    return replace(c.plane, limits=c.plane.limits + beyond)
 
 
 def disarm(c: Context, phase: Phase) -> Event:

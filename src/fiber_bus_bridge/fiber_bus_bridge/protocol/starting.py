@@ -37,6 +37,8 @@ def go(c: Context, phase: Phase) -> Event:
     if not c.may_go():
         return Event.REFUSED
     robots, transactions = c.robots, c.transactions
+    if c.plan is not None and c.plan.to_stops:
+        _forget_places(c)
     rows = np.flatnonzero(robots["verified"])
     t = max(phase.t, transactions.now_s)
     if len(rows) == 0:
@@ -63,6 +65,14 @@ def go(c: Context, phase: Phase) -> Event:
     c.watch = watch_from(c, phase.go_s, phase.verify_s / np.bincount(c.bus[rows]).max())
     # a clock held low delayed the GO on a bus
     return Event.GO_LATE if late.any() else Event.GO_SENT
+
+
+def _forget_places(c: Context) -> None:
+    """Let the robots that get a GO be at unknown places: counters count on at a stop."""
+    robots, starting = c.robots, c.robots["verified"]
+    robots["seen"] &= ~starting
+    robots["guessed"] |= starting
+    robots["lost"] |= starting
 
 
 def count_down(c: Context, phase: Phase, watch: Watch) -> Event:

@@ -72,7 +72,7 @@ def judge_stopped(c: Context, moved: Mask, booted: Mask) -> Event:
         booted: robots that have booted since, shape (n,).
     """
     robots = c.robots
-    turns = c.plan is not None and c.plan.within_mm is not None
+    turns = c.plan is not None and not c.plan.resumes
     robots["able"] = able_to_resume(robots, c.bus, moved, turns) & ~booted
     failed = moved & ~robots["able"]
     robots["cause"][failed] = _cause(c, booted)[failed]
@@ -111,7 +111,9 @@ def resume_cleared(c: Context, phase: Phase) -> Event:
     left = remaining_motion(before.motion, robots["counts"], elapsed_s, c.speed, resuming)
     c.plan = replace(plan, motion=left)
     wanted = resuming & c.plan.moves & ~c.plan.oversized
-    if plan.within_mm is not None:  # a test turn is not resumed: the next one is counted anew
+    if (
+        not plan.resumes
+    ):  # a test turn is counted anew, and no place is known after a turn to a stop
         wanted = np.zeros_like(wanted)
     phase = prepare(c, left, wanted, c.transactions.now_s)
     phase.before, phase.resumed, phase.oversized = before, moved, plan.oversized

@@ -147,6 +147,7 @@ class MechanicalErrors:
         stuck: share of the robots with a joint that is stuck for good.
         slipping: share of the robots with a joint that slips.
         slip: largest share of a movement that a slipping joint loses.
+        stop_deg: how far hard stops are beyond the ranges of the joints, if these are told [deg].
 
     Raises:
         BridgeError: a value is out of range; names it. The shares of non_movers, stuck and slipping
@@ -162,6 +163,7 @@ class MechanicalErrors:
         "stuck": bounds.Range(0.0, 1.0),
         "slipping": bounds.Range(0.0, 1.0),
         "slip": bounds.Range(0.0, 1.0),
+        "stop_deg": bounds.Range(0.0, 360.0),
     }
 
     scale: float = 0.0
@@ -172,6 +174,7 @@ class MechanicalErrors:
     stuck: float = 0.0
     slipping: float = 0.0
     slip: float = 0.3
+    stop_deg: float = 1.0
 
     def __post_init__(self) -> None:
         bounds.check_ranges(self, self.RANGES, BridgeError)
@@ -183,13 +186,20 @@ class MechanicalErrors:
             )
 
 
-def draw_mechanics(n: int, errors: MechanicalErrors, rng: np.random.Generator) -> Mechanics:
+def draw_mechanics(
+    n: int,
+    errors: MechanicalErrors,
+    rng: np.random.Generator,
+    ranges: ArrayLike | None = None,
+) -> Mechanics:
     """Draw the mechanics of n robots.
 
     Args:
         n: number of robots.
         errors: sizes of the errors.
         rng: source of randomness; the same state gives the same mechanics.
+        ranges: ranges of the joints [rad], shape (n, 2, 2), beyond which there are hard stops; None
+            for joints without stops.
     """
     backlash = rng.uniform(0.0, np.deg2rad(errors.backlash_deg), (n, 2))
     # the amplitude stays within the range of Mechanics, and the slope within half
@@ -198,6 +208,9 @@ def draw_mechanics(n: int, errors: MechanicalErrors, rng: np.random.Generator) -
     slack, phase = rng.uniform(0.0, backlash), rng.uniform(-np.pi, np.pi, (n, 2, _WAVES))
     joints = _defects(n, errors, rng)
     ideal = Mechanics.ideal(n)
+    stops = ideal.stops_rad
+    if ranges is not None:
+        stops = np.asarray(ranges) + np.deg2rad(errors.stop_deg) * np.array([-1.0, 1.0])
     return ideal.with_(
         scale=scale,
         backlash_rad=backlash,
@@ -208,6 +221,7 @@ def draw_mechanics(n: int, errors: MechanicalErrors, rng: np.random.Generator) -
         stuck_from=np.where(joints[1], 0, NEVER),
         slip=np.where(joints[2], errors.slip, 0.0),
         speed_noise=np.full((n, 2), errors.speed_noise),
+        stops_rad=stops,
         seed=np.asarray(rng.integers(2**62)).item(),
     )
 

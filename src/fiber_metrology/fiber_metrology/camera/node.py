@@ -151,7 +151,7 @@ class CameraNode(ManagedNode):
         scene = self._scene
         self._arm_of = _arm_of(plane, scene.pairs())
         rng = np.random.default_rng(scene.seed)
-        self._mechanics: Mechanics = draw_mechanics(plane.n, self._errors, rng)
+        self._mechanics: Mechanics = draw_mechanics(plane.n, self._errors, rng, plane.limits)
         self._lit: Mask = rng.random(plane.n) >= scene.dark
         self._fiducials: Points = fiducial_places(plane, scene.fiducials)
         radius_mm = float(np.hypot(*plane.centers.T).max() + plane.arms.sum(axis=1).max())
