@@ -76,16 +76,19 @@ class Seen:
 
     Args:
         seed: of where they stand, which turn is true, and the errors of their arms.
+        angles: where the true arms stand [rad], shape (n, 2); by default drawn.
     """
 
-    def __init__(self, seed, **errors):
+    def __init__(self, seed, angles=None, **errors):
         rng = np.random.default_rng(seed)
         self.rig = rig = new_rig()
         self.mechanics = draw_mechanics(N, MechanicalErrors(**errors), rng, rig.plane.limits)
-        angles = _stand(rig.plane, rng)
+        drawn = angles is None
+        angles = _stand(rig.plane, rng) if drawn else angles
         lowest, highest = turns_in_range(RANGE, angles[:, 0])
         self.unknown = lowest < highest
-        angles[:, 0] = np.where(rng.random(N) < 0.5, lowest, highest)
+        if drawn:
+            angles[:, 0] = np.where(rng.random(N) < 0.5, lowest, highest)
         self.arms = arms_at(self.mechanics, angles)
         self.least_mm = np.inf
         place(rig, *self.told())
@@ -97,8 +100,8 @@ class Seen:
     def told(self, rows=ALL):
         """What a camera without an error tells: counts, of which robots, and of which the turn."""
         lowest, highest = turns_in_range(RANGE, self.true[:, 0])
-        middle = np.where(np.abs(lowest) < np.abs(highest), lowest, highest)
-        theta = np.clip(middle, LOW, HIGH)
+        # the angle in range, and of two in range the one nearer to the middle
+        theta = np.where(np.abs(lowest) < np.abs(highest), lowest, highest)
         angles = np.stack([theta, self.true[:, 1]], axis=1)
         return self.rig.units.encoder_counts(self.rig.plane, angles), rows, lowest == highest
 
@@ -151,6 +154,21 @@ def test_turns_to_stops_tell_all_turns_and_no_true_arms_touch(seed):
     assert (known | blocked.all(axis=1)).all() and known[seen.unknown].mean() > 0.5
     off = np.abs(rig.session.angles - seen.true)
     assert off[known].max() < np.deg2rad(1.1)  # beyond the range, which counters are not
+
+
+def test_a_robot_at_its_stop_turns_away_from_it_and_comes_into_use():
+    folded = np.stack([np.full(N, LOW + 0.01), np.full(N, 3.0)], axis=1)
+    seen = Seen(0, folded)
+    robots, row = seen.rig.session.robots, 7
+    only = np.where(np.arange(N) == row, 1.0, np.nan)
+    for way, at, known in ((-1.0, LOW - np.deg2rad(1.0), False), (1.0, 0.0, True)):
+        assert np.array_equal(np.flatnonzero(seen.turn(way * only)), [row])
+        place(seen.rig, *seen.told())
+        assert robots["unplaced"][row] != known
+        if not known:  # it stands beyond its range, and its counter reads the other turn
+            assert np.isclose(seen.true[row, 0], at)
+            assert np.isclose(seen.rig.session.angles[row, 0], at + TURN, atol=1e-6)
+    assert abs(seen.true[row, 0] - seen.rig.session.angles[row, 0]) < 1e-6
 
 
 @pytest.fixture

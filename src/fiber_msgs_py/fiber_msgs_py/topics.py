@@ -326,8 +326,8 @@ STOP = _service(
 HOME = _service("home", "Folds all robots that can be commanded.")
 TURN = _service(
     "turn",
-    "Makes the motion that `turns` has named last, so little that nothing can touch; the stamp of "
-    "`turns` names it. A bridge that has not heard them refuses.",
+    "Makes the motion that `turns` has named last, so little that nothing can touch, or to stops, "
+    "certified; the stamp of `turns` names it. A bridge that has not heard them refuses.",
 )
 CLEAR = _service(
     "clear",
