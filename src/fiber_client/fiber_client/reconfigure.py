@@ -30,7 +30,7 @@ from fiber_core.errors import FiberError
 from fiber_core.fibres import ANY_FIBRE
 from fiber_core.fields import random_field
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
-from fiber_formats import FORMS, kind_of, read_targets, write_results
+from fiber_formats import FORMS, check_results, read_targets, write_results
 from fiber_msgs_py import PlanStamp
 from fiber_node.ros_environment import use_loopback
 
@@ -81,7 +81,9 @@ def _parser() -> argparse.ArgumentParser:
         help=f"largest number of corrections, {_ITERATIONS}; needs --tolerance-um",
     )  # fmt: skip
     parser.add_argument(
-        "--results", metavar="TABLE", help="write all robots: .csv, .ecsv or .fits, also with .gz"
+        "--results",
+        metavar="TABLE",
+        help="write all robots: .csv, .ecsv, .fits, or .par in the form sdss_v, also with .gz",
     )
     parser.add_argument(
         "--form", choices=sorted(FORMS), help="columns of an instrument in addition, in --results"
@@ -92,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisplay) -> int:
     if options.results is not None:
-        kind_of(options.results)  # refused before the motion, not after it
+        check_results(options.results, options.form)  # refused before the motion, not after it
     elif options.form is not None:
         raise PlaneError("--form tells columns of --results, which is not given")
     loop = _camera_loop(client, options)

@@ -27,7 +27,13 @@ from fiber_formats.records import (
     Targets,
 )
 from fiber_formats.result_forms import FORMS
-from fiber_formats.results import Results, read_results, results_of, write_results
+from fiber_formats.results import (
+    Results,
+    check_results,
+    read_results,
+    results_of,
+    write_results,
+)
 from fiber_formats.source import DataFile, Source
 from fiber_formats.writing import kind_of, write_table
 
@@ -52,6 +58,7 @@ __all__ = [
     "Starts",
     "TargetColumns",
     "Targets",
+    "check_results",
     "convert",
     "find_format",
     "kind_of",

@@ -13,11 +13,19 @@ from fiber_core.kinematics import on_target
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
 from fiber_formats.columns import Columns
 from fiber_formats.errors import FormatError
+from fiber_formats.fibre_map import is_fibre_map, write_fibre_map
 from fiber_formats.result_forms import FORMS
 from fiber_formats.source import Source
-from fiber_formats.writing import write_table
+from fiber_formats.writing import kind_of, write_table
 
-__all__ = ["RESULT_COLUMNS", "Results", "read_results", "results_of", "write_results"]
+__all__ = [
+    "RESULT_COLUMNS",
+    "Results",
+    "check_results",
+    "read_results",
+    "results_of",
+    "write_results",
+]
 
 RESULT_COLUMNS = (
     "id",
@@ -75,8 +83,7 @@ def results_of(
     if final.shape != (plane.n, 2):
         raise FormatError(f"angles have shape {final.shape}, expected ({plane.n}, 2)")
     ordered = outcome.of(plane.ids)
-    targets = np.full((plane.n, 2), np.nan) if targets is None else targets
-    fibre, place, _ = on_target(plane, final, targets)
+    fibre, place, _ = on_target(plane, final, _targets_of(plane, targets))
     return Results(
         plane.ids,
         np.asarray(ordered.outcome, dtype=np.int64),
@@ -86,6 +93,10 @@ def results_of(
         np.rad2deg(final),
         np.array(plane.fibre_names or ("",), dtype=str)[fibre],
     )
+
+
+def _targets_of(plane: FocalPlane, targets: ArrayLike | None) -> ArrayLike:
+    return np.full((plane.n, 2), np.nan) if targets is None else targets
 
 
 def write_results(
@@ -98,10 +109,12 @@ def write_results(
 ) -> Results:
     """Write what became of every robot as CSV, ECSV or FITS, by the suffix; return it too.
 
-    Such a table can be read again by `read_results`, and by `read_starts` for the next plan.
+    Such a table can be read again by `read_results`, and by `read_starts` for the next plan. In the
+    form of SDSS-V it can be a confSummary as well, see `write_fibre_map`, which has no outcomes of
+    ours.
 
     Args:
-        path: where to; .csv, .ecsv or .fits, also with .gz.
+        path: where to; .csv, .ecsv, .fits, or .par in the form `sdss_v`, also with .gz.
         plane: the focal plane.
         outcome: outcomes of all robots.
         angles: joint angles after the motion [rad], in the order of the plane, shape (n, 2).
@@ -112,7 +125,13 @@ def write_results(
         FormatError: the suffix or the form is not known, or the file cannot be written.
         FiberError: a robot of the plane has no outcome.
     """
+    check_results(path, form)
     results = results_of(plane, outcome, angles, targets)
+    final = np.asarray(angles, dtype=float)
+    if is_fibre_map(path):
+        fibre = on_target(plane, final, _targets_of(plane, targets)).fibre
+        write_fibre_map(path, plane, results.outcome, results.reason, final, fibre)
+        return results
     columns: dict[str, NDArray] = {
         "id": results.ids,
         "outcome": np.array([Outcome(code).name.lower() for code in results.outcome], dtype=str),
@@ -126,20 +145,36 @@ def write_results(
     if plane.fibre_names:
         columns[_FIBRE] = results.fibre
     if form is not None:
-        if form not in FORMS:
-            raise FormatError(f"no form is named {form!r}; there are {', '.join(FORMS)}")
         columns.update(
             FORMS[form](
                 plane,
                 results.outcome,
                 results.reason,
                 results.reached_mm,
-                np.asarray(angles, dtype=float),
+                final,
                 results.error_um,
             )
         )
     write_table(path, columns)
     return results
+
+
+def check_results(path: str | os.PathLike[str], form: str | None = None) -> None:
+    """Check, before any work, that `write_results` knows a suffix and a form.
+
+    Args:
+        path: where results will be written.
+        form: as for `write_results`.
+
+    Raises:
+        FormatError: the suffix or the form is not known, or they do not go together.
+    """
+    if form is not None and form not in FORMS:
+        raise FormatError(f"no form is named {form!r}; there are {', '.join(FORMS)}")
+    if not is_fibre_map(path):
+        kind_of(path)
+    elif form != "sdss_v":
+        raise FormatError(f"{path}: a .par is a confSummary of SDSS-V, the form is {form}")
 
 
 def read_results(path: str | os.PathLike[str]) -> Results:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fiber_formats.errors import FormatError
 
-__all__ = ["kind_of", "write_table"]
+__all__ = ["kind_of", "write_table", "write_whole"]
 
 _KINDS = {".csv": "ascii.csv", ".ecsv": "ascii.ecsv", ".fits": "fits", ".fit": "fits"}
 _UNITS = {"_deg_s": "deg / s", "_deg": "deg", "_mm": "mm", "_um": "um"}
@@ -62,12 +62,27 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, NDArray]) ->
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             table.write(data, format=kind)
-        content = data.getvalue()
-        raw = content if isinstance(content, bytes) else content.encode()
-        if Path(path).suffix.lower() == ".gz":
-            raw = gzip.compress(raw, mtime=0)
-        partial = Path(f"{os.fspath(path)}.partial")
-        partial.write_bytes(raw)
-        os.replace(partial, path)
     except (OSError, ValueError, TypeError) as error:
+        raise FormatError(f"{path} cannot be written: {error}") from None
+    content = data.getvalue()
+    write_whole(path, content if isinstance(content, bytes) else content.encode())
+
+
+def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file, compressed if its suffix is .gz; what was there is replaced as a whole.
+
+    Args:
+        path: where to.
+        content: what the file holds when it is not compressed.
+
+    Raises:
+        FormatError: the file cannot be written.
+    """
+    if Path(path).suffix.lower() == ".gz":
+        content = gzip.compress(content, mtime=0)
+    partial = Path(f"{os.fspath(path)}.partial")
+    try:
+        partial.write_bytes(content)
+        os.replace(partial, path)
+    except OSError as error:
         raise FormatError(f"{path} cannot be written: {error}") from None

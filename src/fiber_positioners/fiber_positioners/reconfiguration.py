@@ -172,7 +172,7 @@ class Reconfiguration:
         """Write a table of all robots: outcome, reason, reached place, error, angles.
 
         Args:
-            path: the table; .csv, .ecsv or .fits, also with .gz.
+            path: the table; .csv, .ecsv, .fits, or .par in the form `sdss_v`, also with .gz.
             form: instrument that gets columns in its own form as well, one of
                 `fiber_formats.FORMS`.
 

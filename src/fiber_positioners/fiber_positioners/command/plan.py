@@ -9,7 +9,7 @@ import numpy as np
 from fiber_core.drive.named import DRIVES
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem
-from fiber_formats import FORMS, FormatError, kind_of, problem_from
+from fiber_formats import FORMS, FormatError, check_results, problem_from
 from fiber_planner import planners
 from fiber_positioners.command.arguments import length, positive, share
 from fiber_positioners.command.exit_codes import DONE
@@ -62,7 +62,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--planner", choices=planners(), help="by default direct, for listed speeds scheduled")
     add("--capture", type=Path, help="folder for waveforms (VCD) and packets (pcap) of the buses")
     add("--out", type=Path, help="folder for problem, plan, report, outcomes, recording and player")
-    add("--results", type=Path, metavar="TABLE", help="write all robots: .csv, .ecsv or .fits")
+    add(
+        "--results", type=Path, metavar="TABLE", help="write all robots: .csv, .ecsv, .fits or .par"
+    )
     add("--form", choices=sorted(FORMS), help="columns of an instrument in addition, in --results")
     add("--player", type=Path, metavar="PAGE", help="write the player, an HTML page, here")
     add("--cold", action="store_true", help="count the compilation of loops as computing time")
@@ -116,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
 def _refuse_results(args: argparse.Namespace) -> None:
     # before the work, not after it
     if args.results is not None:
-        kind_of(args.results)
+        check_results(args.results, args.form)
     elif args.form is not None:
         raise FormatError("--form tells columns of --results, which is not given")
 
