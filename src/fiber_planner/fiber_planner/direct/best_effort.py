@@ -123,7 +123,8 @@ def hold_idle(scene: Scene, plan: PlanState) -> int:
 def hold_one_of_tangled(scene: Scene, plan: PlanState, ends: Ends, tangled: Bools) -> None:
     """Let one robot of each pair that starts too close rest, preferably one without a target.
 
-    Two that move could touch through timing errors.
+    Two that move could touch through timing errors. A robot that cannot leave without coming nearer
+    rests in any case.
 
     Args:
         scene: the robots and their surroundings; which robots are movable is written.
@@ -134,7 +135,8 @@ def hold_one_of_tangled(scene: Scene, plan: PlanState, ends: Ends, tangled: Bool
     movable = scene.movable
     for a, b in scene.pairs[tangled]:
         if movable[a] and movable[b]:
-            row = a if ends.choice[a] < 0 <= ends.choice[b] else b
+            first = ends.choice[a] < 0 <= ends.choice[b] and not ends.waits[b]
+            row = a if first or ends.waits[a] else b
             movable[row] = False
             plan.q[row] = scene.start[row][:, None]
             plan.choice[row] = ends.choice[row] = -1

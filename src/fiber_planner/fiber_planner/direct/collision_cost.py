@@ -9,6 +9,9 @@ from fiber_core.clearance import Bodies, pair_gap_below
 __all__ = ["collision_cost", "least_cost_at"]
 
 _FINE_MM = 0.3  # smallest relative displacement between two evaluations of a pair
+# The same of a pair that starts too close, while it parts: it may not come nearer than it starts,
+# and a robot that turns away can do so for its first micrometres.
+_FINE_EARLY_MM = 5e-4
 _DEEPEST = 15.0  # number of intervals for which the largest depth counts
 _FAR_MM = 2.0  # a gap larger than required + this need not be known exactly
 
@@ -46,8 +49,9 @@ def collision_cost(
 
     The time step is that of conservative advancement: after a gap that exceeds the required
     one by s, the pair is evaluated again when its points may have closed in by s, and not
-    before they have moved by _FINE_MM. So a graze shorter than that step can be missed, and a
-    crossing cannot. The depth at the last instant counts as if it lasted one interval.
+    before they have moved by _FINE_MM, or _FINE_EARLY_MM before `release`. So a graze shorter
+    than that step can be missed, and a crossing cannot. The depth at the last instant counts as
+    if it lasted one interval.
 
     Args:
         bodies: outlines, from bodies_of.
@@ -74,7 +78,7 @@ def collision_cost(
             phi_a = qa[1, k] + w * (qa[1, k + 1] - qa[1, k])
             theta_b = qb[0, k] + w * (qb[0, k + 1] - qb[0, k])
             phi_b = qb[1, k] + w * (qb[1, k + 1] - qb[1, k])
-        need = required_early if k < release else required
+        need, fine_mm = (required_early, _FINE_EARLY_MM) if k < release else (required, _FINE_MM)
         slack = pair_gap_below(bodies, a, b, theta_a, phi_a, theta_b, phi_b, need + _FAR_MM) - need
         if k == last:
             when = last if -slack > deepest else when
@@ -83,7 +87,7 @@ def collision_cost(
             stride = _stride(lever, a, qa, k) + _stride(lever, b, qb, k)
             step = 1.0 - w
             if stride > 0.0:
-                step = min(step, max(-slack, _FINE_MM) / stride)
+                step = min(step, max(-slack, fine_mm) / stride)
             total -= slack * step
             if -slack > deepest:
                 deepest, when = -slack, k if w < 0.5 else k + 1
@@ -93,7 +97,7 @@ def collision_cost(
             if w >= 1.0 - 1e-9:
                 k, w = k + 1, 0.0
         else:
-            slack = max(slack, _FINE_MM)
+            slack = max(slack, fine_mm)
             while k < last:
                 stride = _stride(lever, a, qa, k) + _stride(lever, b, qb, k)
                 if (1.0 - w) * stride > slack:

@@ -15,6 +15,7 @@ from fiber_core.outcomes import Reason
 from fiber_core.problem import Problem
 from fiber_core.threads import share_out
 from fiber_planner.direct.parameters import DirectParameters
+from fiber_planner.direct.parting import robots_that_wait
 from fiber_planner.direct.plan_state import PlanState
 from fiber_planner.direct.reachability import reachable
 from fiber_planner.direct.scene import Scene, allowances_mm
@@ -31,6 +32,7 @@ from fiber_planner.goal_selection import choose_goals
 __all__ = ["Ends", "choose_ends", "straight_plan"]
 
 _EPS_MM = 1e-6
+_NEARER_MM = 2e-4  # that a pair may come nearer than it starts; the certificate grants a micrometre
 _LEAST_ROBOTS = 2000  # of a thread: fewer are done sooner than it begins
 _UNTANGLING = 0.25  # share of the time alone in which a tangled pair has to part
 _LEAST_TURN_RAD = 0.1  # sets the makespan if no robot has to move: time to make way
@@ -47,12 +49,14 @@ class Ends(NamedTuple):
             shape (n, 2).
         alone_s: time that the slowest robot needs alone to a clear end [s]; some time to make way
             if no robot has to move.
+        waits: robots that start too close to one that has to leave, shape (b,).
     """
 
     reason: Codes
     choice: Ints
     angles: Angles
     alone_s: float
+    waits: Bools
 
 
 def choose_ends(problem: Problem, scene: Scene, parameters: DirectParameters) -> Ends:
@@ -65,6 +69,8 @@ def choose_ends(problem: Problem, scene: Scene, parameters: DirectParameters) ->
     """
     rows = np.arange(problem.plane.n)
     reason = _reasons(problem, scene, parameters.margin_mm)
+    waits = robots_that_wait(scene, parameters.margin_mm)
+    reason[waits[rows] & (reason == Reason.OK)] = Reason.TANGLED
     seeking = reason == Reason.OK
     time = _times_s(problem, scene)
     alone_s = _alone_s(scene, time[seeking, 0])
@@ -75,13 +81,13 @@ def choose_ends(problem: Problem, scene: Scene, parameters: DirectParameters) ->
         # reached late make it longer.
         elbow, program = _soonest_ends(problem, seeking, margins_mm)
         reason[seeking & (elbow < 0)] = Reason.GOAL_BLOCKED
-        waits = seeking & (elbow < 0) & _has_partner(program.tangled, elbow >= 0)
-        reason[waits], seeking, ends = Reason.TANGLED, elbow >= 0, program.angles
+        partner = seeking & (elbow < 0) & _has_partner(program.tangled, elbow >= 0)
+        reason[partner], seeking, ends = Reason.TANGLED, elbow >= 0, program.angles
         choice = _option_at(scene, ends[rows, elbow])
         alone_s = _alone_s(scene, time[rows, choice][seeking])
     choice[~seeking] = -1
     angles = np.where(seeking[:, None], scene.options[rows, choice], problem.start)
-    return Ends(reason, choice, angles, alone_s)
+    return Ends(reason, choice, angles, alone_s, waits)
 
 
 def _has_partner(pairs: Pairs, which: Mask) -> Mask:
@@ -163,7 +169,7 @@ def straight_plan(
         q=q,
         choice=ends.choice.astype(np.int64),
         required=required,
-        required_early=np.minimum(required, at_start),
+        required_early=np.minimum(required, at_start - _NEARER_MM),
         release=np.where(tangled, min(release, grid.intervals), 0),
         weight=np.ones(len(required)),
         cost=np.zeros(len(required)),
