@@ -7,6 +7,7 @@ import numpy as np
 
 from fiber_core.array_types import Bools, Floats
 from fiber_core.clearance import gaps, smallest_gaps, unproven
+from fiber_core.drive import carried_out
 from fiber_core.focal_plane import FocalPlane
 from fiber_planner.direct.parameters import DirectParameters
 from fiber_planner.direct.pieces import pieces_of
@@ -34,7 +35,8 @@ def shortfall_mm(
 
     A pair that starts and ends with as much is required to keep half of the allowance too: the
     search may miss a graze, and rounding uses some. Pairs that start too close are required to
-    keep the whole gap after the time in which they part.
+    keep the whole gap after the time in which they part. Motors with a ramp turn joints along true
+    curves.
 
     Args:
         plane: the focal plane.
@@ -99,22 +101,25 @@ def _shortfall(
     pairs, safety = scene.pairs[which], parameters.safety
     involved = np.zeros(len(plan.q), dtype=bool)
     involved[pairs] = True
-    pieces = pieces_of(grid.time_s[first:], plan.q[: plane.n, :, first:], involved)
-    start, fastest = pieces.start, pieces.fastest
-    lasts_s = grid.time_s[-1] - grid.time_s[first]  # the motion of all robots, not of these alone
+    motion = pieces_of(grid.time_s[first:], plan.q[: plane.n, :, first:], involved)
+    if first == 0 and scene.ramp_s > 0.0:
+        motion = carried_out(plane.drive, motion)
+    start, fastest = motion.start, motion.fastest
+    # the motion of all robots, not of these alone
+    lasts_s = grid.time_s[-1] - grid.time_s[first] + scene.ramp_s
     more = replace(safety, margin_mm=safety.margin_mm + 0.5 * parameters.allowance_mm)
     required = more.required_from(plane, start, fastest, lasts_s, pairs)
     static = ~scene.movable[pairs].all(axis=1)  # no speed counts there
     with_allowance = safety.margin_mm + 0.5 * allowances_mm(scene, parameters)[which]
     required[static] = np.minimum(required, with_allowance)[static]
-    doubtful = np.flatnonzero(unproven(scene.bodies, pieces, pairs, required))
+    doubtful = np.flatnonzero(unproven(scene.bodies, motion, pairs, required))
     shortfall = np.zeros(len(pairs))
     if len(doubtful):
         pairs, required = pairs[doubtful], required[doubtful]
         enough = at_most[which][doubtful]
-        at_ends = np.minimum(gaps(plane, pairs, start), gaps(plane, pairs, pieces.end))
+        at_ends = np.minimum(gaps(plane, pairs, start), gaps(plane, pairs, motion.end))
         wanted = np.where(enough, 0.0, np.minimum(required, at_ends - _MEASURED_MM))
         least = safety.required_from(plane, start, fastest, lasts_s, pairs)
-        gap = smallest_gaps(scene.bodies, pieces, pairs, required)
+        gap = smallest_gaps(scene.bodies, motion, pairs, required)
         shortfall[doubtful] = np.maximum(np.maximum(wanted, least) - gap, 0.0)
     return shortfall

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coupled motors in the local search: moves of theirs, and whether they follow a profile."""
+"""Motors in the local search: whether they follow a profile, and moves of coupled ones."""
 
 import math
 
@@ -13,6 +13,7 @@ from fiber_planner.direct.profile_sampling import (
     sample_via,
     sample_window,
 )
+from fiber_planner.direct.ramps import ramps_follow
 from fiber_planner.direct.scene import Scene
 from fiber_planner.direct.splitmix64 import RngState, next_uniform
 
@@ -24,11 +25,12 @@ _SAME_RAD = 1e-9
 
 @nb.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def motors_follow(scene: Scene, i: int, profile: Floats, step_s: float) -> bool:
-    """Return whether coupled motors and joints follow a profile inside their speeds and ranges.
+    """Return whether the motors of a robot can carry out a profile.
 
-    Between two grid times both joints turn at constant speed, and so do the motors. A motor that
-    starts outside its range may come back, but not go farther out. Robots without coupled joints
-    always do: their moves are made so.
+    Motors with a ramp change their speed no faster than they can. Coupled motors and joints stay
+    inside their speeds and ranges: between two grid times both joints turn at constant speed, and
+    so do the motors. A motor that starts outside its range may come back, but not go farther out.
+    Moves of joints that are not coupled are made inside their speeds and ranges.
 
     Args:
         scene: the robots and their surroundings.
@@ -36,6 +38,11 @@ def motors_follow(scene: Scene, i: int, profile: Floats, step_s: float) -> bool:
         profile: joint angles on the grid [rad], shape (2, k + 1).
         step_s: length of a grid interval [s].
     """
+    if scene.ramp_s > 0.0:
+        for joint in range(2):
+            largest = scene.largest_step[i, joint]
+            if not ramps_follow(profile[joint], step_s, scene.ramp_s, largest):
+                return False
     for m in range(scene.coupling.shape[1]):
         most = scene.speed[i, m] * step_s * _ROUNDING
         low, high = scene.low[i, m] - _SAME_RAD, scene.high[i, m] + _SAME_RAD

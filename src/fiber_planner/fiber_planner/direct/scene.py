@@ -48,6 +48,8 @@ class Scene(NamedTuple):
         coupling: motor angles by joint angles, k = 0 where joints are not coupled, shape (n, k, 2).
         motor_speed: highest speeds of coupled motors to plan with [rad/s], shape (n, k).
         motor_range: ranges of coupled motors [rad], shape (n, k, 2).
+        ramp_s: time over which motors spread each change of velocity [s], 0 for ideal ones.
+        largest_step: largest change of velocity of each joint within a ramp [rad/s], shape (n, 2).
         movable: robots that may be moved, shape (b,).
         key: a number that depends only on a robot's place, for its random numbers, shape (n,).
         options: configurations that put a fibre on its target, fastest first [rad],
@@ -68,6 +70,8 @@ class Scene(NamedTuple):
     coupling: Floats
     motor_speed: Floats
     motor_range: Floats
+    ramp_s: float
+    largest_step: Floats
     movable: Bools
     key: NDArray[np.uint64]
     options: Floats
@@ -109,6 +113,8 @@ def scene_of(problem: Problem, parameters: DirectParameters | None = None) -> Sc
         coupling=plane.coupling,
         motor_speed=_MOTOR_SPEED * plane.motor_speeds,
         motor_range=plane.motor_limits,
+        ramp_s=plane.drive.ramp_s,
+        largest_step=plane.drive.largest_step_rad_s,
         movable=movable,
         key=place_keys(plane, parameters.seed),
         options=options,
