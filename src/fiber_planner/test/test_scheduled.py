@@ -235,6 +235,23 @@ def test_corrections_under_a_cap_are_packed_nearly_as_tight_as_joints_can_be(see
         assert found.motion.time_s[-1] <= 1.02 * max(in_turn, longest[0]) * units.tick_s
 
 
+def test_a_timetable_in_which_legs_do_not_fit_grows_by_little_after_its_first_step(monkeypatch):
+    plane = with_drive(preset("desi_petals", 200), "desi", motors_on=0.55)
+    problem = random_field(plane, np.random.default_rng(2), gap_mm=0.5).problem
+    tried, extend = [], Timetable.extend
+
+    def noted(table, ticks):
+        tried.append((table.ticks, ticks))
+        extend(table, ticks)
+
+    monkeypatch.setattr(Timetable, "extend", noted)
+    ScheduledPlanner().plan(problem)
+    before, after = np.array(tried).T
+    assert len(tried) > 1 and (before[1:] == after[:-1]).all()
+    assert after[0] <= np.ceil(1.04 * before[0])
+    assert (after[1:] <= np.ceil(1.01 * before[1:])).all()
+
+
 def test_other_motors_are_refused():
     problem = random_problem(preset("desi", 3), np.random.default_rng(0))
     with pytest.raises(PlannerError, match="for motors with listed speeds.*'ideal'"):

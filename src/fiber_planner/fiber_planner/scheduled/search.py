@@ -34,8 +34,9 @@ _NO_PLACE = 10.0  # cost of a robot that rests at first, in pairs that are too c
 _TRIES = 30  # times as many motions show that no way is free, as a robot in conflict tries
 _SETTLING = 4  # times as many rounds in which robots may rest
 _HELPS = 0.6  # with fewer conflicts than this share of those before, longer timetables help
-_LONGER = 1.04  # a timetable in which conflicts are left becomes longer by this
-_FITTING = 1.01  # one in which legs do not fit by this, where no arm has to fold in the time left
+# A timetable in which conflicts are left, or legs do not fit, becomes longer by the first of these,
+# where arms need time to fold, and then by the second.
+_LONGER, _LITTLE_LONGER = 1.04, 1.01
 
 
 class Effort(Protocol):
@@ -98,7 +99,7 @@ class Search:
         far: bool,
         blocked: Mask,
     ):
-        self._far = far
+        self._far, self._longer = far, _LONGER if far else _LITTLE_LONGER
         self._conflicts, self._motors, self._rng = conflicts, motors, rng
         self._turn, self._others = turn.copy(), others
         self._table = Timetable(group, allowed, ticks)
@@ -135,7 +136,7 @@ class Search:
             if few or self._left > _HELPS * before or self._table.ticks >= longest:
                 break
             before = self._left
-            self._table.extend(min(longest, int(np.ceil(_LONGER * self._table.ticks))))
+            self._extend(longest)
         self._free_blocked(effort)
         self._rounds(_SETTLING * effort.rounds, effort.candidates, 1.0, True, progress)
         self._settle(effort.rounds, effort.candidates)
@@ -215,8 +216,12 @@ class Search:
             if len(left) <= _FEW * len(self._every):
                 self._rest(left)  # the search finds a place for them
                 return
-            longer = _LONGER if self._far else _FITTING
-            self._table.extend(min(longest, int(np.ceil(longer * self._table.ticks))))
+            self._extend(longest)
+
+    def _extend(self, longest: int) -> None:
+        ticks = int(np.ceil(self._longer * self._table.ticks))
+        self._table.extend(min(longest, ticks))
+        self._longer = _LITTLE_LONGER
 
     def _entered(self, rows: Rows, phases: float) -> Rows:
         # enter all robots in an empty timetable; returns those that did not fit
