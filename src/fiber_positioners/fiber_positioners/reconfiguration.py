@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fiber_bus_bridge import SessionConfig
 from fiber_bus_bridge.frame_log import frame_log
 from fiber_core.array_types import Angles, Codes, Floats
 from fiber_core.clearance import Certificate, Safety
@@ -208,6 +209,7 @@ def reconfigure(
     options: DiscretizeOptions | None = None,
     capture: str | Path | None = None,
     progress: ProgressCallback | None = None,
+    tolerance_mm: float = SessionConfig.tolerance_mm,
 ) -> Reconfiguration:
     """Plan a reconfiguration, send it to simulated robots, and carry it out.
 
@@ -225,9 +227,12 @@ def reconfigure(
         options: options of the discretizer; by default as `DiscretizeOptions` says.
         capture: folder for waveforms (VCD) and packets (pcap) of the buses.
         progress: called with the fraction of the work that is done, 0..1, and a short text.
+        tolerance_mm: distance from its target within which a fibre has reached it [mm]; less than
+            what a correction is to mend.
 
     Raises:
-        FiberError: the planner is unknown, or the problem does not suit it.
+        FiberError: the planner is unknown, or the problem does not suit it; the tolerance is no
+            length.
         OSError: the capture cannot be written.
     """
     orders = make_orders(
@@ -238,7 +243,9 @@ def reconfigure(
         progress=part_of(progress, 0.0, 0.8, "orders"),
     )
     moving = part_of(progress, 0.8, 1.0, "buses")
-    run = run_on_simulated_buses(orders, seed=seed, capture=capture, progress=moving)
+    run = run_on_simulated_buses(
+        orders, seed=seed, capture=capture, progress=moving, tolerance_mm=tolerance_mm
+    )
     if progress is not None:
         progress(1.0, "the plan is over")
     return Reconfiguration(orders, run, seed)

@@ -9,7 +9,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from fiber_bus_bridge import Exchange, LoadedPlan, PlanResult, Session, SessionState
+from fiber_bus_bridge import (
+    Exchange,
+    LoadedPlan,
+    PlanResult,
+    Session,
+    SessionConfig,
+    SessionState,
+)
 from fiber_bus_bridge.capture import Tap
 from fiber_bus_bridge.simulation import (
     ObservedBuses,
@@ -62,6 +69,7 @@ def run_on_simulated_buses(
     capture: str | Path | None = None,
     progress: ProgressCallback | None = None,
     observe: bool = False,
+    tolerance_mm: float = SessionConfig.tolerance_mm,
 ) -> SimulatedRun:
     """Load, verify and certify orders, start the robots, and follow them to the end.
 
@@ -71,9 +79,10 @@ def run_on_simulated_buses(
         capture: folder for waveforms (VCD) and packets (pcap) of the buses.
         progress: called with the fraction of the motion that is done, 0..1, and a short text.
         observe: whether to note what the counters do, which no robot reports.
+        tolerance_mm: distance from its target within which a fibre has reached it [mm].
 
     Raises:
-        FiberError: the bus addresses of the plane are impossible.
+        FiberError: the bus addresses of the plane are impossible, or the tolerance is no length.
         OSError: the capture cannot be written.
     """
     plane, units, seconds = orders.plane, orders.units, {}
@@ -82,7 +91,8 @@ def run_on_simulated_buses(
     true_motion = TrueMotion(buses.positioners, units.quantum_rad) if observe else None
     backend = buses if true_motion is None else ObservedBuses(buses, true_motion)
     tap = None if capture is None else Tap(backend, buses.timing)
-    session = Session(plane, units, orders.safety, tap or backend, start)
+    config = SessionConfig(tolerance_mm=tolerance_mm)
+    session = Session(plane, units, orders.safety, tap or backend, start, config)
     ready_s = session.configure(0.0)
     session.transactions.take_traffic()  # the frames of the configuration belong to no plan
     session.submit(orders.wire, orders.targets)

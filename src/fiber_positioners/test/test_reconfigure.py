@@ -132,6 +132,18 @@ def test_another_planner_stands_behind_the_interface():
     assert (result.reason == Reason.NOT_CONVERGED).all()
 
 
+def test_a_robot_that_stays_near_its_target_is_held_where_the_tolerance_is_less():
+    drawn = random_problem(preset("desi", 7), seed=1)
+    tips = kinematics.forward(drawn.plane, drawn.start)[1]
+    problem = Problem(drawn.plane, drawn.start, tips + [0.03, 0.04])  # 50 um away
+    assert (reconfigure(problem, planner=Resting()).outcome == Outcome.REACHED).all()
+    corrected = reconfigure(problem, planner=Resting(), tolerance_mm=0.002)
+    assert (corrected.outcome == Outcome.HELD).all()
+    assert (corrected.reason == Reason.NOT_CONVERGED).all()
+    with pytest.raises(FiberError, match="tolerance_mm"):
+        reconfigure(problem, planner=Resting(), tolerance_mm=-1.0)
+
+
 def test_a_refused_target_holds_its_robot_and_has_a_reason():
     problem = random_problem(preset("desi", 7), seed=1)
     targets = problem.targets.copy()
