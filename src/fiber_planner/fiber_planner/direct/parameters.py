@@ -4,9 +4,8 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from fiber_core.bounds import Range, check_ranges
-from fiber_core.clearance import Safety
-from fiber_planner.errors import PlannerError
+from fiber_core.bounds import Range
+from fiber_planner.safe_parameters import SafeParameters
 
 __all__ = ["DirectParameters", "effort_share"]
 
@@ -14,19 +13,10 @@ _TINY_PLANE, _LARGE_PLANE, _TIMES = 100, 1000, 4  # see effort_share
 
 
 @dataclass(frozen=True)
-class DirectParameters:
-    """Clearance that the plan must keep, and the effort that the search may spend.
+class DirectParameters(SafeParameters):
+    """Margin and timing errors, the allowance beyond them, and the effort of the search.
 
     Args:
-        margin_mm: margin, the gap between outlines that must remain at every instant [mm].
-        clock_ppm: largest error of a positioner's clock, fast or slow [1e-6].
-        start_skew_s: largest difference between the starts of two positioners [s].
-        stop_skew_s: largest difference between the stops of two positioners when one must stop
-            early [s].
-        border_start_skew_s: largest difference between the starts of two positioners of
-            different sectors [s].
-        border_stop_skew_s: largest difference between the stops of two positioners of different
-            sectors [s].
         allowance_mm: gap that is planned beyond the one that safety requires [mm];
             discretization and rounding may use it up.
         intervals: approximate number of intervals of the common time grid; every breakpoint
@@ -47,7 +37,7 @@ class DirectParameters:
     """
 
     RANGES: ClassVar = {
-        **Safety.RANGES,
+        **SafeParameters.RANGES,
         "allowance_mm": Range(0.0, 1e3),
         "intervals": Range(4, 1024, whole=True),
         "stretch": Range(1.0, 10.0),  # times that of the slowest robot; memory grows with it
@@ -57,12 +47,6 @@ class DirectParameters:
         "seed": Range(0, 2**32 - 1, whole=True),
     }
 
-    margin_mm: float = 0.05
-    clock_ppm: float = 50.0
-    start_skew_s: float = 200e-6
-    stop_skew_s: float = Safety.stop_skew_s
-    border_start_skew_s: float = Safety.border_start_skew_s
-    border_stop_skew_s: float = Safety.border_stop_skew_s
     allowance_mm: float = 0.03
     intervals: int = 48
     stretch: float = 2.2
@@ -70,17 +54,6 @@ class DirectParameters:
     shortening: float = 800.0
     budget_s: float = float("inf")
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_ranges(self, self.RANGES, PlannerError)
-
-    @property
-    def safety(self) -> Safety:
-        """The clearance that the certificate requires."""
-        return Safety(
-            self.margin_mm, self.clock_ppm, self.start_skew_s, self.stop_skew_s,
-            self.border_start_skew_s, self.border_stop_skew_s,
-        )  # fmt: skip
 
 
 def effort_share(robots: int) -> int:

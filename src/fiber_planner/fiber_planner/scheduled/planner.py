@@ -8,7 +8,7 @@ import numpy as np
 
 from fiber_core import kinematics
 from fiber_core.array_types import Angles, Codes, Floats, Mask
-from fiber_core.bounds import Range, check_ranges
+from fiber_core.bounds import Range
 from fiber_core.clearance import Safety, neighbour_pairs
 from fiber_core.drive import motors_allowed
 from fiber_core.metrics import power_bound_s
@@ -18,9 +18,9 @@ from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
 from fiber_planner.approach import inside_approaches
 from fiber_planner.direct.reachability import reachable
-from fiber_planner.errors import PlannerError
 from fiber_planner.goal_selection import choose_goals
 from fiber_planner.interface import PlannedMotion, ProgressCallback
+from fiber_planner.safe_parameters import SafeParameters
 from fiber_planner.scheduled.conflicts import Conflicts
 from fiber_planner.scheduled.moves import motors_of_plane
 from fiber_planner.scheduled.orders import sampled
@@ -34,19 +34,10 @@ _ALLOWANCE_MM = 0.02  # for the rounding of goals to whole ticks
 
 
 @dataclass(frozen=True)
-class ScheduledParameters:
-    """Clearance that the plan must keep, and the effort that the search may spend.
+class ScheduledParameters(SafeParameters):
+    """Margin and timing errors, and the effort that the search may spend.
 
     Args:
-        margin_mm: margin, the gap between outlines that must remain at every instant [mm].
-        clock_ppm: largest error of a positioner's clock, fast or slow [1e-6].
-        start_skew_s: largest difference between the starts of two positioners [s].
-        stop_skew_s: largest difference between the stops of two positioners when one must stop
-            early [s].
-        border_start_skew_s: largest difference between the starts of two positioners of
-            different sectors [s].
-        border_stop_skew_s: largest difference between the stops of two positioners of different
-            sectors [s].
         slack: by how much the first makespan that is tried exceeds its bound, as a share of it.
         stretch: longest makespan tried, in units of the bound.
         rounds: rounds of the local search at each makespan.
@@ -58,7 +49,7 @@ class ScheduledParameters:
     """
 
     RANGES: ClassVar = {
-        **Safety.RANGES,
+        **SafeParameters.RANGES,
         "slack": Range(0.0, 10.0),
         "stretch": Range(1.0, 100.0),
         "rounds": Range(1, 10_000, whole=True),
@@ -66,25 +57,11 @@ class ScheduledParameters:
         "seed": Range(0, 2**63 - 1, whole=True),
     }
 
-    margin_mm: float = Safety.margin_mm
-    clock_ppm: float = Safety.clock_ppm
-    start_skew_s: float = Safety.start_skew_s
-    stop_skew_s: float = Safety.stop_skew_s
-    border_start_skew_s: float = Safety.border_start_skew_s
-    border_stop_skew_s: float = Safety.border_stop_skew_s
     slack: float = 0.08
     stretch: float = 2.0
     rounds: int = 16
     candidates: int = 8
     seed: int = 0
-
-    def __post_init__(self):
-        check_ranges(self, self.RANGES, PlannerError)
-
-    @property
-    def safety(self) -> Safety:
-        """The margin and the timing errors in one value."""
-        return Safety(**{name: getattr(self, name) for name in Safety.RANGES})
 
 
 class ScheduledPlanner:
