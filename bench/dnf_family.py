@@ -39,6 +39,8 @@ VARIANTS = {
     "sign corrected": ("dnf", dict(attraction="tip", adaptive=False)),
     "dnf": ("dnf", {}),
     "dnf_arms": ("dnf_arms", {}),
+    "dnf_priority, not rehearsed": ("dnf_priority", dict(rehearsals=0)),
+    "dnf_arms_priority, not rehearsed": ("dnf_arms_priority", dict(rehearsals=0)),
     "dnf_priority": ("dnf_priority", {}),
     "dnf_arms_priority": ("dnf_arms_priority", {}),
     "direct": ("direct", {}),
@@ -78,7 +80,8 @@ A tip distance below 2 mm is a collision of tips. *Arm pairs* are neighbours wit
 overlap at some sampled instant, one every 5 ms or more: a violation by planners that keep whole
 arms apart; after a planner that keeps only tips apart, the discretizer must hold those robots. The
 law as printed has no joint stops: the paper's plane has four turns in each direction instead, the
-other planes have stops. Claims are the papers' own, on their own fields. Compute is processor time,
+other planes have stops. Claims are the papers' own, on their own fields. *Not rehearsed* is
+`rehearsals=0`: no robot knows more than its neighbours' state. Compute is processor time,
 measured on: {machine}.
 
 """

@@ -46,8 +46,8 @@ corrections: [navigation function](dnf.md), [discretizer](discretizer.md).
 {claims}
 
 The laws: *as printed* (the sign of the repulsion too), *sign corrected* (and nothing else),
-`dnf` (all corrections), `dnf_priority` (with priorities for robots that block each other), and
-`direct`, which looks ahead and is not of the papers.
+`dnf` (all corrections), `dnf_priority` (with priorities for robots that block each other, and
+without rehearsals), and `direct`, which looks ahead and is not of the papers.
 
 ## Motion time against the number of robots
 

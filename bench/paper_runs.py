@@ -21,7 +21,7 @@ from fiber_core.metrics import lower_bound_s
 from fiber_core.outcomes import Reason
 from fiber_core.presets import preset
 from fiber_core.problem import Problem
-from fiber_planner import PlannedMotion, make_planner
+from fiber_planner import PlannedMotion, Planner, make_planner
 from fiber_positioners import Reconfiguration, make_orders, random_problem, reconfigure
 
 __all__ = [
@@ -42,9 +42,11 @@ _ARRIVED_MM = 0.1  # the papers' tolerance
 
 THEOREM = "sign corrected, lambda1 = 0.04 lambda2"  # meets the condition of the theorem
 
-# name -> (planner, parameters): the printed law, and one change at a time
+# name -> (planner, parameters): the printed law, and one change at a time; no robot knows more
+# than its neighbours' state, so priorities are not rehearsed
 LAWS: dict[str, tuple[str, dict[str, Any]]] = {
     **VARIANTS,
+    "dnf_priority": VARIANTS["dnf_priority, not rehearsed"],
     "sign corrected, steps of 1 ms": (
         "dnf", {"attraction": "tip", "adaptive": False, "dt_s": 1e-3}
     ),
@@ -83,9 +85,13 @@ def arrivals_s(problem: Problem, planned: PlannedMotion) -> Floats:
     return np.where(arrives, motion.time_s[after], np.inf)
 
 
-def _planned(law: str, problem: Problem) -> tuple[PlannedMotion, float]:
+def _planner(law: str) -> Planner:
     name, parameters = LAWS[law]
-    planner = make_planner(name, **parameters)
+    return make_planner(name, **parameters)
+
+
+def _planned(law: str, problem: Problem) -> tuple[PlannedMotion, float]:
+    planner = _planner(law)
     begin = time.process_time()
     planned = planner.plan(problem)
     return planned, time.process_time() - begin
@@ -166,8 +172,8 @@ def three_robots() -> tuple[Reconfiguration, Row]:
     arrive = {
         law: int((_planned(law, problem)[0].reason == Reason.OK).sum()) for law in laws_of_three
     }
-    steps = make_orders(problem, planner="dnf_priority", options=WAYS["makarem2014"])
-    result = reconfigure(problem, planner="dnf_priority")
+    steps = make_orders(problem, planner=_planner("dnf_priority"), options=WAYS["makarem2014"])
+    result = reconfigure(problem, planner=_planner("dnf_priority"))
     return result, {
         "arrive": arrive,
         "seven_steps": int((steps.reason == Reason.OK).sum()),
@@ -184,11 +190,11 @@ def discretizations(robots: int, planners: tuple[str, ...]) -> list[Row]:
 
     Args:
         robots: number of robots.
-        planners: names of planners.
+        planners: names of LAWS.
     """
     rows = []
     for planner in planners:
-        orders = make_orders(problem_of(robots, 0), planner=planner)
+        orders = make_orders(problem_of(robots, 0), planner=_planner(planner))
         bits = orders.units.velocity_bits + orders.units.duration_bits
         for way in ("makarem2014 as printed", "makarem2014", "sequential (default)"):
             row = of_chain(orders, way)

@@ -188,7 +188,8 @@ def crowd(n, alone_s=None, **parameters):
         np.tile([1.0, 0.5], (n, 1)), np.zeros((n, 2)),
     )  # fmt: skip
     alone_s = np.linspace(1.0, 2.0, n) if alone_s is None else alone_s
-    return Priorities(swarm, alone_s, **numbers), np.tile([0.0, 0.5], (n, 1))
+    start = np.tile([0.0, 0.5], (n, 1))
+    return Priorities(swarm, start, alone_s, **numbers), start
 
 
 def stand_still(order, angles, blocker, steps):

@@ -127,6 +127,7 @@ class DnfPriorityParameters(DnfParameters):
         yield_s: time that a robot gives way, and that it claims the way without success [s];
             None for 300 ms at 180 deg/s, longer in the same proportion.
         claims: how often a robot may claim the way.
+        rehearsals: how many remedies are rehearsed for robots that arrive late; 0 for none.
 
     Raises:
         PlannerError: a value is out of range, attraction is not 'joint' (a folded arm is
@@ -138,11 +139,13 @@ class DnfPriorityParameters(DnfParameters):
         "patience_s": Range(1e-6, _MOST_WAIT_S),
         "yield_s": Range(1e-6, _MOST_WAIT_S),
         "claims": Range(0, 10_000, whole=True),
+        "rehearsals": Range(0, 100, whole=True),
     }
 
     patience_s: float | None = None
     yield_s: float | None = None
     claims: int = 5
+    rehearsals: int = 4
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -2,7 +2,7 @@
 """The dnf planners: every robot follows its own navigation function (Makarem et al. 2014a)."""
 
 from dataclasses import replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from fiber_planner.dnf.arm_repulsion import ArmNeighbours
 from fiber_planner.dnf.integrator import apply_steps, arm_points, joint_steps
 from fiber_planner.dnf.navigation_function import Contacts, ControlLaw, Swarm
 from fiber_planner.dnf.parameters import DnfParameters, DnfPriorityParameters
-from fiber_planner.dnf.priority import NoPriorities, Priorities
+from fiber_planner.dnf.priority import NoPriorities, Priorities, Run, Waits, folded_phi
+from fiber_planner.dnf.rehearsal import Rehearsals
 from fiber_planner.dnf.tip_repulsion import TipNeighbours
 from fiber_planner.errors import PlannerError
 from fiber_planner.goal_selection import choose_goals, travel_s
@@ -52,6 +53,16 @@ class _Priorities(Protocol):
     def update(self, before: Angles, after: Angles, fraction: Floats, blocker: Ints) -> bool: ...
 
 
+class _Scene(NamedTuple):
+    # what all runs of a plan have in common; the most steps end it at the horizon
+    start: Angles
+    neighbours: _Neighbours
+    swarm: Swarm
+    law: ControlLaw
+    alone_s: Floats
+    steps: int
+
+
 class DnfPlanner:
     """Decentralized navigation function on the tips, as in Makarem et al. 2014 (A&A 566, A84).
 
@@ -81,7 +92,7 @@ class DnfPlanner:
         problem = replace(problem, plane=with_independent_speeds(problem.plane))
         law = ControlLaw.of(problem.plane, self.parameters)
         goal, reason = choose_goals(problem, self.parameters.margin_mm)
-        motion = self._integrate(problem, goal, law, progress)
+        motion = self._move(self._scene(problem, goal, law), progress)
 
         away = kinematics.on_target(problem.plane, motion.end, problem.targets).error_mm
         late = (reason == Reason.OK) & (away > self.parameters.tolerance_mm)
@@ -90,19 +101,15 @@ class DnfPlanner:
     def _neighbours(self, problem: Problem, goal: Angles, law: ControlLaw) -> _Neighbours:
         return TipNeighbours(problem.plane, law)
 
-    def _priorities(self, swarm: Swarm, alone_s: Floats, law: ControlLaw) -> _Priorities:
-        return NoPriorities(swarm, law.dt)
+    def _move(self, scene: _Scene, progress: ProgressCallback | None) -> SampledMotion:
+        priorities = NoPriorities(scene.swarm, scene.law.dt)
+        return self._integrate(scene, priorities, scene.steps, progress)
 
-    def _integrate(
-        self, problem: Problem, goal: Angles, law: ControlLaw, progress: ProgressCallback | None
-    ) -> SampledMotion:
-        # steps of the control law until all robots have arrived or stopped, or the horizon
+    def _scene(self, problem: Problem, goal: Angles, law: ControlLaw) -> _Scene:
         plane = problem.plane
         neighbours = self._neighbours(problem, goal, law)
         swarm = Swarm.of(plane, problem.start, goal, plane.enabled & ~neighbours.immovable)
         alone_s = travel_s(problem, goal)
-        priorities = self._priorities(swarm, alone_s, law)
-        towards_aim = swarm._replace(goal=priorities.aim)
         horizon_s = self.parameters.end_s(float(alone_s.max(initial=0.0)))
         steps = max(1, int(np.ceil(horizon_s / law.dt - 1e-9)))
         if steps > _MOST_STEPS or steps * plane.n > _MOST_ROWS:
@@ -111,14 +118,21 @@ class DnfPlanner:
                 f"{plane.n} robots, expected at most {_MOST_STEPS} steps, and {_MOST_ROWS} "
                 "steps times robots; set horizon_s or dt_s"
             )
+        return _Scene(np.array(problem.start), neighbours, swarm, law, alone_s, steps)
 
-        angles = np.array(problem.start)
+    def _integrate(
+        self, scene: _Scene, priorities: _Priorities, steps: int, progress: ProgressCallback | None
+    ) -> SampledMotion:
+        # steps of the control law until all robots have arrived or stopped, or to the last step
+        angles, neighbours, swarm, law = scene.start, scene.neighbours, scene.swarm, scene.law
+        n = len(angles)
+        towards_aim = swarm._replace(goal=priorities.aim)
         history = [angles]
         while len(history) <= steps:
             elbows, tips = arm_points(angles, swarm)
             _, push, contacts = neighbours.repel(angles, elbows, tips, priorities.ranks)
             step, arrives = joint_steps(angles, elbows, tips, push, towards_aim, law)
-            fraction, blocker = np.ones(plane.n), np.full(plane.n, -1)
+            fraction, blocker = np.ones(n), np.full(n, -1)
             if law.adaptive:
                 fraction, blocker = neighbours.step_fractions(step, contacts)
             after = apply_steps(angles, step, arrives, fraction, towards_aim)
@@ -167,10 +181,36 @@ class DnfPriorityPlanner(DnfPlanner):
         self._priority_parameters = parameters or DnfPriorityParameters()
         super().__init__(self._priority_parameters)
 
-    def _priorities(self, swarm: Swarm, alone_s: Floats, law: ControlLaw) -> _Priorities:
-        patience_s, yield_s = self._priority_parameters.waits_s(swarm.speed)
-        claims = self._priority_parameters.claims
-        return Priorities(swarm, alone_s, law.dt, patience_s, yield_s, claims)
+    def _move(self, scene: _Scene, progress: ProgressCallback | None) -> SampledMotion:
+        # the best of all rehearsals; none is followed for longer than that
+        parameters, swarm = self._priority_parameters, scene.swarm
+        patience_s, yield_s = parameters.waits_s(swarm.speed)
+        folding_s = np.abs(folded_phi(swarm) - swarm.goal[:, 1]) / swarm.speed[:, 1]
+        rehearsals = Rehearsals(
+            scene.alone_s, folding_s, patience_s, yield_s, scene.law.dt,
+            int(parameters.rehearsals),
+        )  # fmt: skip
+        none = Waits.none(len(folding_s))
+        best = self._rehearsed(scene, none, scene.steps, rehearsals.share_of(progress))
+        waits = rehearsals.next_waits(best[0])
+        while waits is not None:
+            all_arrive = best[0].score[0] == 0
+            steps = len(best[1].time_s) - 1 if all_arrive else scene.steps
+            tried = self._rehearsed(scene, waits, steps, rehearsals.share_of(progress))
+            best = min(best, tried, key=lambda one: one[0].score)  # the first one of equals
+            waits = rehearsals.next_waits(tried[0])
+        return best[1]
+
+    def _rehearsed(
+        self, scene: _Scene, waits: Waits, steps: int, progress: ProgressCallback | None
+    ) -> tuple[Run, SampledMotion]:
+        parameters, dt = self._priority_parameters, scene.law.dt
+        priorities = Priorities(
+            scene.swarm, scene.start, scene.alone_s, dt, *parameters.waits_s(scene.swarm.speed),
+            parameters.claims, waits,
+        )  # fmt: skip
+        motion = self._integrate(scene, priorities, steps, progress)
+        return priorities.shown(), motion
 
 
 class DnfArmsPriorityPlanner(DnfPriorityPlanner, DnfArmsPlanner):
