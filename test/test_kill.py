@@ -49,6 +49,7 @@ def judge_motion(line):
         (4, [], "strangers", "moving"),
         (5, [], "services", "moving"),
         (8, ["client", "bridge"], "kill", "moving"),
+        (9, ["client", "bridge"], "kill", "discretizing"),
     ],
 )
 def test_robots_never_touch_nor_move_unverified(campaign, number, names, how, stage):

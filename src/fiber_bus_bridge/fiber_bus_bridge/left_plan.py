@@ -28,7 +28,7 @@ _FAULTS = (Reason.NO_REPLY, Reason.BUS_FAILED, Reason.REBOOTED, Reason.STALLED)
 
 @dataclass(frozen=True, eq=False)
 class LeftPlan:
-    """A plan of which robots move, or have moved, and what is known of its robots.
+    """A plan that was accepted, or of which robots move or have moved, and what is known of it.
 
     Args:
         stamp_ns: names the plan [ns].
@@ -101,8 +101,14 @@ class LeftPlan:
         return replace(self, started=self.started & ~known, result=result)
 
 
-def save_left_plan(path: Path, plan: LeftPlan, plane: FocalPlane) -> None:
-    """Replace the file as a whole; before the GO of the plan it is on disk on return.
+def save_left_plan(path: Path, plan: LeftPlan, plane: FocalPlane, synced: bool = True) -> None:
+    """Replace the file as a whole.
+
+    Args:
+        path: the file.
+        plan: the plan.
+        plane: the focal plane.
+        synced: whether it is on disk on return, as it must be before a GO.
 
     Raises:
         BridgeError: the file cannot be written.
@@ -121,8 +127,7 @@ def save_left_plan(path: Path, plan: LeftPlan, plane: FocalPlane) -> None:
         "reason": result.reason.tolist(),
         "error": _numbers(result.error_mm),
     }
-    # a plan that has ended is kept for the case that its bridge dies, and no GO waits for it
-    write_checked(path, content, _NAME, synced=not plan.ended)
+    write_checked(path, content, _NAME, synced)
 
 
 def _numbers(values: Floats) -> list[float | None]:

@@ -13,3 +13,11 @@ sys.path.append(str(Path(__file__).parent))
 def state_home(tmp_path, monkeypatch):
     """Bridges remember the robots of devices in a folder of the test, not of the user."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def night(tmp_path, monkeypatch):
+    """A bridge that can be ended and begun anew beside its robots."""
+    from night_rig import make_night  # needs ROS, which most tests here do not
+
+    yield from make_night(tmp_path, monkeypatch)

@@ -166,6 +166,49 @@ def test_an_own_outcome_that_cannot_be_kept_is_told_by_no_other_bridge(path, mon
     assert after.on_disk[1].ended, "it is kept until it is told"
 
 
+def accept(kept, rig, ns=9):
+    goals = np.where(np.arange(N)[:, None] < 5, rig.plane.centers + 3.0, np.nan)
+    kept.accept(PlanStamp(ns), goals, rig.plane.fibre)
+
+
+def test_a_plan_that_was_accepted_is_told_as_not_planned_by_the_next_bridge(path):
+    rig = Rig()
+    accept(Next(rig, path).kept, rig)
+    after = Next(rig, path)
+    after.rig.call("configure")
+    after.kept.tell()
+    [(result, stamp)] = after.told
+    assert stamp == PlanStamp(9) and (result.outcome == Outcome.HELD).all()
+    asked = np.arange(N) < 5
+    assert (result.reason[asked] == Reason.NOT_PLANNED).all()
+    assert (result.reason[~asked] == Reason.NO_TARGET).all()
+
+
+def test_a_plan_that_its_bridge_has_ended_is_told_by_no_other(path):
+    rig = Rig()
+    before = Next(rig, path)
+    accept(before.kept, rig)
+    accept(before.kept, rig, ns=20)
+    before.kept.publish_outcome(left_by(rig, np.full((N, 2), np.nan)).result, PlanStamp(20))
+    after = Next(rig, path)
+    after.rig.call("configure")
+    after.kept.tell()
+    assert len(before.told) == 1 and not after.told
+
+
+def test_a_plan_that_is_accepted_takes_no_place_from_one_whose_robots_move_still(path):
+    rig = killed_in_motion(path, theta=TWO_FAR)
+    after = Next(rig, path)
+    after.rig.call("configure")
+    accept(after.kept, rig, ns=20)
+    assert not after.told
+    after.rig.t += 30.0
+    accept(after.kept, rig, ns=30)
+    [(_, stamp)] = after.told
+    assert stamp == PlanStamp(9)
+    assert load_left_plan(path.with_name("robots.plan"), rig.plane).stamp_ns == 30
+
+
 def fill_disk(patch):
     def full(*_):
         raise BridgeError("no space left on device")

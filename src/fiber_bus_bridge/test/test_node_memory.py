@@ -8,17 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
-from rest_of_graph import COUNTS, PLANE, UNITS, Rest, problem_file, turning
+from rest_of_graph import COUNTS, PLANE, UNITS, turning
 
-import fiber_bus_bridge.node.hardware
 from fiber_bus_bridge import BridgeError, SessionState
 from fiber_bus_bridge.left_plan import LeftPlan, load_left_plan, save_left_plan
 from fiber_bus_bridge.plan_result import PlanResult
 from fiber_bus_bridge.robot_memory import RobotMemory, load_memory, save_memory
 from fiber_core.outcomes import Outcome, Reason
 from fiber_core.wire_units import WireMotion
-from fiber_msgs_py import PlanStamp, diagnostics, session_of, topics
-from fiber_node import RosClient
+from fiber_msgs_py import PlanStamp, session_of, topics
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -65,49 +63,6 @@ def _parsed(text):
         return json.loads(text)
     except ValueError:
         return None
-
-
-class Night(Rest):
-    """A bridge that can be ended at any moment; its robots are those of the bridge before."""
-
-    def __init__(self, peer, problem, made, **parameters):
-        self.given = dict(problem=problem, time_scale=0.2, attempts=1, **parameters)
-        super().__init__(peer, problem, time_scale=0.2, attempts=1, **parameters)
-        self.robots = made[0].positioners
-
-    def restart(self):
-        for stage in self.stages.values():
-            self.peer.node.destroy_subscription(stage._subscription)
-        self.peer.remove_node(self.bridge)
-        given = dict(self.given)
-        for messages in self.received.values():
-            messages.clear()
-        super().__init__(self.peer, given.pop("problem"), **given)
-
-    def jam(self, robot):
-        """Jam a robot that moves."""
-        memory, bus = self.robots.memory, self.bridge._session.transactions
-        self.until(lambda: bus.now_s > memory["started_s"][robot])
-        memory["jam_s"][robot] = bus.now_s
-
-    def left_out(self):
-        statuses = diagnostics.decode(self.received[topics.DIAGNOSTICS.name][-1])
-        return next((s.values for s in statuses if s.name == "bridge: left out"), {})
-
-
-@pytest.fixture
-def night(tmp_path, monkeypatch):
-    made, build = [], fiber_bus_bridge.node.hardware.simulated_buses
-    monkeypatch.setattr(
-        fiber_bus_bridge.node.hardware,
-        "simulated_buses",
-        lambda *given: made[0] if made else made.append(build(*given)) or made[0],
-    )
-    path = tmp_path / "robots.json"
-    with RosClient("rest") as peer:
-        made_night = Night(peer, problem_file(tmp_path), made, memory=str(path))
-        made_night.path = path
-        yield made_night
 
 
 @pytest.fixture

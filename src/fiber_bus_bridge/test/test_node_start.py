@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which plan a start means, when targets or orders of another one have come."""
+"""Plans that wait for orders or a start: which one a start means, and how they end."""
 
 import numpy as np
 import pytest
 from rest_of_graph import COUNTS, PLANE, Rest, problem_file, turning
+from test_node_memory import unfolding
 
 from fiber_core.outcomes import Outcome, Reason
 from fiber_msgs_py import topics
@@ -51,3 +52,20 @@ def test_a_plan_is_not_started_while_newer_targets_are_planned_from_its_start(re
     assert rest.call(topics.START).success
     rest.end(21)
     rest.until(lambda: np.array_equal(rest.counts(), turning(ticks=10).end))
+
+
+@pytest.mark.parametrize("ready", [False, True])
+def test_a_plan_whose_bridge_ends_before_its_start_is_told_by_the_next(night, ready):
+    night.ask_ends(9, unfolding(300))
+    if ready:
+        night.ready(9, unfolding(300))
+    night.restart()
+    result, reason, _ = night.end(9)
+    assert np.all(result == Outcome.HELD) and np.all(reason == Reason.NOT_PLANNED)
+    night.ready(20)
+    assert night.call(topics.START).success
+    result, _, _ = night.end(20)
+    assert np.all(result == Outcome.REACHED)
+    night.restart()
+    night.until(lambda: night.received[topics.LAYOUT.name])
+    assert not night.received[topics.OUTCOME.name]

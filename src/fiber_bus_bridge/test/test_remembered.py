@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from session_rig import Rig
-from test_node_memory import night, unfolding  # noqa: F401
+from test_node_memory import unfolding
 from test_turn_limits import ALL, CONFIG, N, close_pair, new_rig, place
 
 from fiber_bus_bridge import BridgeError, SessionState
@@ -115,7 +115,7 @@ def believes_no_counters(a_night, **given):
 
 
 def test_a_bridge_that_dies_once_it_has_configured_has_saved_which_joint_did_not_follow(
-    night,  # noqa: F811
+    night,
     monkeypatch,
 ):
     believes_no_counters(night)
@@ -131,7 +131,7 @@ def test_a_bridge_that_dies_once_it_has_configured_has_saved_which_joint_did_not
     assert not night.bridge._session.usable[5]
 
 
-def test_without_a_place_on_disk_a_plan_ends_without_another_attempt(night, monkeypatch):  # noqa: F811
+def test_without_a_place_on_disk_a_plan_ends_without_another_attempt(night, monkeypatch):
     believes_no_counters(night, attempts=2, session__resumes=0)
     night.ready(9, unfolding(ticks=300))
     assert night.call(topics.START).success

@@ -8,6 +8,7 @@ from typing import Any
 from rclpy.publisher import Publisher
 
 from fiber_bus_bridge.errors import SessionError
+from fiber_bus_bridge.node.kept_plan import KeptPlan
 from fiber_bus_bridge.node.outlines import Outlines
 from fiber_bus_bridge.node.plan_inputs import PlanInputs
 from fiber_bus_bridge.node.publishers import Publishers
@@ -41,7 +42,8 @@ class AcceptedPlans:
         session_id: id of the session in messages.
         inputs: keeps the accepted plans.
         outlines: the outlines of the session.
-        outgoing: publishes encoders and outcomes.
+        outgoing: publishes encoders.
+        kept: publishes outcomes.
         reporter: publishes acceptances and refusals.
         sender: publishes targets without a stamp again, with one.
         check_role: refuses by a SessionError while this bridge may move no robot.
@@ -55,13 +57,14 @@ class AcceptedPlans:
         inputs: PlanInputs,
         outlines: Outlines,
         outgoing: Publishers,
+        kept: KeptPlan,
         reporter: Reporter,
         sender: Publisher,
         check_role: Callable[[], None],
     ):
         self._watch, self._session, self._session_id = watch, session, session_id
         self._inputs, self._outlines = inputs, outlines
-        self._outgoing, self._reporter = outgoing, reporter
+        self._outgoing, self._kept, self._reporter = outgoing, kept, reporter
         self._open: dict[PlanStamp, Attempt] = {}  # accepted, and without orders yet
         self._announced_s = self._foreign_s = 0.0
         self._sender, self._check_role = sender, check_role
@@ -81,8 +84,7 @@ class AcceptedPlans:
             self._refuse_foreign(stamp, f"targets {stamp} refused: {error}")
             return None
         if stamp.ns == 0:
-            self._send_with_present_stamp(message)
-            return None
+            return self._send_with_present_stamp(message)
         return stamp if self._accept(stamp, message) else None
 
     def _refuse_foreign(self, stamp: PlanStamp, text: str) -> None:
@@ -92,12 +94,14 @@ class AcceptedPlans:
             self._foreign_s = time.monotonic()
         self._reporter.refuse(text, "targets", Attempt.first(stamp) if answers else None)
 
-    def _send_with_present_stamp(self, message: Any) -> None:
+    def _send_with_present_stamp(self, message: Any) -> PlanStamp | None:
         # zero means now; all nodes must take the same time for it, so the targets are sent again
         stamp = PlanStamp(self._outgoing.now_ns())
         message.header.stamp = stamp.to_time()
-        if self._accept(stamp, message):
-            self._sender.publish(message)
+        if not self._accept(stamp, message):
+            return None
+        self._sender.publish(message)
+        return stamp
 
     def _accept(self, stamp: PlanStamp, message: Any) -> bool:
         goals = None
@@ -144,7 +148,7 @@ class AcceptedPlans:
         session = self._session
         plane = session.plane.with_fibre(self._inputs.fibre(stamp))
         result = unexecuted(plane, session.angles, goals, reason)
-        self._outgoing.publish_outcome(result.explained_by(self._inputs.reasons(stamp)), stamp)
+        self._kept.publish_outcome(result.explained_by(self._inputs.reasons(stamp)), stamp)
 
     def awaits_orders(self, stamp: PlanStamp) -> Attempt | None:
         """Return the accepted plan of a stamp whose orders have not come yet, None without one."""

@@ -104,8 +104,11 @@ class Attempts:
 
     def hear_targets(self, message: Any) -> None:
         """Accept or refuse new targets; accepted ones end a plan that waits for another attempt."""
-        if self._accepted.hear_targets(message) is not None:
+        stamp = self._accepted.hear_targets(message)
+        goals = None if stamp is None else self.inputs.targets(stamp)
+        if stamp is not None and goals is not None:
             self.give_up("there are new targets")
+            self._kept.accept(stamp, goals, self.inputs.fibre(stamp))
 
     def hear_held(self, message: Any) -> None:
         """Keep the robots that a stage holds."""

@@ -179,7 +179,7 @@ class BridgeNode(ManagedNode):
         inputs, watch = PlanInputs(self._hardware.plane, self._claim.id), StageWatch(self)
         accepted = AcceptedPlans(
             watch, self._session, self._claim.id, inputs, self._outlines, self._outgoing,
-            self.reporter, topics.TARGETS.publisher(self), self._check_role,
+            self._kept_plan, self.reporter, topics.TARGETS.publisher(self), self._check_role,
         )  # fmt: skip
         return Attempts(
             self, watch, self._session, self._claim.id, accepted, inputs, self._availability,

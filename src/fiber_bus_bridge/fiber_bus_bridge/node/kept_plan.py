@@ -12,8 +12,10 @@ from fiber_bus_bridge.left_plan import LeftPlan, load_left_plan, save_left_plan
 from fiber_bus_bridge.node.publishers import Publishers
 from fiber_bus_bridge.plan_result import PlanResult
 from fiber_bus_bridge.session import Session
-from fiber_core.array_types import Mask
+from fiber_bus_bridge.unexecuted import unexecuted
+from fiber_core.array_types import Ints, Mask, Points
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.outcomes import Reason
 from fiber_msgs_py import PlanStamp
 from fiber_node import Reporter
 
@@ -21,8 +23,9 @@ __all__ = ["KeptPlan"]
 
 
 class KeptPlan:
-    """Keeps the plan under way in a file from its first GO until its outcome is published.
+    """Keeps a plan in a file from its acceptance until its outcome is published.
 
+    The file has place for one plan: the newest that was accepted, or the one of which robots move.
     A bridge that finds a plan there is one whose bridge died: it reads the robots, publishes the
     outcome once, and keeps the plan until the next one begins, so that a bridge that dies in
     between says the same.
@@ -61,6 +64,25 @@ class KeptPlan:
         except BridgeError as error:
             self._reporter.refuse(f"{error}; how that plan ended is not told")
             return None
+
+    def accept(self, stamp: PlanStamp, goals: Points, fibre: Ints) -> None:
+        """Keep a plan that waits for its orders; without a place on disk it goes on all the same.
+
+        Args:
+            stamp: names the plan.
+            goals: target of each fibre [mm], shape (n, 2), nan = no target.
+            fibre: number of the fibre that each target is for, -1 for any, shape (n,).
+        """
+        if self._path is None:
+            return
+        self.tell()
+        if self._left is not None:
+            return  # the file has place for one plan, and that one is not over
+        plane, nothing = self._plane, np.zeros(self._plane.n, dtype=bool)
+        angles = self._session.angles
+        result = unexecuted(plane.with_fibre(fibre), angles, goals, Reason.NOT_PLANNED)
+        plan = LeftPlan(stamp.ns, goals, fibre, nothing, result)
+        self._own = plan if self._save(plan) else None
 
     def begin(self, plan: LeftPlan | None) -> None:
         """Keep the plan whose robots are about to be sent a GO.
@@ -104,7 +126,7 @@ class KeptPlan:
                 session.plane, session.angles, at_rest, session.robots["rest_cause"],
                 session.config.tolerance_mm,
             )  # fmt: skip
-            self._save(self._left)
+            self._save(self._left, synced=True)
 
     def tell(self) -> None:
         """Publish the outcome of the plan of an earlier bridge, once its robots rest."""
@@ -142,10 +164,10 @@ class KeptPlan:
         if not self._save(plan):
             self._remove()
 
-    def _save(self, plan: LeftPlan) -> bool:
+    def _save(self, plan: LeftPlan, synced: bool = False) -> bool:
         assert self._path is not None  # a plan was kept
         try:
-            save_left_plan(self._path, plan, self._plane)
+            save_left_plan(self._path, plan, self._plane, synced)
         except BridgeError as error:
             self._reporter.refuse(str(error))
             return False
