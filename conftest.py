@@ -44,6 +44,7 @@ os.environ |= {
     "ROS_PYTHON_CHECK_FIELDS": "1",
 }
 os.environ.setdefault("ROS_LOG_DIR", str(_ROOT / "log/ros"))
+os.environ.pop("PYTEST_ADDOPTS", None)  # it is for this run, and not for those that tests start
 
 
 @pytest.hookimpl(wrapper=True)

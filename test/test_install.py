@@ -3,6 +3,7 @@
 
 import ast
 import hashlib
+import importlib.util
 import json
 import os
 import re
@@ -59,7 +60,25 @@ def installed(wheel) -> Path:
     if not own.exists():
         shutil.rmtree(folder, ignore_errors=True)
         pip("install", "--no-deps", "--quiet", "--target", str(own), str(wheel))
+        take_compiled_loops(own)
     return own
+
+
+def take_compiled_loops(own: Path) -> None:
+    """Take over the loops that the workspace has compiled from the same sources, in minutes."""
+    for package in PURE:
+        spec = importlib.util.find_spec(package)
+        assert spec is not None and spec.origin is not None
+        theirs = Path(spec.origin).parent
+        for source in theirs.rglob("*.py"):
+            copy = own / package / source.relative_to(theirs)
+            if not copy.exists() or copy.read_bytes() != source.read_bytes():
+                continue
+            found = source.stat()  # a compiled loop is known by size and time of its source
+            os.utime(copy, ns=(found.st_atime_ns, found.st_mtime_ns))
+            for loop in source.parent.glob(f"__pycache__/{source.stem}.*.nb[ic]"):
+                (copy.parent / "__pycache__").mkdir(exist_ok=True)
+                shutil.copy2(loop, copy.parent / "__pycache__" / loop.name)
 
 
 @pytest.fixture
