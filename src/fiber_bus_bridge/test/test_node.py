@@ -33,12 +33,6 @@ from fiber_node import DISCRETIZER, PLANNER, RosClient
 pytestmark = pytest.mark.timeout(600)
 
 
-@pytest.fixture
-def rest(tmp_path):
-    with RosClient("rest") as peer:
-        yield Rest(peer, problem_file(tmp_path))
-
-
 def test_the_bridge_publishes_its_plane_and_the_encoders(rest):
     rest.until(lambda: rest.received[topics.LAYOUT.name])
     plane, units = layout.decode(rest.received[topics.LAYOUT.name][-1])

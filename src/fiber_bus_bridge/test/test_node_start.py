@@ -3,20 +3,13 @@
 
 import numpy as np
 import pytest
-from rest_of_graph import COUNTS, PLANE, Rest, problem_file, turning
+from rest_of_graph import COUNTS, PLANE, turning
 from test_node_memory import unfolding
 
 from fiber_core.outcomes import Outcome, Reason
 from fiber_msgs_py import topics
-from fiber_node import RosClient
 
 pytestmark = pytest.mark.timeout(600)
-
-
-@pytest.fixture
-def rest(tmp_path):
-    with RosClient("rest") as peer:
-        yield Rest(peer, problem_file(tmp_path))
 
 
 def test_newer_orders_replace_those_that_wait(rest):
