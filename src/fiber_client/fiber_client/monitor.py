@@ -102,7 +102,7 @@ class PlaneMonitor:
         self.refusals: dict[PlanStamp, list[PlaneRefusal]] = {}
         self.session: str | None = None
         self._limit = RateLimit()
-        gate = SessionGate(node, self._warn)
+        gate = SessionGate(node, lambda topic, text, _: self._warn(topic, text))
         for topic, callback in (
             (topics.LAYOUT, self._on_layout),
             (topics.JOINT_STATES, self._on_joint_states),

@@ -56,7 +56,7 @@ class RobotModelNode(PlaneNode):
         self.parameters.finish()
         self._report = Reporter(self, "robot_model")
         self._description, self._published = DESCRIPTION.publisher(self), ""
-        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
+        gate = SessionGate(self, self._report.refuse_message)
         gate.subscription(topics.LAYOUT, self._on_layout)
         self.get_logger().info("waits for a bridge, to describe a robot")
 

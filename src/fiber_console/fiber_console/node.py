@@ -88,7 +88,7 @@ class ConsoleNode(PlaneNode):
         self.server: ConsoleServer | None = None
         self._layout: bytes | None = None
         self._report = Reporter(self, "console")
-        gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
+        gate = SessionGate(self, self._report.refuse_message)
         for topic, observe in (
             (topics.LAYOUT, self._on_layout),
             (topics.JOINT_STATES, self._on_joint_states),

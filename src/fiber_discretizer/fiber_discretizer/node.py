@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The discretizer as a node: a trajectory in, certified segments in whole wire units out."""
 
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -60,7 +61,7 @@ class DiscretizerNode(ManagedNode):
 
     def configure(self) -> None:
         """Follow the plane, and hear trajectories."""
-        gate = SessionGate(self, lambda topic, text: self.reporter.refuse(text, topic))
+        gate = SessionGate(self, self._refuse_message)
         self._plane_cache = PlaneCache(gate, self.reporter)
         self._accepted = AcceptedAttempts(self, gate)
         self._held = topics.HELD_BY_DISCRETIZER.publisher(self)
@@ -85,6 +86,15 @@ class DiscretizerNode(ManagedNode):
             claim.release()
         for attempt in self._worker.cancel():
             self.reporter.drop(f"plan {attempt}: discretizing ended: the node is deactivated")
+
+    def _refuse_message(self, topic: str, text: str, message: Any) -> None:
+        # of the session whose layout has come: its bridge, if it is there, waits for an answer
+        ours = topic == "trajectory" and session_of(message) == self.reporter.session
+        attempt = None
+        if ours and self._claim is not None and not self._claim.earlier():
+            with suppress(FiberError):
+                attempt = Attempt.first(PlanStamp.of(message))
+        self.reporter.refuse(text, topic, attempt)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         try:

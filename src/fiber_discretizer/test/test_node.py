@@ -26,7 +26,7 @@ from fiber_msgs_py import (
     topics,
     trajectory,
 )
-from fiber_node import BRIDGE, DISCRETIZER, Claim, RosClient
+from fiber_node import BRIDGE, DISCRETIZER, Claim, RosClient, SessionGate
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -145,6 +145,17 @@ def test_corridors_are_published_while_there_is_a_subscription(rest):
     assert np.array_equal(ids, PLANE.ids)
     end = motion.decoded().end
     assert np.all(found.low[:, :, -1] <= end + 1e-6) and np.all(end <= found.high[:, :, -1] + 1e-6)
+
+
+def test_a_plan_ends_when_its_bridge_gives_no_sign_of_life(rest, monkeypatch):
+    rest.show_plane()
+    rest.discretize(8)
+    rest.segments.clear()
+    rest.held.clear()
+    # as the middleware may not tell of a bridge that lives
+    monkeypatch.setattr(SessionGate, "is_open", lambda self, session: False)
+    rest.send(9)
+    rest.wait_refusal("its bridge")
 
 
 def test_robots_that_are_not_in_the_trajectory_rest(rest):

@@ -131,6 +131,15 @@ class Reporter:
         if line is not None:
             self._node.get_logger().error(line)
 
+    def refuse_message(self, topic: str, text: str, _: object) -> None:
+        """Refuse a message, as a `SessionGate` asks for.
+
+        Args:
+            topic: name of its topic.
+            text: one line for people.
+        """
+        self.refuse(text, topic)
+
     def drop(self, text: str, source: str | None = None) -> None:
         """Log, count and publish that something out of date was dropped.
 

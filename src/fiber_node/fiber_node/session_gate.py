@@ -29,14 +29,14 @@ class SessionGate:
 
     Args:
         node: the node that receives.
-        refuse: called with the name of the topic and the reason.
+        refuse: called with the name of the topic, the reason and the message.
         group: callback group of the subscriptions; the default one of the node without one.
     """
 
     def __init__(
         self,
         node: Node,
-        refuse: Callable[[str, str], None],
+        refuse: Callable[[str, str, Any], None],
         group: CallbackGroup | None = None,
     ):
         self._node, self._refuse, self._group = node, refuse, group
@@ -66,7 +66,7 @@ class SessionGate:
     def _on_message(self, topic: str, message: Any, callback: Callable[[Any], None]) -> None:
         name, session = topic.rpartition("/")[2], session_of(message)
         if session is None:
-            self._refuse(name, f"{name} refused: it belongs to no session")
+            self._refuse(name, f"{name} refused: it belongs to no session", message)
         elif self.is_open(session):
             self._kept.pop(topic, None)
             self._pass(topic, message, callback)
@@ -91,6 +91,7 @@ class SessionGate:
             elif time.monotonic() > until_s:
                 del self._kept[topic]
                 name = topic.rpartition("/")[2]
-                self._refuse(name, f"{name} refused: its bridge, of {session}, is not in the graph")
+                text = f"{name} refused: its bridge, of {session}, is not in the graph"
+                self._refuse(name, text, message)
         if not self._kept:
             self._timer.cancel()

@@ -7,8 +7,14 @@ requests of a reader, a participant that has found another one again numbers its
 and its peer, which was paused and has deleted nothing, takes them for old ones. So the lease is
 longer than pauses that happen, and the liveliness of a publisher tells within two seconds that its
 node is dead.
+
+Fast DDS keeps one state for all readers of a process that watch a publisher with the same lease,
+and tells them only of its changes. A reader that is made later hears of none, and neither does one
+whose publisher comes to life between the match and the end of its making. So each subscription has
+a lease of its own, and one that has heard nothing is soon joined by another.
 """
 
+import itertools
 import threading
 import time
 from collections import deque
@@ -34,6 +40,8 @@ __all__ = ["LIFE_QOS", "SignsOfLife", "publish_life"]
 _LEASE_S = 0.9  # the middleware of a living process tells of it each two thirds of this time
 _PATIENCE_S = 0.7  # without a sign until a node is dead: the observer may have been paused itself
 _FIRST_S = 2.0  # until the first sign
+_AGAIN_S, _SUBSCRIPTIONS = 0.7, 3  # time between two of a sign that never came, and their number
+_STEP_NS, _STEPS = 1_000_000, 50  # between the leases of two subscriptions of this process
 # A subscription is not destroyed while the middleware deletes the participant that it was matched
 # with: both can wait for each other for ever, with the interpreter's lock (Fast DDS issue 6502).
 _KEPT_S = 2.0
@@ -41,14 +49,19 @@ _KEPT_S = 2.0
 _OWN: set[str] = set()  # topics of this process, of which the middleware gives no sign to itself
 _KEPT, _MAKING = "_signs_of_life", threading.Lock()
 
-LIFE_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-    liveliness=LivelinessPolicy.AUTOMATIC,
-    liveliness_lease_duration=Duration(seconds=_LEASE_S),
-)
+
+def _life_qos(lease: Duration) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=1,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.VOLATILE,
+        liveliness=LivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=lease,
+    )
+
+
+LIFE_QOS = _life_qos(Duration(seconds=_LEASE_S))
 
 
 def publish_life(node: Node, topic: str) -> Publisher:
@@ -57,18 +70,20 @@ def publish_life(node: Node, topic: str) -> Publisher:
     return node.create_publisher(Empty, topic, LIFE_QOS)
 
 
-class _Sign:
-    # Of one publisher, as one node sees it. The subscription is in no wait set: where liveliness
-    # has changed it would wake the executor at once, again and again, until the change is taken.
+_LEASES = itertools.cycle(
+    Duration(seconds=_LEASE_S, nanoseconds=step * _STEP_NS) for step in range(_STEPS)
+)
 
-    def __init__(self, node: Node, topic: str, clock: Callable[[], float]):
-        self._clock = clock
-        self._dead_from_s = clock() + _FIRST_S
-        self._present = True
+
+class _LifeSubscription:
+    # It is in no wait set: where liveliness has changed it would wake the executor at once, again
+    # and again, until the change is taken.
+
+    def __init__(self, node: Node, topic: str):
         check_is_valid_msg_type(Empty)  # loads what the middleware knows of the type
         with node.handle:
             self._subscription = rclpy_implementation.Subscription(
-                node.handle, Empty, topic, LIFE_QOS.get_c_qos_profile()
+                node.handle, Empty, topic, _life_qos(next(_LEASES)).get_c_qos_profile()
             )
         with self._subscription:
             self._event = rclpy_implementation.EventHandle(
@@ -76,20 +91,46 @@ class _Sign:
                 QoSSubscriptionEventType.RCL_SUBSCRIPTION_LIVELINESS_CHANGED,
             )
 
-    def is_alive(self) -> bool:
+    def hears(self) -> bool:
         with self._event:
             status = self._event.take_event()  # the present counts, whatever has changed
-        now_s, before = self._clock(), self._present
-        self._present = status is not None and status.alive_count > 0
-        if self._present:
-            self._dead_from_s = now_s
-        elif before and self._dead_from_s <= now_s:
-            self._dead_from_s = now_s + _PATIENCE_S
-        return self._present or now_s < self._dead_from_s
+        return status is not None and status.alive_count > 0
 
     def end(self) -> None:
         self._event.destroy_when_not_in_use()
         self._subscription.destroy_when_not_in_use()
+
+
+class _Sign:
+    # Of one publisher, as one node sees it.
+
+    def __init__(self, node: Node, topic: str, clock: Callable[[], float]):
+        self._node, self._topic, self._clock = node, topic, clock
+        self._subscriptions: list[_LifeSubscription] = []
+        self._dead_from_s = clock() + _FIRST_S
+        self._present, self._ever = True, False
+        self._subscribe()
+
+    def _subscribe(self) -> None:
+        self._again_s = self._clock() + _AGAIN_S
+        self._subscriptions.append(_LifeSubscription(self._node, self._topic))
+
+    def is_alive(self) -> bool:
+        now_s, before = self._clock(), self._present
+        self._present = any([each.hears() for each in self._subscriptions])
+        self._ever |= self._present
+        if self._present:
+            self._dead_from_s = now_s
+        elif before and self._dead_from_s <= now_s:
+            self._dead_from_s = now_s + _PATIENCE_S
+        can_ask = not self._ever and len(self._subscriptions) < _SUBSCRIPTIONS
+        if can_ask and now_s >= self._again_s:
+            self._subscribe()
+        return self._present or now_s < self._dead_from_s
+
+    def end(self) -> None:
+        for each in self._subscriptions:
+            each.end()
 
 
 class SignsOfLife:

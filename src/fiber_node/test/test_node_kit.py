@@ -121,7 +121,7 @@ class Bridge:
         self.graph, self.source, self.node = graph, graph("source"), graph("cache")
         self.refused = []
         self.report = Reporter(self.node, "planner")
-        self.gate = SessionGate(self.node, lambda topic, text: self.refused.append(text))
+        self.gate = SessionGate(self.node, lambda topic, text, _: self.refused.append(text))
         self.cache = PlaneCache(self.gate, self.report)
         self.layouts = topics.LAYOUT.publisher(self.source)
         self.states = topics.JOINT_STATES.publisher(self.source)
@@ -206,7 +206,7 @@ def test_with_a_new_session_everything_of_the_one_before_is_forgotten(graph):
 def test_messages_of_a_session_without_a_bridge_are_refused_by_name(graph):
     bridge = Bridge(graph)
     passed, refused = [], []
-    gate = SessionGate(bridge.node, lambda topic, text: refused.append(text))
+    gate = SessionGate(bridge.node, lambda topic, text, _: refused.append(text))
     gate.subscription(topics.LAYOUT, passed.append)
     for bridge.session, words in (
         (None, "no session"),

@@ -11,7 +11,7 @@ import rclpy
 from std_msgs.msg import Empty
 
 from fiber_node import PLANNER, Claim, RosClient, ThreadExecutor, claims
-from fiber_node.signs_of_life import LIFE_QOS, SignsOfLife
+from fiber_node.signs_of_life import LIFE_QOS, SignsOfLife, _LifeSubscription
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -135,14 +135,58 @@ def test_signs_of_claims_that_are_gone_are_kept_only_until_the_middleware_is_don
     clock.now_s += 1.9
     signs.alive(PLANNER, ["other"])
     ((_, gone),) = signs._gone
-    with gone._subscription:  # refused once it is destroyed
+    with gone._subscriptions[0]._subscription:  # refused once it is destroyed
         assert count("one") == 1
     clock.now_s += 0.2
     signs.alive(PLANNER, ["other"])
     client.wait_for(lambda: count("one") == 0, WAIT_S)
-    assert count("other") == 1
+    assert count("other")
     signs.end()
     client.wait_for(lambda: count("other") == 0, WAIT_S)
+
+
+def test_every_observer_of_a_process_sees_the_sign_that_another_has_seen_before(client, planner):
+    client.wait_for(lambda: claims(client.node, PLANNER), WAIT_S)
+    client.wait_quietly(1.0, lambda: 0)  # the middleware has told of the sign
+    later = rclpy.create_node("later_observer", context=client.node.context)
+    try:
+        for _ in range(2):  # the second time its first signs are kept, to be destroyed
+            client.wait_for(lambda: claims(later, PLANNER), WAIT_S)
+            client.wait_quietly(4.0, lambda: 0)
+            assert claims(later, PLANNER), "it lives"
+            SignsOfLife.of(later).alive(PLANNER, [])
+    finally:
+        SignsOfLife.of(later).end()
+        later.destroy_node()
+
+
+def test_a_sign_that_a_subscription_has_missed_is_asked_for_anew(client, planner, monkeypatch):
+    heard = _LifeSubscription.hears
+    deaf: list[_LifeSubscription] = []
+
+    def hears(self):
+        heard(self)
+        if not deaf:
+            deaf.append(self)
+        return self is not deaf[0] and heard(self)
+
+    monkeypatch.setattr(_LifeSubscription, "hears", hears)
+    client.wait_for(lambda: claims(client.node, PLANNER), WAIT_S)
+    client.wait_quietly(4.0, lambda: claims(client.node, PLANNER) and 0)
+    assert claims(client.node, PLANNER), "it lives"
+    planner.kill()
+    client.wait_for(lambda: not claims(client.node, PLANNER), 2.5, "its death")
+
+
+def test_a_sign_that_never_comes_is_asked_for_three_times(client):
+    clock = Clock()
+    signs, count = SignsOfLife(client.node, clock), client.node.count_subscribers
+    for _ in range(100):
+        signs.alive(PLANNER, ["never"])
+        clock.now_s += 0.1
+    client.wait_for(lambda: count("never") == 3, WAIT_S)
+    signs.end()
+    client.wait_for(lambda: count("never") == 0, WAIT_S)
 
 
 class CountingExecutor(ThreadExecutor):

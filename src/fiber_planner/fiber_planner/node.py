@@ -95,7 +95,7 @@ class PlannerNode(ManagedNode):
 
     def configure(self) -> None:
         """Follow the plane, and hear targets."""
-        gate = SessionGate(self, lambda topic, text: self.reporter.refuse(text, topic))
+        gate = SessionGate(self, self.reporter.refuse_message)
         self._plane_cache = PlaneCache(gate, self.reporter)
         self._accepted = AcceptedAttempts(self, gate)
         self._held = topics.HELD_BY_PLANNER.publisher(self)

@@ -132,9 +132,7 @@ class RecorderNode(PlaneNode):
         self._report = Reporter(self, "recorder")
         # a recording takes a second to write, in which the default group serves parameters
         work = MutuallyExclusiveCallbackGroup()
-        gate = self._gate = SessionGate(
-            self, lambda topic, text: self._report.refuse(text, topic), work
-        )
+        gate = self._gate = SessionGate(self, self._report.refuse_message, work)
         self._accepted = AcceptedAttempts(self, gate, work)
         for topic, observe in (
             (topics.LAYOUT, self._on_layout),

@@ -115,7 +115,7 @@ class ViewerNode(PlaneNode):
         self._watched = WATCHED.publisher(self)
         self._plane_points = topics.VIEW_PLANE.publisher(self)
         self._targets = topics.VIEW_TARGETS.publisher(self)
-        self._gate = SessionGate(self, lambda topic, text: self._report.refuse(text, topic))
+        self._gate = SessionGate(self, self._report.refuse_message)
         self._gate.subscription(topics.LAYOUT, self._on_layout)
         self._gate.subscription(topics.TARGETS, self._on_targets)
         self._gate.subscription(topics.OUTCOME, self._on_outcome)

@@ -120,7 +120,7 @@ class CameraNode(ManagedNode):
         self._truth: PlantTruth | None = None
         self._arms: ArmState | None = None
         self._next = 0  # number of the first movement that the arms have not made
-        gate = SessionGate(self, lambda topic, text: self.reporter.refuse(text, topic))
+        gate = SessionGate(self, self.reporter.refuse_message)
         gate.subscription(topics.LAYOUT, self._on_layout)
         self._spots = topics.SPOTS.publisher(self)
         self._images = topics.IMAGE.publisher(self)

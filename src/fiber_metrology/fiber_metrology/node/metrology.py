@@ -75,7 +75,7 @@ class MetrologyNode(ManagedNode):
         self._knowledge: Knowledge | None = None
         self._unplaced: Codes = np.zeros(0, dtype=np.int64)
         self._motions, self._turns = Motions(self._begin_motion), TurnImages()
-        gate = SessionGate(self, lambda topic, text: self.reporter.refuse(text, topic))
+        gate = SessionGate(self, self.reporter.refuse_message)
         self._accepted = AcceptedAttempts(self, gate)
         gate.subscription(topics.LAYOUT, self._refusing("layout", self._on_layout))
         gate.subscription(topics.JOINT_STATES, self._refusing("states", self._on_joint_states))
