@@ -77,7 +77,7 @@ def build_recording(
     logs = list(logs)
     followed = replay(plane, units, counts_before, logs, counts_after)
     measured, load, events = bus_events(plane, logs, followed.start_s)
-    start = units.to_angles(counts_before)
+    start = units.to_angles(followed.motion.start)
     problem = Problem(plane, start, _targets_of_all(plane, targets))
     outcome = outcome.of(plane.ids)
     return Recording(
@@ -178,9 +178,15 @@ def _notes(plane: FocalPlane, followed: Replay) -> list[str]:
         without = f" without {_robots(left)}" if len(left) else ""
         begin_s = 1e-6 * following.begin_us
         notes.append(f"stopped at {stop_s:.3f} s, resumed at {begin_s:.3f} s{without}")
+    if followed.changed.any():
+        changed = _robots(plane.ids[followed.changed])
+        notes.append(
+            "counters were set, or lost with the power, which is no motion; places are those that "
+            f"the orders lead to: {changed}"
+        )
     if followed.lost.any():
         lost = _robots(plane.ids[followed.lost])
-        notes.append(f"no reply after the stop, the place shown is a guess: {lost}")
+        notes.append(f"nothing tells where it stopped, the place shown is a guess: {lost}")
     return notes
 
 

@@ -18,10 +18,10 @@ from fiber_core.validation import frozen_array
 from fiber_core.wire_units import WireMotion
 from fiber_recording.errors import RecordingError
 
-__all__ = ["Phase", "counts_at", "executed_motion"]
+__all__ = ["SETTLING_S", "Phase", "counts_at", "executed_motion"]
 
 _SAME_INSTANT_S = 1e-7  # instants this close to each other are the same
-_SETTLING_S = 1e-4  # time in which a robot moves from the cut of its orders to where it stopped
+SETTLING_S = 1e-4  # time in which a robot moves from the cut of its orders to where it stopped
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,5 +184,5 @@ def _settling_pieces(phase: Phase, executed: _Pieces, until_s: float) -> _Pieces
     off = units.to_angles(phase.stop_counts - phase.motion.start).ravel() - travelled
     moved = np.flatnonzero(np.repeat(phase.stopped, 2) & (np.abs(off) > 1e-3 * units.quantum_rad))
     begin_s = 1e-6 * phase.stop_us[moved // 2]
-    lasts_s = np.minimum(_SETTLING_S, until_s - begin_s)
+    lasts_s = np.minimum(SETTLING_S, until_s - begin_s)
     return _Pieces(moved, begin_s, lasts_s, off[moved] / lasts_s)

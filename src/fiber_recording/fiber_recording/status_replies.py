@@ -36,7 +36,7 @@ class StatusReplies:
         row: row of the robot of each reply, shape (s,).
         ok: whether its checksum is right, shape (s,).
         full: whether it is complete, shape (s,); only a complete reply has a position.
-        state, fault, alerts: its contents, 0 where the reply lacks them, shape (s,).
+        state, boot, fault, alerts: its contents, 0 where the reply lacks them, shape (s,).
         position: encoders [quanta], shape (s, 2).
     """
 
@@ -51,7 +51,9 @@ class StatusReplies:
         data[has] = log.data[(log.offsets[self.frame, None] + width)[has]]
         self.full = length[self.frame] == STATUS_BYTES
         self.ok = np.zeros(len(self.frame), dtype=bool)
-        self.state, self.fault, self.alerts = np.zeros((3, len(self.frame)), dtype=np.int64)
+        self.state, self.boot, self.fault, self.alerts = np.zeros(
+            (4, len(self.frame)), dtype=np.int64
+        )
         self.position = np.zeros((len(self.frame), 2), dtype=np.int64)
         for full, size in ((True, STATUS_BYTES), (False, VERIFY_BYTES)):
             chosen = self.full == full
@@ -59,6 +61,7 @@ class StatusReplies:
             addresses = Addresses(log.bus[at], log.address[at], log.ten_bit[at])
             status = decode_status(addresses, data[chosen, :size])
             self.ok[chosen], self.state[chosen] = status.ok, status.state
+            self.boot[chosen] = status.boot
             if full:
                 self.fault[chosen], self.alerts[chosen] = status.fault, status.alerts
                 self.position[chosen] = status.position

@@ -50,11 +50,12 @@ class SimulatedPlan:
         lines: faults of the lines of a bus.
         stop_s: when an operator stops all robots [s].
         attempts: how many attempts are started one after the other.
+        volatile: whether a loss of power sets the encoders of a robot to 0.
     """
 
     robots = 37
 
-    def __init__(self, events=(), lines=(), stop_s=np.inf, attempts=1):
+    def __init__(self, events=(), lines=(), stop_s=np.inf, attempts=1, volatile=False):
         rows = np.arange(self.robots)
         self.plane = changed(preset("desi", self.robots), bus=rows // 13, address=8 + rows % 13)
         self.units = units = WireUnits.for_plane(self.plane)
@@ -65,7 +66,7 @@ class SimulatedPlan:
         robots = Positioners(
             addresses_of(self.plane), self.plane.ids, units.quantum_prad, self.start,
             clock_ppm=rng.uniform(-20, 20, self.robots),
-            start_skew_s=rng.uniform(0, 20e-6, self.robots),
+            start_skew_s=rng.uniform(0, 20e-6, self.robots), volatile=volatile,
         )  # fmt: skip
         true_motion = TrueMotion(robots, units.quantum_rad)
         buses = SimulatedBuses(robots, faults=faults)

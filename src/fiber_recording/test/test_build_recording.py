@@ -51,8 +51,33 @@ def test_stops_and_lost_robots_are_in_the_notes(simulated_plan):
     assert first == "simulated"
     assert stopped.startswith("stopped at") and ", resumed at" in stopped
     assert " 11," in stopped.split("without robots")[1]
-    assert lost == "no reply after the stop, the place shown is a guess: robot 11"
+    assert lost == "nothing tells where it stopped, the place shown is a guess: robot 11"
     np.testing.assert_array_equal(recording.phases[-1].end, plan.last_counts)
+
+
+@pytest.mark.parametrize("dead_s", [0.003, 0.2])
+def test_a_loss_of_power_in_motion_that_resets_counters_is_recorded(simulated_plan, dead_s):
+    failing = (11, 0.8, Event.POWER, 0), (11, 0.8 + dead_s, Event.POWER, 1)
+    plan = simulated_plan(failing, volatile=True)
+    recording = build_recording(
+        plan.plane,
+        plan.units,
+        logs=plan.logs,
+        outcome=outcome_of(plan),
+        counts_before=plan.start,
+        counts_after=plan.last_counts,
+    )
+    first, second = recording.phases[0], recording.phases[-1]
+    others = np.arange(plan.robots) != 11
+    np.testing.assert_array_equal(second.end[others], plan.encoders[others])
+    assert first.stopped[11] and first.stop_us[11] < second.begin_us
+    turned = plan.units.to_angles(np.abs(second.end - plan.start)[11])
+    assert turned.max() < 2.0  # and not to the counters that its loss of power has set to 0
+    notes = "; ".join(recording.about["notes"])
+    assert ("counters were set, or lost with the power" in notes) == (
+        plan.last_counts[11] == 0
+    ).all()
+    assert "nothing tells where it stopped, the place shown is a guess: robot 11" in notes
 
 
 @pytest.mark.parametrize(

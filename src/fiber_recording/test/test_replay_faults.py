@@ -10,7 +10,7 @@ from fiber_bus_bridge.simulation import Event, LineFault
 from fiber_core.outcomes import Outcome
 from fiber_core.wire_units import WireMotion, WireUnits
 from fiber_recording.replay import replay
-from fiber_recording.stop_time import stop_time_s
+from fiber_recording.stop_time import stop_on_way
 
 SIMULATED_ROBOTS = 37
 MAX_SPEED_RAD_S = 3.2 * 1.3
@@ -116,8 +116,8 @@ def test_the_place_gives_the_instant_of_a_stop_unless_both_joints_rest():
         ([0, 35], 99.0, 70.0),
         ([800, 35], 99.0, 78.0),
     ):
-        assert stop_time_s(motion, 0, place, near * tick_s) == pytest.approx(
-            ticks * tick_s, abs=0.03 * tick_s
-        )
+        stop = stop_on_way(motion, 0, place, near * tick_s)
+        assert stop.time_s == pytest.approx(ticks * tick_s, abs=0.03 * tick_s)
+        assert stop.off_rad < units.quantum_rad
     nothing = WireMotion(units, [[5, 5]], [0, 0, 0], [], [])
-    assert stop_time_s(nothing, 0, [5, 5], 1.0) == 0.0
+    assert stop_on_way(nothing, 0, [5, 5], 1.0) == (0.0, 0.0)
