@@ -378,6 +378,7 @@ class Session:
         chosen = self.plane.enabled & self.usable
         high, speed = c.limits[:, 1, 1], c.speed[:, 1]
         self.submit(folding_motion(self.plane, self.units, self.counts, high, speed, chosen))
+        c.blind_mm = c.of_move_mm  # no image tells yet where the arms will end
         return self.start(t, may_go)
 
     def _call(self, event: Event, t: float) -> float:

@@ -255,6 +255,27 @@ def test_robots_that_were_read_at_rest_get_back_what_they_have_not_turned():
     assert (rig.where() != before).any(axis=1).all()
 
 
+def test_the_limits_before_the_go_of_home_hold_what_its_move_leaves_unknown(tmp_path):
+    rig, kept = new_rig(), []
+    place(rig, rig.where(), ALL)  # an image: the counters are true until the next move
+    pairs = neighbour_pairs(rig.plane)
+    pairs = pairs[(pairs < N).all(axis=1)]
+    gap_mm = gaps(rig.plane, pairs, rig.session.angles)
+    closest = list(pairs[np.argmin(gap_mm)])
+    move_mm = 0.5 * (gap_mm.min() - HALF_MM)  # after which half of the margin may be left
+    rig.session.protocol.of_move_mm = np.full((N, 2), move_mm)
+
+    def may_go():
+        kept.append(remembered(rig, tmp_path / "robots.json", starting=True))
+        return True
+
+    rig.call("home", may_go)
+    assert rig.session.loaded_plan.started[closest].all()
+    lever_mm = levers_of(rig.plane)[closest, 0]
+    turn_mm = kept[0].turn_limit[closest].max(axis=1) * rig.units.quantum_rad * lever_mm
+    assert (turn_mm <= 0.5 * HALF_MM).all()
+
+
 def following_pair(path):
     """A rig in which a robot follows its neighbour closely, the pair, and what was kept."""
     rig = new_rig()
