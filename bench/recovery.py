@@ -8,7 +8,7 @@ of which another turn of theta is in range stay. Drives, dark fibres and camera 
 
 - found, wrong: robots told as certain, and those of which that is not true; lit: fibres with light;
   visible: fibres that both images show, in one exposure or more.
-- outside: robots found whose true angles are not in their intervals.
+- outside: robots found with another elbow, or whose true angles are not in their intervals.
 - turn_unknown: robots found of which another turn of theta is in range; turn_wrong: robots told
   with another turn than the true one.
 - closest_um: smallest gap of the true outlines in the test turn, as certified.
@@ -37,7 +37,7 @@ from fiber_bus_bridge.simulation import (
     true_angles,
 )
 from fiber_core import kinematics
-from fiber_core.arm_bounds import grown
+from fiber_core.arm_bounds import both_elbows, grown
 from fiber_core.clearance import Certificate, Safety, certify_arms, neighbour_pairs
 from fiber_core.fields import random_field
 from fiber_core.focal_plane import FocalPlane
@@ -79,9 +79,12 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     radius_mm = float(np.hypot(*plane.centers.T).max() + plane.arms.sum(axis=1).max())
     camera = SimulatedCamera(radius_mm, CameraConfig(), rng)
     lit = rng.random(n) >= _DARK
-    state, counters = arms_at(mechanics, start), np.array(start)
-    turned = turn_within_margin(plane, config)
-    way = np.stack([turned, np.zeros(n)], axis=1)
+    half = turn_within_margin(plane, config)
+    # robots with both elbows in range turn from one end of what neighbours allow to the other
+    back = np.where(both_elbows(plane)[:, None], half, 0.0)
+    counters = np.array(start) - back
+    state, turned = arms_at(mechanics, counters), half + back
+    way = turned
     lasts = np.maximum(np.abs(way) / (_SPEED * plane.speeds), 1e-9)
     motion = SegmentMotion(counters, np.arange(2 * n + 1), lasts.ravel(), (way / lasts).ravel())
     lights, exposures, closest_um = [], [], np.inf

@@ -36,7 +36,7 @@ def home_motion(
 
 
 def turn_motion(
-    units: WireUnits, start: Counts, turn: Ints, speed: Ints, chosen: Mask, joint: int = 0
+    units: WireUnits, start: Counts, turn: Ints, speed: Ints, chosen: Mask, joint: ArrayLike = 0
 ) -> WireMotion:
     """Return the motion that turns one joint of robots with one segment each.
 
@@ -46,19 +46,20 @@ def turn_motion(
         turn: turn of each joint; a little less of it is ordered, never more [quanta], shape (n,).
         speed: speeds of the joint [velocity units], shape (n,).
         chosen: robots to turn, shape (n,).
-        joint: 0 for theta, 1 for phi.
+        joint: 0 for theta, 1 for phi, one number or shape (n,).
     """
     return _one_segment(units, start, joint, np.where(chosen, turn, 0), np.maximum(speed, 1))
 
 
 def _one_segment(
-    units: WireUnits, start: Counts, joint: int, distance: Ints, speed: Ints
+    units: WireUnits, start: Counts, joint: ArrayLike, distance: Ints, speed: Ints
 ) -> WireMotion:
     ticks = np.clip(-(-np.abs(distance) // np.maximum(speed, 1)), 1, units.max_ticks)
     velocity = np.sign(distance) * np.minimum(np.abs(distance) // ticks, speed)
     moves = velocity != 0
     segments = np.zeros((len(distance), 2), dtype=np.int64)
-    segments[:, joint] = moves
+    column: Ints = np.broadcast_to(np.asarray(joint, dtype=np.int64), moves.shape)
+    segments[np.arange(len(moves)), column] = moves
     offsets = Parts.from_counts(segments).offsets
     return WireMotion(units, start, offsets, ticks[moves], velocity[moves])
 

@@ -9,8 +9,9 @@ import numpy as np
 from fiber_bus_bridge.errors import SessionError
 from fiber_bus_bridge.home import turn_motion
 from fiber_bus_bridge.measured_places import require_rest
-from fiber_bus_bridge.protocol.turn_limits import full_turn
+from fiber_bus_bridge.protocol.turn_limits import as_theta, as_turned, full_turn
 from fiber_bus_bridge.session import Session
+from fiber_core.arm_bounds import joints_of_test_turns
 from fiber_core.array_types import Ints, Mask
 from fiber_core.clearance import levers_of
 
@@ -21,7 +22,9 @@ LEAST_TURN = 2  # a camera tells little of a turn that is shorter than a full on
 
 
 def turn_unplaced(session: Session, t: float, may_go: Callable[[], bool] = lambda: True) -> float:
-    """Turn theta of the robots at unknown places, so little that nothing can touch.
+    """Turn a joint of the robots at unknown places, so little that nothing can touch.
+
+    Robots with both elbows in range turn phi, as theta does not tell the elbow; the others theta.
 
     No point of an arm moves by more than half of the gap that the last certificate left, wherever
     the arms are, in all turns together (`protocol.turn_limits`). All turn one way, that in which
@@ -43,16 +46,17 @@ def turn_unplaced(session: Session, t: float, may_go: Callable[[], bool] = lambd
     require_rest(session, "turn at unknown places")
     c = session.protocol
     turn, refused = turns_of(session)
+    joint, every = joints_of_test_turns(session.plane), np.arange(session.plane.n)
     if not turn.any():
         raise SessionError(
             refused_text(session, refused)
             if refused.any()
             else "no robot that can be commanded is at an unknown place"
         )
-    slow = c.speed[:, 0] // _SLOW
-    session.submit(turn_motion(session.units, session.counts, turn, slow, turn != 0))
+    slow = c.speed[every, joint] // _SLOW
+    session.submit(turn_motion(session.units, session.counts, turn, slow, turn != 0, joint))
     assert c.plan is not None  # just submitted
-    within_mm = np.abs(turn) * session.units.quantum_rad * levers_of(session.plane)[:, 0]
+    within_mm = np.abs(turn) * session.units.quantum_rad * levers_of(session.plane)[every, joint]
     c.plan = replace(c.plan, within_mm=within_mm)
     return session.start(t, may_go)
 
@@ -64,20 +68,22 @@ def turns_of(session: Session) -> tuple[Ints, Mask]:
         session: the session with the robots.
 
     Returns:
-        The turns of theta [quanta], 0 for none, and the robots at unknown places that rest: turns
-        before have used up half of their gaps, or their ranges end, the way that most may turn,
-        shape (n,) each.
+        The turns [quanta], 0 for none, of the joint of each (`joints_of_test_turns`), and the
+        robots at unknown places that rest: turns before have used up half of their gaps, or their
+        ranges end, the way that most may turn, shape (n,) each.
     """
     c, robots = session.protocol, session.robots
     chosen = robots["unplaced"] & ~robots["seen"] & robots["known"] & session.plane.enabled
-    full = full_turn(c)
-    low, high = c.limits[:, 0].T
-    theta = robots["counts"][:, 0]
-    to_stop = np.maximum(np.stack([theta - low, high - theta], axis=1), 0)
-    may = np.minimum(np.minimum(robots["turn_limit"], to_stop), full[:, None])
+    full, joint, every = full_turn(c), joints_of_test_turns(session.plane), np.arange(len(robots))
+    low, high = c.limits[every, joint].T
+    at = robots["counts"][every, joint]
+    to_stop = as_theta(c, np.maximum(np.stack([at - low, high - at], axis=1), 0))
+    # from one end of what a robot may turn to the other one, where elbows are to be told
+    most = full * np.where(joint == 1, 2, 1)
+    may = np.minimum(np.minimum(robots["turn_limit"], to_stop), most[:, None])
     far = (may * LEAST_TURN >= full[:, None]) & chosen[:, None]
     way = int(np.argmax(far.sum(axis=0)[::-1]))  # up where as many robots may
-    turn = np.where(far[:, 1 - way], may[:, 1 - way], 0)
+    turn = np.where(far[:, 1 - way], as_turned(c, may[:, 1 - way]), 0)
     return turn if way == 0 else -turn, chosen & (turn == 0)
 
 

@@ -27,10 +27,14 @@ class Rig:
         on_bus=10,
         certify=hold_until_safe,
         robots=None,
+        phi_deg=(0.0, 180.0),
         **positioners,
     ):
         rows = np.arange(n)
         plane = replace(preset("desi", n), bus=rows // on_bus, address=8 + rows % on_bus)
+        limits = np.array(plane.limits)
+        limits[:, 1] = np.deg2rad(phi_deg)
+        plane = replace(plane, limits=limits)
         self.plane = plane if enabled is None else plane.with_enabled(enabled)
         self.units = WireUnits.for_plane(self.plane)
         folded = np.stack([np.linspace(-1, 1, n), np.full(n, 2.6)], axis=1)

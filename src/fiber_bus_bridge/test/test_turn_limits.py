@@ -56,6 +56,37 @@ def test_turns_over_refusals_and_restarts_stay_within_half_the_margin(tmp_path):
     assert (arms.most_mm <= HALF_MM + 1e-9).all()
 
 
+def test_robots_with_both_elbows_in_range_turn_phi_to_both_ends_of_half_the_margin(tmp_path):
+    phi_deg, most_mm = (-172.0, 172.0), np.zeros(N)
+    rig, off, turns_mm = new_rig(phi_deg=phi_deg), np.zeros(N), []
+    for turn in range(6):
+        before = rig.where()
+        rig.t = turn_unplaced(rig.session, rig.t)
+        rig.run()
+        moved = rig.where() - before
+        assert not moved[:, 0].any()
+        off += moved[:, 1]
+        mm = rig.units.quantum_rad * levers_of(rig.plane)[:, 1]
+        turns_mm.append(np.abs(moved[:, 1]) * mm)
+        most_mm = np.maximum(most_mm, np.abs(off) * mm)
+        if turn % 2:  # and the next bridge begins
+            rig = new_rig(rig, remembered(rig, tmp_path / f"{turn}.json"), phi_deg=phi_deg)
+    assert (most_mm > 0.9 * HALF_MM).all() and (most_mm <= HALF_MM + 1e-9).all()
+    assert (turns_mm[0] < 1.01 * HALF_MM).all() and (turns_mm[1] > 1.8 * HALF_MM).all()
+
+
+def test_a_phi_turn_that_is_broken_off_leaves_what_was_not_turned():
+    rig = new_rig(phi_deg=(-172.0, 172.0))
+    full = rig.session.robots["turn_limit"].copy()
+    turned = break_turn_off(rig, [3], 0.3, joint=1)
+    limit, others = rig.session.robots["turn_limit"], np.arange(N) != 3
+    down, up = (limit - full)[others].T
+    assert np.array_equal(down, -up)
+    levers = levers_of(rig.plane)[others]
+    assert (down * levers[:, 0] >= turned[others] * levers[:, 1] - 1e-9).all()
+    assert limit[3, 0] == full[3, 0] and limit[3, 1] < full[3, 1] // 50
+
+
 def test_a_turn_that_a_bridge_did_not_see_end_counts_as_made_and_as_not_made(tmp_path):
     rig = new_rig()
     kept = []
@@ -159,14 +190,14 @@ def test_a_robot_beside_one_that_is_not_found_keeps_its_limit_when_it_is_found()
     assert (arms.most_mm[beside] <= HALF_MM + 1e-9).all()
 
 
-def break_turn_off(rig, rows, share):
+def break_turn_off(rig, rows, share, joint=0):
     """Let robots lose their power when a test turn is made in part; return what they turned."""
     before = rig.where()
     rig.t = turn_unplaced(rig.session, rig.t)
     loaded = rig.session.loaded_plan
     rig.t = loaded.start_s + share * loaded.makespan_s
     rig.session.advance(rig.t)
-    turned = (rig.where() - before)[:, 0]
+    turned = (rig.where() - before)[:, joint]
     rig.robots.power(rows, False, rig.t)
     rig.run()
     return turned

@@ -15,9 +15,9 @@ N = 19
 ALL = np.ones(N, dtype=bool)
 
 
-def new_rig(before=None, memory=None):
+def new_rig(before=None, memory=None, **rig):
     """A session that begins; the robots are those of an earlier one."""
-    rig = Rig(N, config=CONFIG, robots=before and before.robots, volatile=True)
+    rig = Rig(N, config=CONFIG, robots=before and before.robots, volatile=True, **rig)
     rig.t = before.t if before else 0.0
     if memory is not None:
         rig.session.recall(memory)

@@ -6,11 +6,20 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiber_core.array_types import Angles, Floats
+from fiber_core.array_types import Angles, Floats, Ints, Mask
 from fiber_core.clearance import levers_of
 from fiber_core.focal_plane import FocalPlane
 
-__all__ = ["arms_within", "grown", "interval_of_tips", "turn_within"]
+__all__ = [
+    "arms_within",
+    "both_elbows",
+    "grown",
+    "interval_of_tips",
+    "joints_of_test_turns",
+    "turn_within",
+]
+
+_BEYOND_RAD = 1e-6  # of a range of phi that ends where the arm is stretched or folded
 
 
 def interval_of_tips(plane: FocalPlane, error_mm: ArrayLike) -> Angles:
@@ -63,19 +72,37 @@ def _theta_lever(plane: FocalPlane) -> Floats:
     return np.hypot(*np.moveaxis(plane.theta_vertices, -1, 0)).max(axis=1) + plane.theta_radius
 
 
-def turn_within(plane: FocalPlane, gap_mm: ArrayLike) -> Floats:
-    """Return how far theta of all robots may turn at once so that none uses up half of its gap.
+def both_elbows(plane: FocalPlane) -> Mask:
+    """Return the robots whose fibre can be at one place with either elbow in range, shape (n,)."""
+    low, high = plane.limits[:, 1].T
+    return (low < -_BEYOND_RAD) | (high > np.pi + _BEYOND_RAD)
 
-    It holds wherever the arms are: no point is farther from its theta axis than the lever.
+
+def joints_of_test_turns(plane: FocalPlane) -> Ints:
+    """Return the joint that a robot at an unknown place turns, 0 for theta, 1 for phi, shape (n,).
+
+    A turn of theta moves a fibre alike with either elbow, so that robots with both in range turn
+    phi.
+    """
+    return both_elbows(plane).astype(np.int64)
+
+
+def turn_within(plane: FocalPlane, gap_mm: ArrayLike, joint: ArrayLike = 0) -> Floats:
+    """Return how far one joint of all robots may turn at once so that none uses up half of its gap.
+
+    It holds wherever the arms are: no point is farther from the axis than the lever.
 
     Args:
         plane: the focal plane.
         gap_mm: gap that the outlines keep before the turn [mm], shape (n,) or one number.
+        joint: the joint that turns, 0 for theta, 1 for phi, one number or shape (n,).
 
     Returns:
         The turn of each robot [rad], shape (n,).
     """
-    return 0.5 * np.asarray(gap_mm) / levers_of(plane)[:, 0]
+    column: Ints = np.broadcast_to(np.asarray(joint, dtype=np.int64), (plane.n,))
+    levers: Floats = levers_of(plane)[np.arange(plane.n), column]
+    return 0.5 * np.asarray(gap_mm, dtype=float) / levers
 
 
 def grown(plane: FocalPlane, interval_rad: Angles, tip_mm: ArrayLike = np.nan) -> FocalPlane:

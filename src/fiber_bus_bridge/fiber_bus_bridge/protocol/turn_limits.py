@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far theta of a robot may still turn when its place becomes unknown, so that nothing touches.
 
-Each robot has a limit down and a limit up, from where it is. For every pair of neighbours the turns
-within their limits use up less than the gap between them:
+Each robot has a limit down and a limit up, from where it is. A robot with both elbows in range
+turns phi in place of theta, by as much as moves no point farther (`as_turned`). For every pair of
+neighbours the turns within their limits use up less than the gap between them:
 
 - both places known: half of the gap of the outlines, and at most half of the margin. The outlines
   hold what the drive and the last image leave unknown;
@@ -23,8 +24,8 @@ import numpy as np
 from fiber_bus_bridge.protocol.context import Context
 from fiber_bus_bridge.protocol.decisions import neighbours_of, own_fault
 from fiber_bus_bridge.wire import RobotState
-from fiber_core.arm_bounds import turn_within
-from fiber_core.array_types import Floats, Gaps, Ints, Mask, Pairs
+from fiber_core.arm_bounds import joints_of_test_turns, turn_within
+from fiber_core.array_types import Counts, Floats, Gaps, Ints, Mask, Pairs
 from fiber_core.clearance import certify, gaps, levers_of, point_speeds
 from fiber_core.drive import carried_out
 from fiber_core.focal_plane import FocalPlane
@@ -32,6 +33,8 @@ from fiber_core.motion import SegmentMotion
 from fiber_core.outcomes import Reason
 
 __all__ = [
+    "as_theta",
+    "as_turned",
     "end_turn",
     "full_turn",
     "half_gaps",
@@ -41,6 +44,8 @@ __all__ = [
     "turning",
 ]
 
+_ROUNDING = 1e-6  # of a quantum, so that a turn of theta uses up itself
+
 
 def full_turn(c: Context) -> Ints:
     """Return the turn of theta that moves no point by more than half of the margin, (n,)."""
@@ -49,6 +54,39 @@ def full_turn(c: Context) -> Ints:
 
 def _turn(c: Context, gap_mm: Floats | float) -> Ints:
     return np.floor(turn_within(c.plane, gap_mm) / c.units.quantum_rad).astype(np.int64)
+
+
+def _theta_over_turn(c: Context) -> Floats:
+    """The turn of theta that moves points as far as one of the joint of test turns, (n,)."""
+    levers = levers_of(c.plane)
+    return levers[np.arange(c.plane.n), joints_of_test_turns(c.plane)] / levers[:, 0]
+
+
+def as_theta(c: Context, turn: Ints) -> Ints:
+    """Return the turn of theta that moves no point farther than some test turns of each robot.
+
+    Args:
+        c: the controller.
+        turn: turns of the joint of test turns, at least 0 [quanta], shape (n, k).
+    """
+    return np.floor(turn * _theta_over_turn(c)[:, None]).astype(np.int64)
+
+
+def as_turned(c: Context, theta: Ints) -> Ints:
+    """Return the test turn of each robot that moves no point farther than a turn of theta.
+
+    Args:
+        c: the controller.
+        theta: turns of theta, at least 0 [quanta], shape (n,).
+    """
+    return np.floor(theta / _theta_over_turn(c)).astype(np.int64)
+
+
+def _turned(c: Context, quanta: Counts) -> Ints:
+    """What test turns use up of the limits: turns of theta, upwards above 0 [quanta], (n,)."""
+    turn = quanta[np.arange(c.plane.n), joints_of_test_turns(c.plane)]
+    used = np.ceil(np.abs(turn) * _theta_over_turn(c) - _ROUNDING).astype(np.int64)
+    return np.sign(turn) * used
 
 
 def learn_gaps(c: Context) -> None:
@@ -130,7 +168,7 @@ def limits_after_go(c: Context) -> Ints:
         beside = chosen | neighbours_of(chosen, c.pairs)
         return limit if c.config.counters_kept else np.where(beside[:, None], 0, limit)
     if plan.within_mm is not None:
-        return _turn_used_up(limit, (loaded.end - loaded.start)[:, 0], chosen)
+        return _turn_used_up(limit, _turned(c, loaded.end - loaded.start), chosen)
     if c.config.counters_kept or not chosen.any():
         return limit
     pairs, _ = _pairs_of(c, _known(c))
@@ -186,10 +224,10 @@ def end_turn(c: Context) -> None:
     if not c.loaded_plans:
         return
     robots, first = c.robots, c.loaded_plans[0]
-    turn = (first.motion.end - first.motion.start)[:, 0]
+    turn = _turned(c, first.motion.end - first.motion.start)
     read = np.isin(robots["state"], (RobotState.IDLE, RobotState.STOPPED, RobotState.FAULT))
     read &= own_fault(robots, c.cut_off) == Reason.OK
-    made = np.where(robots["arrived"], turn, robots["counts"][:, 0] - first.motion.start[:, 0])
+    made = np.where(robots["arrived"], turn, _turned(c, robots["counts"] - first.motion.start))
     within = (made * np.sign(turn) >= 0) & (np.abs(made) <= np.abs(turn))
     sure = first.started & (robots["arrived"] | read) & within
     # of one that was ordered to turn up: the rest of it up again, and what was made of it down

@@ -59,9 +59,6 @@ class TurnImages:
             unplaced: which robots are at unknown places, codes of the layout, shape (n,).
             session: id of the session of the bridge.
             config: errors of camera and air.
-
-        Raises:
-            MetrologyError: a robot at an unknown place has both elbows in its range.
         """
         lost = at_unknown_places(unplaced)
         before = self._before
@@ -69,7 +66,8 @@ class TurnImages:
         if before is None or self._before is None or before.session != session:
             return image
         turned = counters - before.counters
-        among = lost & (turned[:, 0] != 0.0) & (np.abs(turned) < _MOST_RAD).all(axis=1)
+        one = (turned != 0.0).sum(axis=1) == 1
+        among = lost & one & (np.abs(turned) < _MOST_RAD).all(axis=1)
         if not among.any():
             return image
         first, _ = _of_others(before.measurement)
@@ -77,7 +75,7 @@ class TurnImages:
         error_um = config.error_um / np.sqrt(min(first.exposures, second.exposures))
         about = RecoveryConfig(error_um=error_um, sigmas=config.sigmas, identify=config.identify)
         recalled = np.where((unplaced == layout.RECALLED)[:, None], counters, np.nan)
-        found = recover(image.plane, first, second, turned[:, 0], about, among, recalled)
+        found = recover(image.plane, first, second, turned, about, among, recalled)
         return _with_found(image, found, rows, lost)
 
 
