@@ -3,7 +3,9 @@
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-__all__ = ["EVENTS", "LATEST", "RESULTS", "SECTORS", "STREAM"]
+__all__ = ["EVENTS", "LATEST", "RESULTS", "SECTORS", "STREAM", "queued"]
+
+_QUEUE = 100
 
 
 def _profile(depth: int, durability: DurabilityPolicy) -> QoSProfile:
@@ -25,3 +27,11 @@ EVENTS = _profile(10, DurabilityPolicy.VOLATILE)
 STREAM = _profile(100, DurabilityPolicy.VOLATILE)
 # what is lost is sent again by its sender, with what has changed since
 SECTORS = _profile(20, DurabilityPolicy.VOLATILE)
+
+
+def queued(profile: QoSProfile) -> QoSProfile:
+    """Return the quality of a subscription from which no stranger pushes out a message.
+
+    The depth of a subscription counts the messages of all publishers, until they are read.
+    """
+    return _profile(max(_QUEUE, profile.depth), profile.durability)

@@ -131,12 +131,15 @@ class Topic:
         type: message class.
         qos: quality of service of publishers and subscriptions.
         about: its content, for people.
+        queued: whether a subscription keeps many messages until they are read, so that those of
+            strangers push out none; False where a later message makes up for it, or each is large.
     """
 
     name: str
     type: type
     qos: QoSProfile
     about: str = ""
+    queued: bool = True
 
     @property
     def volatile(self) -> "Topic":
@@ -164,7 +167,8 @@ class Topic:
         An exception that escapes the callback is reported and does not end the node.
         """
         call = guarded(node, self.name, callback)
-        return node.create_subscription(self.type, self.name, call, self.qos, **options)
+        profile = qos.queued(self.qos) if self.queued else self.qos
+        return node.create_subscription(self.type, self.name, call, profile, **options)
 
 
 @dataclass(frozen=True)
@@ -196,8 +200,8 @@ class Service:
         return node.create_client(self.type, self.name, **options)
 
 
-def _topic(name: str, type: type, profile: QoSProfile, about: str) -> Topic:
-    return Topic(f"{NAMESPACE}/{name}", type, profile, about)
+def _topic(name: str, type: type, profile: QoSProfile, about: str, queued: bool = True) -> Topic:
+    return Topic(f"{NAMESPACE}/{name}", type, profile, about, queued)
 
 
 def _service(name: str, about: str) -> Service:
@@ -207,7 +211,7 @@ def _service(name: str, about: str) -> Service:
 LAYOUT = _topic(
     "layout", PointCloud2, qos.LATEST,
     "One row a robot: place, arms, outlines, limits, speeds, bus, address, wire units, whether it "
-    "can be commanded; fixed discs and walls. Once a second at rest.",
+    "can be commanded; fixed discs and walls. Once a second at rest.", queued=False,
 )  # fmt: skip
 TARGETS = _topic(
     "targets",
@@ -231,7 +235,7 @@ FRAMES = _topic(
 JOINT_STATES = _topic(
     "joint_states", JointState, qos.LATEST,
     "Readings of the robots' encoders: twenty a second of the buses while robots move, one a "
-    "second at rest. The viewer subscribes while it has subscribers itself.",
+    "second at rest. The viewer subscribes while it has subscribers itself.", queued=False,
 )  # fmt: skip
 CORRIDORS = _topic(
     "corridors", PointCloud2, qos.LATEST,
@@ -272,7 +276,7 @@ SPOTS = _topic(
 IMAGE = _topic(
     "camera/image", Image, qos.EVENTS,
     "The pixels of one exposure, mono8 or mono16, stamped with its time; made for subscribers "
-    "alone. The metrology finds the spots in them if it is told to.",
+    "alone. The metrology finds the spots in them if it is told to.", queued=False,
 )  # fmt: skip
 TRUE_PLACES = _topic(
     "camera/true_places", PointCloud2, qos.EVENTS,
@@ -299,16 +303,26 @@ HELD_BY_DISCRETIZER = _topic(
 
 # In the namespace of each sector; see fiber_sectors.
 TO_SECTOR = _topic(
-    "to_sector", UInt8MultiArray, qos.SECTORS, "Beats and calls of the coordinator to one sector."
+    "to_sector",
+    UInt8MultiArray,
+    qos.SECTORS,
+    "Beats and calls of the coordinator to one sector.",
+    queued=False,
 )
 FROM_SECTOR = _topic(
-    "from_sector", UInt8MultiArray, qos.SECTORS, "Reports and answers of one sector."
+    "from_sector", UInt8MultiArray, qos.SECTORS, "Reports and answers of one sector.", queued=False
 )
 
 # See point_clouds.
-VIEW_ARMS = _topic("view/arms", PointCloud2, qos.LATEST, "Points along the arms, for 3D viewers.")
-VIEW_PLANE = _topic("view/plane", PointCloud2, qos.LATEST, "Points at the centres of the robots.")
-VIEW_TARGETS = _topic("view/targets", PointCloud2, qos.LATEST, "Points at the targets.")
+VIEW_ARMS = _topic(
+    "view/arms", PointCloud2, qos.LATEST, "Points along the arms, for 3D viewers.", queued=False
+)
+VIEW_PLANE = _topic(
+    "view/plane", PointCloud2, qos.LATEST, "Points at the centres of the robots.", queued=False
+)
+VIEW_TARGETS = _topic(
+    "view/targets", PointCloud2, qos.LATEST, "Points at the targets.", queued=False
+)
 
 EXPOSE = _service("camera/expose", "Takes the exposures of one image, at once.")
 MEASURE = _service(

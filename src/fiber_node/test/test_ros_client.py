@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client that is interrupted can still hear the answer to its stop."""
+"""A client hears every message: after an interrupt, and beside those of strangers."""
 
 import os
 import signal
+import time
 
 import pytest
+from sensor_msgs.msg import PointCloud2
 
 from fiber_msgs_py import topics
 from fiber_node import RosClient
@@ -41,3 +43,21 @@ def test_a_client_that_is_interrupted_while_it_takes_a_message_hears_later_ones(
         before = len(heard)
         sender.publish(topics.STOPPED.type())
         client.wait_for(lambda: len(heard) > before, WAIT_S, "a message after the interrupt")
+
+
+@pytest.mark.parametrize(
+    "topic", [topics.OUTCOME, topics.SEGMENTS, topics.TARGETS], ids=lambda t: t.name
+)
+def test_messages_of_strangers_push_out_none_that_was_not_read_yet(topic):
+    with RosClient("bridge") as bridge, RosClient("stranger") as stranger, RosClient("c") as client:
+        received = []
+        topic.subscription(client.node, received.append)
+        ours, theirs = topic.publisher(bridge.node), topic.publisher(stranger.node)
+        for each in ours, theirs:
+            client.wait_for(lambda each=each: each.get_subscription_count(), WAIT_S)
+        ours.publish(PointCloud2(width=37))
+        time.sleep(0.5)  # the client is busy meanwhile
+        for _ in range(30):
+            theirs.publish(PointCloud2())
+        time.sleep(0.5)
+        client.wait_for(lambda: any(message.width == 37 for message in received), 10.0)
