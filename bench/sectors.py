@@ -5,7 +5,8 @@
 Buses and robots are simulated; their time goes on when all sectors have come to the same instant,
 so that start and stop are measured in the time of the robots, however busy this machine is. With
 --campaigns the plane meets random faults: a robot jams, a process of a sector dies, or messages are
-lost. What is judged is the true motion.
+lost. What is judged is the true motion. The traffic is that of the messages between the coordinator
+and the sector that has most of it, without headers of the network.
 """
 
 import argparse
@@ -129,6 +130,7 @@ class _Plane:
     def __init__(self, problem, sectors: int, seed: int, loss: float = 0.0, fault=None):
         self._problem, self._units = problem, WireUnits.for_plane(problem.plane)
         self._rng, self._loss, self.dead = np.random.default_rng(seed), loss, set()
+        self.traffic = np.zeros((sectors, 2), dtype=np.int64)  # bytes to and from each sector
         self._connections, self._processes = [], []
         self._told: list[Start] = []
         context = multiprocessing.get_context("fork")
@@ -158,11 +160,17 @@ class _Plane:
 
     def send(self, sector: int, data: bytes) -> None:
         if sector not in self.dead and self._rng.random() >= self._loss:
+            self.traffic[sector, 0] += len(data)
             self._connections[sector].send_bytes(data)
 
     def receive(self, wait_s: float) -> list[bytes]:
-        alive = [c for k, c in enumerate(self._connections) if k not in self.dead]
-        taken = [each.recv_bytes() for each in wait(alive, wait_s) if isinstance(each, Connection)]
+        alive = {c: k for k, c in enumerate(self._connections) if k not in self.dead}
+        taken = []
+        for each in wait(alive, wait_s):
+            if isinstance(each, Connection):
+                data = each.recv_bytes()
+                self.traffic[alive[each], 1] += len(data)
+                taken.append(data)
         return [data for data in taken if self._rng.random() >= self._loss]
 
     def left(self, sector: int) -> bool:
@@ -240,12 +248,18 @@ def _run(session: SectoredSession) -> PlanResult:
 
 def _measure(args: argparse.Namespace) -> dict:
     """One reconfiguration without faults, with the wall time of each stage."""
-    times, last_s = {}, time.perf_counter()
+    times, traffic, last_s = {}, {}, time.perf_counter()
+    carried = np.zeros((args.sectors, 2), dtype=np.int64)
 
     def lap(name: str) -> None:
         nonlocal last_s
         now_s = time.perf_counter()
         times[name], last_s = round(now_s - last_s, 3), now_s
+
+    def carry(name: str) -> None:
+        nonlocal carried
+        most = (plane.traffic - carried).max(axis=0)
+        traffic[name], carried = most.tolist(), plane.traffic.copy()
 
     problem = problem_of(args.robots, args.sectors, args.seed)
     lap("field")
@@ -255,13 +269,16 @@ def _measure(args: argparse.Namespace) -> dict:
     session = plane.session
     session.configure(0.0)
     lap("begin_and_configure")
+    carry("begin_and_configure")
     session.submit(orders.wire, problem.targets)
     session.start(0.0)
     lap("load_verify_certify_go")
+    carry("load_verify_certify_go")
     go_s = session.loaded_plan.start_s if session.loaded_plan else 0.0
     bound_ms = _start_bound_ms(session)
     result = _run(session)
     lap("move")
+    carry("move")
     truth, memory_mb = plane.truth()
     lap("judge")
     plane.close()
@@ -277,6 +294,7 @@ def _measure(args: argparse.Namespace) -> dict:
         "without_outcome": args.robots - len(result.outcome),
         "start_s": round(go_s, 4), "ended_s": round(session.transactions.now_s, 4),
         "wall_s": times,
+        "bytes_to_and_from_a_sector": traffic,
         "memory_mb": {"coordinator": round(own_mb), "sectors": [round(m) for m in memory_mb]},
     }  # fmt: skip
 
