@@ -281,7 +281,9 @@ class Campaign:
     def _watch_process(self, stamp: PlanStamp, line: _Line) -> tuple[PlanOutcome | None, str]:
         client = self._client
         self._enter("planning")
-        client.wait_for(lambda: "bridge" in client.times.get(stamp, {}), _WAIT_S)
+        # a bridge that begins anew ends a plan without orders
+        ready = lambda: "bridge" in client.times.get(stamp, {}) or stamp in client.outcomes  # noqa: E731
+        client.wait_for(ready, _WAIT_S)
         self._enter("loading", "countdown")
         early = line["stage"] in STAGES[:4]  # a client that was killed may not have started
         try:
