@@ -11,7 +11,7 @@ from fiber_core.motors import speeds_alone
 from fiber_core.ragged import Parts
 from fiber_core.wire_units import WireMotion, WireUnits
 
-__all__ = ["folding_motion", "listed_home_motion"]
+__all__ = ["folding_motion", "listed_home_motion", "segments_of_joint"]
 
 _PHI, _FALLING, _RISING = 1, 0, 1
 
@@ -75,16 +75,27 @@ def listed_home_motion(
     sign = 1 if rises else -1
     still, ways = np.zeros_like(back), (down, up) if rises else (up, down)
     velocity = np.stack([run, still, -sign * ways[0], still, sign * ways[1]])
-    return _segments(units, start, legs.T, velocity.T)
+    return segments_of_joint(units, start, legs.T, velocity.T, np.ones(len(start), dtype=np.int64))
 
 
-def _segments(units: WireUnits, start: Counts, legs: Ints, velocity: Ints) -> WireMotion:
-    # legs of phi, shape (n, k): one that is longer than a segment becomes several
+def segments_of_joint(
+    units: WireUnits, start: Counts, legs: Ints, velocity: Ints, joint: Ints
+) -> WireMotion:
+    """Return the motion of one joint of robots in legs; one longer than a segment becomes several.
+
+    Args:
+        units: tick, quantum and widths.
+        start: joint positions now [quanta], shape (n, 2).
+        legs: durations, 0 for none [ticks], shape (n, k).
+        velocity: of each leg [velocity units], shape (n, k).
+        joint: the joint that moves, 0 for theta, 1 for phi, shape (n,).
+    """
     pieces = -(-legs // units.max_ticks)
     ticks = np.full(pieces.sum(), units.max_ticks)
     last = np.cumsum(pieces.ravel())[pieces.ravel() > 0] - 1
     left = legs - (pieces - 1) * units.max_ticks
     ticks[last] = left[pieces > 0]
-    counts = np.stack([np.zeros(len(legs), dtype=np.int64), pieces.sum(axis=1)], axis=1)
+    counts = np.zeros((len(legs), 2), dtype=np.int64)
+    counts[np.arange(len(legs)), joint] = pieces.sum(axis=1)
     offsets = Parts.from_counts(counts).offsets
     return WireMotion(units, start, offsets, ticks, np.repeat(velocity, pieces.ravel()))

@@ -16,17 +16,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import SessionError
-from fiber_bus_bridge.home import turn_motion
 from fiber_bus_bridge.measured_places import place_robots, require_rest
 from fiber_bus_bridge.protocol.turn_limits import full_turn, half_gaps
 from fiber_bus_bridge.session import Session
+from fiber_bus_bridge.small_turns import check_can_turn, turning_motion
 from fiber_bus_bridge.unplaced_robots import LEAST_TURN
+from fiber_core.arm_bounds import joints_of_test_turns
 from fiber_core.array_types import Floats, Mask, Pairs
 from fiber_core.turns_of_theta import PAST_STOP_RAD, turns_in_range
 
 __all__ = ["blocked_text", "stop_turns", "turn_to_stops"]
-
-_SLOW = 5  # a turn is so many times slower than theta can
 
 
 def stop_turns(
@@ -88,10 +87,13 @@ def turn_to_stops(
         The time at which the buses are free [s].
 
     Raises:
-        SessionError: no robot of these may turn, robots move, are stopped or have orders, or the
-            session has no buses of its own.
+        SessionError: no robot of these may turn, or its motors cannot, robots move, are stopped or
+            have orders, or the session has no buses of its own.
     """
     require_rest(session, "turn to their stops")
+    # only test turns find these robots afterwards
+    for joint in (0, joints_of_test_turns(session.plane)):
+        check_can_turn(session.plane, joint)
     c, robots, units = session.protocol, session.robots, session.units
     way = np.asarray(way, dtype=float)
     asked = np.isfinite(way) & robots["seen"] & robots["known"] & session.plane.enabled
@@ -107,7 +109,7 @@ def turn_to_stops(
     counts[:, 0] += np.rint((from_rad - theta_rad) / units.quantum_rad).astype(np.int64)
     there = place_robots(session, counts, turn_rad != 0.0, t, turn_known=False)
     turn = np.where(there, np.trunc(turn_rad / units.quantum_rad), 0).astype(np.int64)
-    session.submit(turn_motion(units, session.counts, turn, c.speed[:, 0] // _SLOW, turn != 0))
+    session.submit(turning_motion(session, turn, turn != 0))
     assert c.plan is not None  # just submitted
     c.plan = replace(c.plan, to_stops=True)
     c.blind_mm = c.of_move_mm  # no image tells yet where the arms will end

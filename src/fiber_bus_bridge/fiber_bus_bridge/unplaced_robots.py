@@ -7,17 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from fiber_bus_bridge.errors import SessionError
-from fiber_bus_bridge.home import turn_motion
 from fiber_bus_bridge.measured_places import require_rest
 from fiber_bus_bridge.protocol.turn_limits import as_theta, as_turned, full_turn
 from fiber_bus_bridge.session import Session
+from fiber_bus_bridge.small_turns import check_can_turn, turning_motion
 from fiber_core.arm_bounds import joints_of_test_turns
 from fiber_core.array_types import Ints, Mask
 from fiber_core.clearance import levers_of
 
 __all__ = ["LEAST_TURN", "refused_text", "turn_unplaced", "turns_of"]
 
-_SLOW = 5  # a test turn is so many times slower than theta can
 LEAST_TURN = 2  # a camera tells little of a turn that is shorter than a full one over this number
 
 
@@ -40,11 +39,13 @@ def turn_unplaced(session: Session, t: float, may_go: Callable[[], bool] = lambd
         The time at which the buses are free [s].
 
     Raises:
-        SessionError: no robot that can be commanded is at an unknown place and may turn, robots
-            move, are stopped or have orders, or the session has no buses of its own.
+        SessionError: no robot that can be commanded is at an unknown place and may turn, its motors
+            cannot make such turns, robots move, are stopped or have orders, or the session has no
+            buses of its own.
     """
     require_rest(session, "turn at unknown places")
     c = session.protocol
+    check_can_turn(session.plane, joints_of_test_turns(session.plane))
     turn, refused = turns_of(session)
     joint, every = joints_of_test_turns(session.plane), np.arange(session.plane.n)
     if not turn.any():
@@ -53,8 +54,7 @@ def turn_unplaced(session: Session, t: float, may_go: Callable[[], bool] = lambd
             if refused.any()
             else "no robot that can be commanded is at an unknown place"
         )
-    slow = c.speed[every, joint] // _SLOW
-    session.submit(turn_motion(session.units, session.counts, turn, slow, turn != 0, joint))
+    session.submit(turning_motion(session, turn, turn != 0, joint))
     assert c.plan is not None  # just submitted
     within_mm = np.abs(turn) * session.units.quantum_rad * levers_of(session.plane)[every, joint]
     c.plan = replace(c.plan, within_mm=within_mm)

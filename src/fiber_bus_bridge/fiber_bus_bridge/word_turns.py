@@ -15,17 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiber_bus_bridge.errors import SessionError
-from fiber_bus_bridge.home import turn_motion
 from fiber_bus_bridge.measured_places import require_rest
 from fiber_bus_bridge.plan_result import LoadedPlan
 from fiber_bus_bridge.protocol.turn_limits import half_gaps
 from fiber_bus_bridge.session import Session
+from fiber_bus_bridge.small_turns import check_can_turn, turning_motion
 from fiber_core.array_types import Counts, Floats, Ints, Mask
 from fiber_core.clearance import levers_of
 
 __all__ = ["cannot_turn", "resting_text", "turn_words"]
 
-_SLOW = 5  # a turn is so many times slower than phi can
 _LEAST = 2  # a camera tells little of a turn that is shorter than a full one over this number
 
 
@@ -58,10 +57,11 @@ def turn_words(
         The time at which the buses are free [s].
 
     Raises:
-        SessionError: no robot of these can be commanded and may turn, robots move, are stopped or
-            have orders, or the session has no buses of its own.
+        SessionError: no robot of these can be commanded and may turn, or its motors cannot, robots
+            move, are stopped or have orders, or the session has no buses of its own.
     """
     require_rest(session, "turn by code words")
+    check_can_turn(session.plane, 1)
     way = np.asarray(way, dtype=float)
     if way.shape != (session.plane.n,):
         raise SessionError(f"ways of shape {way.shape} for {session.plane.n} robots")
@@ -77,8 +77,7 @@ def turn_words(
     down, up = _far(session, rest)
     wanted = rest.counts[:, 1] + np.where(way > 0.0, up, np.where(way < 0.0, -down, 0))
     turn = np.where(chosen, wanted - session.counts[:, 1], 0)
-    slow = c.speed[:, 1] // _SLOW
-    session.submit(turn_motion(session.units, session.counts, turn, slow, chosen, joint=1))
+    session.submit(turning_motion(session, turn, chosen, joint=1))
     assert c.plan is not None  # just submitted
     about = session.units.to_angles(rest.counts)
     c.plan = replace(c.plan, within_mm=rest.within_mm, about=about)

@@ -34,7 +34,7 @@ class Rig:
         plane = replace(preset("desi", n), bus=rows // on_bus, address=8 + rows % on_bus)
         limits = np.array(plane.limits)
         limits[:, 1] = np.deg2rad(phi_deg)
-        plane = replace(plane, limits=limits)
+        plane = self.changed(replace(plane, limits=limits))
         self.plane = plane if enabled is None else plane.with_enabled(enabled)
         self.units = WireUnits.for_plane(self.plane)
         folded = np.stack([np.linspace(-1, 1, n), np.full(n, 2.6)], axis=1)
@@ -53,6 +53,10 @@ class Rig:
             certify,
         )
         self.t = 0.0
+
+    def changed(self, plane):
+        """The plane, with what a rig of its own changes."""
+        return plane
 
     def orders(self, theta, phi, ticks=250):
         """One segment for each moving joint: speeds of theta and phi [quanta per tick], (n,)."""
