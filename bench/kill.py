@@ -43,7 +43,11 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=1, help="planes at the same time")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robots", type=int, default=37)
-    parser.add_argument("--only", default="", help="processes of the runs, as planner,discretizer")
+    parser.add_argument(
+        "--only",
+        default="",
+        help="processes of the runs, as planner,discretizer; or strangers, services",
+    )
     parser.add_argument("--lines", type=Path, default="bench/results/kill.jsonl", help="a run each")
     parser.add_argument(
         "--logs", type=Path, help="folder for the logs of the processes, kept of runs that hang"

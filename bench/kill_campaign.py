@@ -51,7 +51,7 @@ class Campaign:
         folder: folder for logs, recordings and the socket.
         robots: number of robots.
         seed: seed of starts, targets and moments.
-        only: processes of the runs, without strangers and services; empty for all.
+        only: processes of the runs, or strangers, or services; empty for all.
     """
 
     def __init__(self, folder: Path, robots: int, seed: int, only: Sequence[str] = ()):
@@ -195,7 +195,7 @@ class Campaign:
         rng = self._rng
         kinds = [(p, s, h) for h in ("kill", "pause") for s in STAGES for p in PROCESSES]
         kinds += [("", "moving", "strangers"), ("", "moving", "services")] * 3
-        kinds = [kind for kind in kinds if not self._only or kind[0] in self._only]
+        kinds = [kind for kind in kinds if not self._only or {kind[0], kind[2]} & {*self._only}]
         order = np.random.default_rng([self._seed, 1, number // len(kinds)]).permutation(len(kinds))
         name, stage, how = kinds[order[number % len(kinds)]]
         names = [name] if name else []

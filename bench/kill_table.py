@@ -33,7 +33,7 @@ times are those of a machine that is busy, with the load below. Columns:
 - late: the next reconfiguration took more than 5 s, with its motion and a restarted process's start
 - died: processes that ended by themselves
 
-2458 runs of earlier code, whose lines are not kept, are counted apart in
+4971 runs of earlier code, whose lines are not kept, are counted apart in
 [kill_earlier.md](kill_earlier.md). Each line of [kill.jsonl](kill.jsonl) names its commit, and the
 third table counts by commit.
 
