@@ -13,6 +13,7 @@ from fiber_core import kinematics
 from fiber_core.clearance import Safety
 from fiber_core.outcomes import Outcome
 from fiber_msgs_py import layout, topics
+from fiber_recording import load_recording
 
 NIGHT = {"simulation": {"volatile": True}, "session.counters_kept": False}
 
@@ -183,3 +184,14 @@ def test_the_command_finds_all_robots_after_a_loss_of_all_power(night, monkeypat
     night.client.wait_for(lambda: night.client.plane.enabled[lit & in_use].all(), WAIT_S)
     night.client.wait_for(lambda: off_um(night)[lit & in_use].max() < 20.0, WAIT_S)
     assert nothing_touched(night)
+
+
+def test_recordings_are_made_of_motions_with_images_and_losses_of_power_near_them(night):
+    told = [str(each) for refusals in night.client.refusals.values() for each in refusals]
+    assert not [text for text in told if "not recorded" in text]
+    night.client.wait_for(
+        lambda: len(list(night.recordings.glob("*.npz"))) >= 10, WAIT_S, "ten recordings"
+    )
+    for path in night.recordings.glob("*.npz"):
+        recording = load_recording(path)
+        assert recording.executed.fastest.max() < 2.0 * recording.problem.plane.speeds.max()

@@ -47,7 +47,7 @@ from fiber_msgs_py import (
 from fiber_node import AcceptedAttempts, PlaneNode, Reporter, SessionGate, run
 from fiber_recording.build_recording import build_recording
 from fiber_recording.measured_images import ImagesOfPlans, with_images
-from fiber_recording.received_plans import PlanAttempts, ReceivedPlan, ReceivedPlans
+from fiber_recording.received_plans import ReceivedPlan, ReceivedPlans
 from fiber_recording.recording_file import load_recording, save_recording
 from fiber_recording.replay import replay, unexplained
 
@@ -56,6 +56,7 @@ __all__ = ["RecorderNode", "main", "recording_name"]
 _CHECK_PERIOD_S = 0.2  # time between two checks of the plans that have ended
 _COMPLETION_S = 10.0  # longest wait for the last frames and encoder readings of an ended plan
 _HEARD = 64
+_RESTED = 8  # readings of encoders at rest that are kept after an outcome
 _NO_FRAMES_S = 1.0  # an ended plan without frames for this long had none
 
 
@@ -182,6 +183,9 @@ class RecorderNode(PlaneNode):
         self._states = message
         if not np.any(message.velocity):
             self._states_at_rest = message
+            for _, plan, _ in self._received.ended():
+                if len(plan.rested) < _RESTED:
+                    plan.rested.append(message)
 
     def _on_targets(self, message: PointCloud2) -> None:
         try:
@@ -238,6 +242,7 @@ class RecorderNode(PlaneNode):
         self._heard[stamp] = None if plan.targets is None else session_of(plan.targets)
         for old in list(self._heard)[:-_HEARD]:
             del self._heard[old]
+        plan.rested = [] if self._states_at_rest is None else [self._states_at_rest]
         plan.outcome, plan.outcome_s = ended, time.monotonic()
         self._report.debug(f"plan {stamp} has ended: waits for the last frames")
 
@@ -260,14 +265,15 @@ class RecorderNode(PlaneNode):
         for stamp, plan, ended in self._received.ended():
             try:
                 late = time.monotonic() > plan.outcome_s + _COMPLETION_S
-                if self._is_complete(stamp, plan, ended, now) or late:
+                explained = self._is_explained(stamp, plan, ended, now)
+                if self._is_complete(stamp, plan, explained) or late:
                     if self._is_missed(stamp, plan):
                         self._report.refuse(
                             f"plan {stamp} not recorded: this recorder began after it",
                             attempt=Attempt.first(stamp),
                         )
                     else:
-                        self._write(stamp, plan, ended, now, late)
+                        self._write(stamp, plan, ended, now, explained)
                     self._received.drop(stamp)
             except (FiberError, OSError) as error:
                 self._report.refuse(
@@ -295,9 +301,22 @@ class RecorderNode(PlaneNode):
         """Return whether a plan began before this node, and may have a recording of another."""
         return plan.targets is None and stamp.ns < self._began_ns
 
-    def _is_complete(
+    def _is_explained(
         self, stamp: PlanStamp, plan: ReceivedPlan, ended: PlanOutcome, now: _PlaneWithStates
     ) -> bool:
+        """Return whether the frames of a plan lead to the encoders of all robots.
+
+        An image may have set the present ones: a robot is explained by any reading since the end.
+        """
+        attempts = self._received.attempts(stamp)
+        if attempts.first.counts is None:
+            return False
+        followed = replay(now.plane, now.units, attempts.first.counts, attempts.logs)
+        readings = (*(replace(now, states=states) for states in list(plan.rested)), now)
+        off = [unexplained(now.plane, followed, ended, each.counts) for each in readings]
+        return not np.all(off, axis=0).any()
+
+    def _is_complete(self, stamp: PlanStamp, plan: ReceivedPlan, explained: bool) -> bool:
         """Return whether all messages of an ended plan have been received."""
         attempts = self._received.attempts(stamp)
         count = len(attempts.logs)
@@ -310,7 +329,7 @@ class RecorderNode(PlaneNode):
         if first.trajectory is not None and first.corridors is None:
             if self._corridors_are_published():
                 return False
-        return _is_explained(attempts, ended, now)
+        return explained
 
     def _corridors_are_published(self) -> bool:
         return self.count_publishers(topics.CORRIDORS.name) > 0
@@ -321,7 +340,7 @@ class RecorderNode(PlaneNode):
         plan: ReceivedPlan,
         ended: PlanOutcome,
         now: _PlaneWithStates,
-        late: bool,
+        explained: bool,
     ) -> None:
         self._report.progress(Attempt.first(stamp), 0.0, "writing the recording")
         attempts, config = self._received.attempts(stamp), self._config.value
@@ -331,7 +350,7 @@ class RecorderNode(PlaneNode):
             notes = [f"{count} attempts: planned again around robots that cannot be commanded"]
         if not logs:
             notes = ["no frames were received: no robot was started"]
-        elif late and not _is_explained(attempts, ended, now):
+        elif not explained:
             notes += ["the frames received do not explain where all robots are"]
         plane = now.plane if first.plane is None else first.plane
         recording = build_recording(
@@ -359,14 +378,6 @@ def _free_path(folder: Path, stamp: PlanStamp) -> Path:
     """The file of the next recording of a stamp: none takes the place of another plan's."""
     paths = (folder / recording_name(stamp, number) for number in itertools.count(1))
     return next(path for path in paths if not path.exists())
-
-
-def _is_explained(attempts: PlanAttempts, ended: PlanOutcome, now: _PlaneWithStates) -> bool:
-    """Return whether the frames of a plan lead to the encoders of all robots now."""
-    if attempts.first.counts is None:
-        return False
-    followed = replay(now.plane, now.units, attempts.first.counts, attempts.logs)
-    return not unexplained(now.plane, followed, ended, now.counts).any()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -4,7 +4,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import JointState, PointCloud2
 from trajectory_msgs.msg import JointTrajectory
 
 from fiber_core.array_types import Counts
@@ -47,12 +47,14 @@ class ReceivedPlan:
         outcome: how its robots ended.
         outcome_s: when the outcome was received, on the monotonic clock [s].
         checked_logs: number of frame logs at the last check for completeness.
+        rested: encoders of robots at rest, from the outcome on.
     """
 
     targets: PointCloud2 | None = None
     outcome: PlanOutcome | None = None
     outcome_s: float = 0.0
     checked_logs: int = 0
+    rested: list[JointState] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -90,8 +92,14 @@ class ReceivedPlans:
         self._announced = AttemptTable()
 
     def plan(self, stamp: PlanStamp) -> ReceivedPlan:
-        """Return the messages of a plan, to add to; the oldest plans make way for a new one."""
+        """Return the messages of a plan, to add to; the oldest plans make way for a new one.
+
+        Those that have ended and wait for their recording stay longer.
+        """
         for old in sorted(self._plans)[: -(_PLANS_KEPT - 1)]:
+            if old < stamp and self._plans[old].outcome is None:
+                self.drop(old)
+        for old in sorted(self._plans)[: -(_ATTEMPTS_KEPT - 1)]:
             if old < stamp:
                 self.drop(old)
         return self._plans.setdefault(stamp, ReceivedPlan())

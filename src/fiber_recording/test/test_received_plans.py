@@ -59,3 +59,13 @@ def test_a_plan_is_dropped_with_all_its_attempts():
     plans.drop(PLAN.plan)
     assert not list(plans.ended()) and plans.attempts(PLAN.plan).logs == []
     assert plans.attempts(NEXT_PLAN.plan).logs == ["next"]
+
+
+def test_plans_that_wait_for_their_recording_outlast_those_that_have_not_ended():
+    plans = ReceivedPlans()
+    for k in range(10):
+        plans.plan(PlanStamp(100 + k)).outcome = SimpleNamespace() if k % 2 == 0 else None
+    assert [stamp.ns for stamp, _, _ in plans.ended()] == [100, 102, 104, 106, 108]
+    for k in range(10, 40):
+        plans.plan(PlanStamp(100 + k)).outcome = SimpleNamespace()
+    assert len(list(plans.ended())) == 16
