@@ -389,3 +389,12 @@ def test_one_robot_that_is_stuck_at_a_wall_does_not_lengthen_the_motion_of_all(s
     assert (plan.reason == Reason.OK).all()
     # 1.27, 1.27 and 1.43 where robots at walls are tried as often as all others
     assert plan.motion.makespan_s <= 1.1 * lower_bound_s(problem)
+
+
+@pytest.mark.parametrize("seed", [100, 101])
+def test_a_pair_that_has_to_fold_does_not_lengthen_the_motion_of_all(seed):
+    problem = random_problem(preset("wst_mixed", 1200), np.random.default_rng(seed))
+    plan = make_planner("direct").plan(problem)
+    assert (plan.reason == Reason.OK).all()
+    # 1.42 and 1.41 where arms fold from 1.4 times the bound on
+    assert plan.motion.makespan_s <= 1.3 * lower_bound_s(problem)

@@ -48,9 +48,11 @@ _DRAWS = (30, 100)  # moves of a robot in a sweep: not folding, folding
 _LINES = 60  # profiles of fewer segments that are tried for each robot
 _LAST_LINES = (400, 400)  # the same of a plan that is not searched any more, one after the other
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
-_IN_VAIN = 8  # sweeps; what is in the way of robots beside static bodies will not move
-_FEW = 5  # pairs in conflict beside static bodies that are searched deeper before all get more time
-_DRAWS_OF_FEW = 15000  # in a sweep; 5 us each
+_IN_VAIN = 8  # sweeps without folding
+# So many pairs in conflict, or this share of the number of robots, are searched deeper, and their
+# arms fold, before all robots get more time: with these moves in a sweep (5 us each), or a robot.
+_FEW, _SHARE_OF_FEW = 5, 0.002
+_DRAWS_OF_FEW = (15000, 300)
 _VISITS = 100  # robots between two reports of progress, at least
 _PARTS = 50  # reports of progress in a sweep, at most
 # Moves per robot after which no more robots are folded anew, at makespans after which a longer one
@@ -99,7 +101,7 @@ class Search:
         self.crowded, self.dense, self.stretch, self.certified = False, False, 1.0, False
         near_static = near_static_arms(self._scene, problem.plane.n)
         self._first_released = near_static | at_borders(self._scene, problem.plane)
-        self._may_be_blocked = bool(near_static.any()) or len(problem.plane.walls) > 0
+        self._folds = problem.plane.coupling.shape[1] == 0  # coupled motors have too little time
         self._at_most = np.zeros(len(self._scene.pairs), dtype=bool)  # see require_more
 
     def run(self) -> SearchResult:
@@ -269,8 +271,9 @@ class Search:
         # progress callback, on planes of any size; the last few stuck robots are searched deeper
         n, folding = self._problem.plane.n, self._folding
         draws = _DRAWS[int(folding > 0.0)]
-        patience = _IN_VAIN if self._may_be_blocked and folding == 0.0 else sweeps
+        patience = _IN_VAIN if folding == 0.0 else sweeps
         deeper = patience < sweeps and not self._without_target.any()
+        few = max(_FEW, int(_SHARE_OF_FEW * n))
         visits = max(_VISITS, n // _PARTS)
         least, in_vain = n * n, 0
         for _ in range(sweeps):
@@ -279,8 +282,9 @@ class Search:
             least = min(least, conflicts)
             if conflicts == 0 or self._exhausted or in_vain == patience:
                 break
-            if deeper and in_vain >= patience // 2 and conflicts <= _FEW:
-                draws = _DRAWS_OF_FEW // conflicts
+            if deeper and in_vain >= patience // 2 and conflicts <= few:
+                draws = max(_DRAWS_OF_FEW[0] // conflicts, _DRAWS_OF_FEW[1])
+                folding = _FOLDING if self._folds else 0.0
             for wave in self._blocks.waves(backwards=self._sweep % 2 == 1):
                 for first in range(0, max(map(len, wave)), visits):
                     self._report_progress(conflicts)
