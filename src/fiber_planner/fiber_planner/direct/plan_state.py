@@ -59,6 +59,15 @@ class PlanState(NamedTuple):
     changed: Bools
     shortcut_due: Bools
 
+    def saved(self) -> list[np.ndarray]:
+        """Return copies of all arrays, for `take_back`."""
+        return [np.copy(column) for column in self]
+
+    def take_back(self, saved: list[np.ndarray]) -> None:
+        """Write saved arrays over the present ones."""
+        for column, old in zip(self, saved):
+            column[...] = old
+
 
 @nb.njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _pair_cost(scene, plan, p, qa, qb, limit):

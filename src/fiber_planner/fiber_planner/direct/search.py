@@ -49,10 +49,10 @@ _LINES = 60  # profiles of fewer segments that are tried for each robot
 _LAST_LINES = (400, 400)  # the same of a plan that is not searched any more, one after the other
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
 _IN_VAIN = 8  # sweeps without folding
-# So many pairs in conflict, or this share of the number of robots, are searched deeper, and their
-# arms fold, before all robots get more time: with these moves in a sweep (5 us each), or a robot.
-_FEW, _SHARE_OF_FEW = 5, 0.002
-_DRAWS_OF_FEW = (15000, 300)
+# So many pairs in conflict are searched deeper beside static bodies, and they, or two in a thousand
+# robots, fold before all get more time.
+_FEW, _SHARE_OF_FEW, _FOLDED = 5, 0.002, 4  # times at one makespan
+_DRAWS_OF_FEW = 15000  # in a sweep; 5 us each
 _VISITS = 100  # robots between two reports of progress, at least
 _PARTS = 50  # reports of progress in a sweep, at most
 # Moves per robot after which no more robots are folded anew, at makespans after which a longer one
@@ -101,7 +101,7 @@ class Search:
         self.crowded, self.dense, self.stretch, self.certified = False, False, 1.0, False
         near_static = near_static_arms(self._scene, problem.plane.n)
         self._first_released = near_static | at_borders(self._scene, problem.plane)
-        self._folds = problem.plane.coupling.shape[1] == 0  # coupled motors have too little time
+        self._may_be_blocked = bool(near_static.any()) or len(problem.plane.walls) > 0
         self._at_most = np.zeros(len(self._scene.pairs), dtype=bool)  # see require_more
 
     def run(self) -> SearchResult:
@@ -228,8 +228,6 @@ class Search:
     def _late(self) -> bool:
         return math.isfinite(self._end_s) and self._clock() >= self._end_s
 
-    # -- search
-
     def _fold_all(self) -> int:
         self._folding = _FOLDING
         self._plan.weight[:] = 1.0
@@ -256,24 +254,34 @@ class Search:
 
     def _local_search(self) -> int:
         # sweeps until no pair is in conflict; returns the number of conflicts left
-        folding = int(self._folding > 0.0)
         until = self._spent + self._at_one_makespan
-        conflicts = self._sweep_repeatedly(_SWEEPS[folding])
-        for number in range(self._refolded_at_most * folding):
+        conflicts = self._sweep_repeatedly(self._folding)
+        if self._folding > 0.0:
+            return self._fold_anew(conflicts, self._refolded_at_most, until)
+        plane = self._problem.plane
+        few = conflicts <= max(_FEW, _SHARE_OF_FEW * plane.n) and not self._without_target.any()
+        if conflicts == 0 or not few or plane.coupling.shape[1]:  # coupled motors have no time
+            return conflicts
+        before = self._plan.saved()
+        left = self._fold_anew(conflicts, _FOLDED, until)
+        if left >= conflicts:
+            self._plan.take_back(before)
+        return min(left, conflicts)
+
+    def _fold_anew(self, conflicts: int, times: int, until: float) -> int:
+        for number in range(times):
             if conflicts == 0 or self._spent >= until or self._exhausted:
                 break
             self._fold_around(straight=number % 2 == 1, other_ends=number % 4 >= 2)
-            conflicts = self._sweep_repeatedly(_SWEEPS[folding])
+            conflicts = self._sweep_repeatedly(_FOLDING)
         return conflicts
 
-    def _sweep_repeatedly(self, sweeps: int) -> int:
+    def _sweep_repeatedly(self, folding: float) -> int:
         # whole sweeps, made in parts so that a budget is kept, and the search can be ended by its
         # progress callback, on planes of any size; the last few stuck robots are searched deeper
-        n, folding = self._problem.plane.n, self._folding
-        draws = _DRAWS[int(folding > 0.0)]
+        n, draws, sweeps = self._problem.plane.n, _DRAWS[folding > 0.0], _SWEEPS[folding > 0.0]
         patience = _IN_VAIN if folding == 0.0 else sweeps
-        deeper = patience < sweeps and not self._without_target.any()
-        few = max(_FEW, int(_SHARE_OF_FEW * n))
+        deeper = self._may_be_blocked and folding == 0.0 and not self._without_target.any()
         visits = max(_VISITS, n // _PARTS)
         least, in_vain = n * n, 0
         for _ in range(sweeps):
@@ -282,9 +290,8 @@ class Search:
             least = min(least, conflicts)
             if conflicts == 0 or self._exhausted or in_vain == patience:
                 break
-            if deeper and in_vain >= patience // 2 and conflicts <= few:
-                draws = max(_DRAWS_OF_FEW[0] // conflicts, _DRAWS_OF_FEW[1])
-                folding = _FOLDING if self._folds else 0.0
+            if deeper and in_vain >= patience // 2 and conflicts <= _FEW:
+                draws = _DRAWS_OF_FEW // conflicts
             for wave in self._blocks.waves(backwards=self._sweep % 2 == 1):
                 for first in range(0, max(map(len, wave)), visits):
                     self._report_progress(conflicts)
@@ -324,8 +331,6 @@ class Search:
         self._slow_close_starts(short)
         return short
 
-    # -- best effort
-
     def _resolve_by_release(self) -> None:
         for _ in range(_RELEASE_ROUNDS):
             if self._late:
@@ -347,7 +352,7 @@ class Search:
         released = np.flatnonzero(self._without_target)
         if not len(released):
             return
-        before = [np.copy(column) for column in self._plan]
+        before = self._plan.saved()
         restored = 0
         for first in range(0, len(released), _VISITS):
             if self._late:
@@ -358,11 +363,7 @@ class Search:
                 released[first : first + _VISITS], self._sweep, _RESTORE_DRAWS,
             )  # fmt: skip
         if restored and self._unconfirmed_pairs().any():
-            self._take_back(before)
-
-    def _take_back(self, before: list[np.ndarray]) -> None:
-        for column, old in zip(self._plan, before):
-            column[...] = old
+            self._plan.take_back(before)
 
     def _release_worst(self, among: Bools) -> int:
         worst = release_worst(self._scene, self._plan, among)
@@ -388,12 +389,10 @@ class Search:
         # robots that were released, or had to give up their targets from the beginning, (n,)
         return (self._reason == Reason.NOT_CONVERGED) | (self._reason == Reason.GOAL_BLOCKED)
 
-    # -- the result
-
     def _result(self) -> SearchResult:
         plan, n = self._plan, self._problem.plane.n
         arrived = plan.choice >= 0
         self._reason[self._without_target & arrived] = Reason.OK
         goal = np.where(arrived[:, None], plan.q[:n, :, -1], plan.q[:n, :, 0])
-        tangled = self._scene.pairs[self._tangled]
-        return SearchResult(self._grid.time_s, plan.q, goal, self._reason, tangled)
+        time_s, tangled = self._grid.time_s, self._scene.pairs[self._tangled]
+        return SearchResult(time_s, plan.q, goal, self._reason, tangled)

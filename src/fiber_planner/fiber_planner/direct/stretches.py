@@ -9,7 +9,7 @@ from fiber_core.wire_units import WireUnits
 
 __all__ = ["stretches_of"]
 
-_LOOSE = (1.0, 1.02, 1.05, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.0)
+_LOOSE = (1.0, 1.02, 1.05, 1.1, 1.15, 1.19, 1.25, 1.4, 1.6, 1.8, 2.0)
 _CROWDED = (1.2, 1.35, 1.5, 1.75, 2.0, 2.15)
 _LONGER = 1.4  # growth beyond those
 
