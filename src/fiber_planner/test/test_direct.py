@@ -396,5 +396,5 @@ def test_a_pair_that_has_to_fold_does_not_lengthen_the_motion_of_all(seed):
     problem = random_problem(preset("wst_mixed", 1200), np.random.default_rng(seed))
     plan = make_planner("direct").plan(problem)
     assert (plan.reason == Reason.OK).all()
-    # 1.42 and 1.41 where arms fold from 1.4 times the bound on
-    assert plan.motion.makespan_s <= 1.3 * lower_bound_s(problem)
+    # 1.42 and 1.41 where arms fold from 1.4 times the bound on only
+    assert plan.motion.makespan_s <= 1.2 * lower_bound_s(problem)
