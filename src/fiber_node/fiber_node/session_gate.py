@@ -2,8 +2,9 @@
 """A gate for messages: those of a session that is open in this graph pass, others are refused."""
 
 import time
+from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
@@ -18,14 +19,24 @@ __all__ = ["SessionGate"]
 
 _CHECK_PERIOD_S = 0.05
 _UNKNOWN_S = 2.0  # a bridge whose messages have come is in the graph by then
+_MOST_KEPT = 100  # messages; with more the first is refused
+
+
+class _Kept(NamedTuple):
+    # a message whose bridge is not seen yet
+    until_s: float
+    topic: str
+    session: str
+    message: Any
+    callback: Callable[[Any], None]
 
 
 class SessionGate:
     """Subscribes to topics of the graph and passes on what belongs to an open session.
 
-    A message can come before its bridge is seen in the graph: the last one of each topic is kept
-    until then. Messages of no session, or of one whose bridge is not there, such as those of a bag
-    or of a bridge that has ended, are refused.
+    A message can come before its bridge is seen in the graph: it is kept until then. Messages of no
+    session, or of one whose bridge is not there, such as those of a bag or of a bridge that has
+    ended, are refused.
 
     Args:
         node: the node that receives.
@@ -42,7 +53,7 @@ class SessionGate:
         self._node, self._refuse, self._group = node, refuse, group
         self._open: set[str] = set()  # sessions seen in the graph; closed ones are found by is_open
         self._layout: Any = None  # the last one that passed
-        self._kept: dict[str, tuple[float, str, Any, Callable[[Any], None]]] = {}
+        self._kept: deque[_Kept] = deque()  # in the order of arrival
         self._timer = node.create_timer(
             _CHECK_PERIOD_S,
             guarded(node, "sessions", self._check_kept),
@@ -68,11 +79,15 @@ class SessionGate:
         if session is None:
             self._refuse(name, f"{name} refused: it belongs to no session", message)
         elif self.is_open(session):
-            self._kept.pop(topic, None)
+            if self._kept:
+                self._check_kept()  # those that came before go first
             self._pass(topic, message, callback)
         else:
             self._node.get_logger().debug(f"{name} waits until its bridge, of {session}, is seen")
-            self._kept[topic] = time.monotonic() + _UNKNOWN_S, session, message, callback
+            until_s = time.monotonic() + _UNKNOWN_S
+            self._kept.append(_Kept(until_s, topic, session, message, callback))
+            if len(self._kept) > _MOST_KEPT:
+                self._refuse_kept(self._kept.popleft())
             self._timer.reset()
 
     def _pass(self, topic: str, message: Any, callback: Callable[[Any], None]) -> None:
@@ -84,14 +99,18 @@ class SessionGate:
         callback(message)
 
     def _check_kept(self) -> None:
-        for topic, (until_s, session, message, callback) in list(self._kept.items()):
-            if self.is_open(session):
-                del self._kept[topic]
-                self._pass(topic, message, callback)
-            elif time.monotonic() > until_s:
-                del self._kept[topic]
-                name = topic.rpartition("/")[2]
-                text = f"{name} refused: its bridge, of {session}, is not in the graph"
-                self._refuse(name, text, message)
+        for _ in range(len(self._kept)):
+            kept = self._kept.popleft()
+            if self.is_open(kept.session):
+                self._pass(kept.topic, kept.message, kept.callback)
+            elif time.monotonic() > kept.until_s:
+                self._refuse_kept(kept)
+            else:
+                self._kept.append(kept)
         if not self._kept:
             self._timer.cancel()
+
+    def _refuse_kept(self, kept: _Kept) -> None:
+        name = kept.topic.rpartition("/")[2]
+        text = f"{name} refused: its bridge, of {kept.session}, is not in the graph"
+        self._refuse(name, text, kept.message)

@@ -22,6 +22,8 @@ from fiber_msgs_py import (
     diagnostics,
     joint_states,
     layout,
+    new_session,
+    outcome,
     progress,
     topics,
 )
@@ -239,6 +241,27 @@ def test_messages_of_a_session_without_a_bridge_are_refused_by_name(graph):
     bridge.publish_layout(2)
     graph.until(lambda: len(passed) > 1)
     assert [PlanStamp.of(each).ns for each in passed] == [1, 2]
+
+
+def test_all_messages_that_came_before_their_bridge_is_seen_pass_in_their_order(graph):
+    node, source = graph("late"), graph("source")
+    passed, refused = [], []
+    gate = SessionGate(node, lambda topic, text, _: refused.append(text))
+    gate.subscription(topics.OUTCOME, lambda message: passed.append(PlanStamp.of(message).ns))
+    outcomes = topics.OUTCOME.publisher(source)
+    graph.until(outcomes.get_subscription_count)
+    stranger = new_session(7, bytes(4))
+    for ns, session in ((1, OTHER), (2, OTHER), (3, stranger), (4, OTHER)):
+        outcomes.publish(outcome.encode([1], [0], [0], [0.0], PlanStamp(ns), session))
+    graph.until(lambda: len(gate._kept) == 4)
+    claim = topics.NAMESPACE + f"/_bridge_{OTHER}"
+    source.create_subscription(Empty, claim, lambda _: None, 1)
+    graph.until(lambda: passed)
+    outcomes.publish(outcome.encode([1], [0], [0], [0.0], PlanStamp(5), OTHER))
+    graph.until(lambda: len(passed) == 4)
+    assert passed == [1, 2, 4, 5]
+    graph.until(lambda: refused)
+    assert refused == [f"outcome refused: its bridge, of {stranger}, is not in the graph"]
 
 
 def test_work_waits_until_the_bridge_accepts_its_attempt(graph):
