@@ -66,6 +66,15 @@ def test_a_robot_that_can_only_come_nearer_waits_and_the_other_leaves(gap_mm, ro
     assert min(gap) > gap_mm - 1e-3 and gap[-1] > _MARGIN_MM
 
 
+def test_where_no_robot_has_a_target_in_reach_nothing_is_searched():
+    # a table of another plane took minutes, as pairs that start too close were to part in no time
+    plane, start = _tip_to_tip(-0.2)
+    problem, tried = Problem(plane, start, np.full((2, 2), 500.0)), []
+    planned = DirectPlanner().plan(problem, lambda _, text: tried.append(text))
+    assert not tried and (planned.motion.angles == start[:, :, None]).all()
+    assert planned.tangled.tolist() == [[0, 1]] and (planned.reason != Reason.OK).all()
+
+
 def test_a_pair_that_comes_nearer_by_micrometres_before_it_parts_is_in_conflict():
     # the tip passes the line between the centres: nearest there, and soon farther than at first
     plane, start = _tip_to_tip(-0.1)

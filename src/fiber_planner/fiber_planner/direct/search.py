@@ -107,6 +107,8 @@ class Search:
     def run(self) -> SearchResult:
         """Search at longer and longer makespans, and return the motion that was found."""
         conflicts = self._start_straight(1.0)
+        if not (self._plan.choice >= 0).any():  # pairs that start too close are not parted either
+            return self._result()
         self.crowded = conflicts > _CROWDED * self._problem.plane.n
         self.dense = conflicts > _SHORTENED * self._problem.plane.n
         crowded = int(self.crowded)
