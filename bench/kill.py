@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from kill_campaign import GIVE_UP_S, Campaign
+from kill_campaign import GIVE_UP_S, PROCESSES, Campaign
 from kill_jobs import first_left, run_jobs
 from kill_table import commit_of_sources
 
@@ -28,6 +28,15 @@ from fiber_core.errors import FiberError
 from fiber_node.ros_environment import own_domain, use_loopback
 
 __all__ = ["main"]
+
+
+def _names(only: str) -> tuple[str, ...]:
+    names = tuple(filter(None, only.split(",")))
+    known = (*PROCESSES, "strangers", "services")
+    for name in names:
+        if name not in known:
+            raise argparse.ArgumentTypeError(f"{name!r} is none of {', '.join(known)}")
+    return names
 
 
 def parse(argv: list[str] | None) -> argparse.Namespace:
@@ -45,7 +54,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--robots", type=int, default=37)
     parser.add_argument(
         "--only",
-        default="",
+        type=_names,
+        default=(),
         help="processes of the runs, as planner,discretizer; or strangers, services",
     )
     parser.add_argument("--lines", type=Path, default="bench/results/kill.jsonl", help="a run each")
@@ -61,7 +71,7 @@ def _lines(
     """Do the runs; after one that the graph or the judge does not survive, in a new graph."""
     left = iter(numbers)
     for first in left:
-        with Campaign(logs, args.robots, args.seed, _names(args.only)) as campaign:
+        with Campaign(logs, args.robots, args.seed, args.only) as campaign:
             number: int | None = first
             while number is not None:
                 try:
@@ -75,16 +85,17 @@ def _lines(
                 number = next(left, None)
 
 
-def _names(only: str) -> tuple[str, ...]:
-    return tuple(filter(None, only.split(",")))
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run the command; return 1 when something happened that must not."""
     args = parse(argv)
     first = first_left(args.lines, args.seed) if args.first is None else args.first
     if args.jobs > 1:
-        given = {"seed": args.seed, "robots": args.robots, "lines": args.lines, "only": args.only}
+        given = {
+            "seed": args.seed,
+            "robots": args.robots,
+            "lines": args.lines,
+            "only": ",".join(args.only),
+        }
         return run_jobs(Path(__file__), args.jobs, first, args.runs, given, args.logs)
     for ends in (signal.SIGINT, signal.SIGTERM):  # the processes end with this one
         signal.signal(ends, signal.default_int_handler)
@@ -92,7 +103,7 @@ def main(argv: list[str] | None = None) -> int:
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     failed, of_all = 0, {"commit": commit_of_sources(), "seed": args.seed}
     if args.only:
-        of_all["only"] = args.only
+        of_all["only"] = ",".join(args.only)
     numbers = range(first, first + args.runs * args.step, args.step)
     with tempfile.TemporaryDirectory() as folder:
         logs = args.logs or Path(folder)

@@ -87,7 +87,10 @@ class SessionGate:
             until_s = time.monotonic() + _UNKNOWN_S
             self._kept.append(_Kept(until_s, topic, session, message, callback))
             if len(self._kept) > _MOST_KEPT:
-                self._refuse_kept(self._kept.popleft())
+                self._refuse_kept(
+                    self._kept.popleft(),
+                    f"is not seen yet, and {_MOST_KEPT} later messages wait too",
+                )
             self._timer.reset()
 
     def _pass(self, topic: str, message: Any, callback: Callable[[Any], None]) -> None:
@@ -104,13 +107,12 @@ class SessionGate:
             if self.is_open(kept.session):
                 self._pass(kept.topic, kept.message, kept.callback)
             elif time.monotonic() > kept.until_s:
-                self._refuse_kept(kept)
+                self._refuse_kept(kept, "is not in the graph")
             else:
                 self._kept.append(kept)
         if not self._kept:
             self._timer.cancel()
 
-    def _refuse_kept(self, kept: _Kept) -> None:
+    def _refuse_kept(self, kept: _Kept, why: str) -> None:
         name = kept.topic.rpartition("/")[2]
-        text = f"{name} refused: its bridge, of {kept.session}, is not in the graph"
-        self._refuse(name, text, kept.message)
+        self._refuse(name, f"{name} refused: its bridge, of {kept.session}, {why}", kept.message)

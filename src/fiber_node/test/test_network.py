@@ -102,6 +102,47 @@ def test_no_message_passes_through_shared_memory(lonely):
     assert not shared(lonely())
 
 
+SENT = 50
+IN_ONE_PROCESS = f"""
+from pathlib import Path
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+from fiber_node import RosClient
+
+def packets():
+    lines = Path("/proc/net/snmp").read_text().splitlines()
+    names, values = (line.split() for line in lines if line.startswith("Udp:"))
+    return int(dict(zip(names, values))["OutDatagrams"])
+
+with RosClient("hears") as hears, RosClient("tells") as tells:
+    heard = []
+    hears.node.create_subscription(String, "told", heard.append, QoSProfile(depth={SENT}))
+    told = tells.node.create_publisher(String, "told", QoSProfile(depth={SENT}))
+    tells.wait_for(lambda: told.get_subscription_count() == 1, 30.0, "the subscription")
+    before = packets()
+    for _ in range({SENT}):
+        told.publish(String(data="x" * 50_000))
+    hears.wait_for(lambda: len(heard) == {SENT}, 30.0, "the messages")
+    print(packets() - before)
+"""
+OWN_NETWORK = ("unshare", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up && exec "$@"')
+
+
+@pytest.mark.skipif(
+    bool(
+        subprocess.run(
+            [*OWN_NETWORK, "-", "true"], check=False, stderr=subprocess.DEVNULL
+        ).returncode
+    ),
+    reason="NOT TESTED: no network of its own can be made, so no packets are counted",
+)
+def test_nodes_of_one_process_hear_each_other_through_sockets():
+    # of what the middleware hands over inside a process a new subscription can miss all, for ever
+    command = [*OWN_NETWORK, "-", sys.executable, "-c", IN_ONE_PROCESS]
+    ran = subprocess.run(command, check=True, capture_output=True, text=True, timeout=100)
+    assert int(ran.stdout) >= SENT
+
+
 def test_a_request_that_the_kernel_drops_is_sent_again_at_once(lonely):
     # the order to stop is such a request, and large tables fill the same socket
     pid = lonely()

@@ -339,3 +339,18 @@ def test_a_node_is_not_made_for_help_or_for_arguments_that_ros_does_not_know(giv
     assert "A node that is never made." in (err if code else out)
     assert (f"unknown arguments: {given}\n" in err) == bool(code)
     assert "-p PARAMETER:=VALUE" in out + err
+
+
+def test_a_gate_keeps_a_hundred_messages_and_says_why_it_refuses_the_first(graph, monkeypatch):
+    node, source, refused = graph("late"), graph("source"), []
+    # none is refused for its age on a slow machine
+    monkeypatch.setattr("fiber_node.session_gate._UNKNOWN_S", 600.0)
+    gate = SessionGate(node, lambda topic, text, message: refused.append((text, message)))
+    gate.subscription(topics.OUTCOME, lambda message: None)
+    outcomes = topics.OUTCOME.publisher(source)
+    graph.until(outcomes.get_subscription_count)
+    for ns in range(1, 103):
+        outcomes.publish(outcome.encode([1], [0], [0], [0.0], PlanStamp(ns), OTHER))
+        graph.until(lambda ns=ns: len(gate._kept) + len(refused) == ns)
+    assert [PlanStamp.of(message).ns for _, message in refused] == [1, 2]
+    assert all("not seen yet, and 100 later messages wait" in text for text, _ in refused)
