@@ -39,6 +39,7 @@ from fiber_bus_bridge.simulation import (
 from fiber_core import kinematics
 from fiber_core.arm_bounds import both_elbows, grown
 from fiber_core.clearance import Certificate, Safety, certify_arms, neighbour_pairs
+from fiber_core.drive.curves import CurveMotion
 from fiber_core.fields import random_field
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
@@ -122,7 +123,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     return about | _first_plan(plane, found, (mechanics, state), rng, float(lasts.max()))
 
 
-def _touch(plane: FocalPlane, arms: SegmentMotion) -> Certificate:
+def _touch(plane: FocalPlane, arms: SegmentMotion | CurveMotion) -> Certificate:
     return certify_arms(plane, arms, Safety(*np.zeros(6)), neighbour_pairs(plane))
 
 

@@ -17,26 +17,25 @@ import sys
 import time
 from collections import Counter
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from soak_judge import SAFETY, Campaign, Setup, judge_motion, judge_outcomes
 
-from fiber_bus_bridge import LoadedPlan, PlanResult, Session, SessionState, addresses_of
+from fiber_bus_bridge import Session, SessionState, addresses_of
 from fiber_bus_bridge.capture import Tap
 from fiber_bus_bridge.simulation import (
     FaultKind,
-    Movements,
     ObservedBuses,
     Positioners,
     SimulatedBuses,
     TrueMotion,
     draw_faults,
 )
-from fiber_core.clearance import Safety, certify_arms, neighbour_pairs
-from fiber_core.outcomes import Outcome
+from fiber_core.drive.named import DRIVES, with_drive
 from fiber_core.presets import preset
 from fiber_positioners import Orders, make_orders, random_problem
 
@@ -46,70 +45,34 @@ KINDS = ("none", *(kind.name.lower() for kind in FaultKind), "mixed")
 _FIELDS = 200  # random problems that the campaigns share
 _FAULTS_BEGIN_S = 2.5  # faults begin before this time
 _LONGEST_S = 60.0  # simulated time after which a campaign counts as endless
-SAFETY = Safety()
-_Task: TypeAlias = tuple[str, int, int]  # kind, seed, number of robots
+_Task: TypeAlias = tuple[str, int, int, str]  # kind, seed, number of robots, drive
 _Line: TypeAlias = dict[str, Any]
 
 
-@dataclass
-class Campaign:
-    """Result of a campaign; an empty `wrong` means that it passed.
-
-    Args:
-        kind: one of KINDS.
-        seed: seed of all random numbers.
-        wrong: events that must never happen and did.
-        log: the course of the campaign, in words.
-        outcomes: number of robots by outcome.
-        gap_mm: smallest true gap between outlines [mm].
-        apart_ms: longest time between the first and the last stop of one motion [ms].
-        ended_s: simulated end time [s].
-        tap: the captured traffic, if requested.
-    """
-
-    kind: str
-    seed: int
-    wrong: list[str] = field(default_factory=list)
-    log: list[str] = field(default_factory=list)
-    outcomes: Counter[str] = field(default_factory=Counter)
-    gap_mm: float = np.inf
-    apart_ms: float = 0.0
-    ended_s: float = 0.0
-    tap: Tap | None = None
-
-
 @cache
-def _field(robots: int, number: int) -> Orders:
+def _field(robots: int, number: int, drive: str) -> Orders:
     """Orders of a random problem; every second one has ten-bit addresses."""
-    plane = preset("desi", robots)
+    plane = with_drive(preset("desi", robots), drive)
     rows = np.arange(plane.n)
     plane = replace(plane, bus=rows // 16, address=(8 if number % 2 else 200) + rows % 16)
     return make_orders(random_problem(plane, np.random.default_rng([number, 77])))
 
 
-@dataclass
-class _Setup:
-    """A session with simulated robots, and the phases of its plans so far."""
-
-    orders: Orders
-    session: Session
-    truth: TrueMotion
-    stop_s: float  # simulated time of an operator's stop, inf for none
-    phases: list[LoadedPlan] = field(default_factory=list)
-
-
-def run_campaign(kind: str, seed: int, robots: int = 127, capture: Path | None = None) -> Campaign:
+def run_campaign(
+    kind: str, seed: int, robots: int = 127, drive: str = "ideal", capture: Path | None = None
+) -> Campaign:
     """Run one campaign; everything wrong is in the returned value.
 
     Args:
         kind: one of KINDS.
         seed: seed of all random numbers.
         robots: number of robots.
+        drive: name of their drive.
         capture: folder for the captured traffic.
     """
     campaign = Campaign(kind, seed)
     try:
-        _run(campaign, robots, capture)
+        _run(campaign, _set_up(campaign, robots, drive, capture is not None))
     except Exception as error:  # any exception is a finding
         campaign.wrong.append(f"crashed: {type(error).__name__}: {error}")
     if campaign.tap is not None and capture is not None:
@@ -117,8 +80,7 @@ def run_campaign(kind: str, seed: int, robots: int = 127, capture: Path | None =
     return campaign
 
 
-def _run(campaign: Campaign, robots: int, capture: Path | None) -> None:
-    setup = _set_up(campaign, robots, capture is not None)
+def _run(campaign: Campaign, setup: Setup) -> None:
     session = setup.session
     t = session.configure(0.0)
     campaign.log.append(f"{t:.4f} s: configured {session.known.sum()} of {session.plane.n}")
@@ -135,14 +97,14 @@ def _run(campaign: Campaign, robots: int, capture: Path | None) -> None:
         setup.phases += session.loaded_plans
         if len(session.loaded_plans) > 1:
             campaign.log.append(f"{t:.4f} s: resumed {len(session.loaded_plans) - 1} times")
-        _judge_outcomes(campaign, name, t, session, session.take_result())
-    _judge_motion(campaign, setup, max(t, session.transactions.now_s) + 1.0)
+        judge_outcomes(campaign, name, t, session, session.take_result())
+    judge_motion(campaign, setup, max(t, session.transactions.now_s) + 1.0)
 
 
-def _set_up(campaign: Campaign, robots: int, with_tap: bool) -> _Setup:
+def _set_up(campaign: Campaign, robots: int, drive: str, with_tap: bool) -> Setup:
     """Draw the faults of a campaign and make its session."""
     rng = np.random.default_rng([KINDS.index(campaign.kind), campaign.seed])
-    orders = _field(robots, campaign.seed % _FIELDS)
+    orders = _field(robots, campaign.seed % _FIELDS, drive)
     plane, units = orders.plane, orders.units
     to = addresses_of(plane)
     faults = draw_faults(_kinds(campaign.kind, rng), to.bus, to.address, _FAULTS_BEGIN_S, rng)
@@ -160,10 +122,10 @@ def _set_up(campaign: Campaign, robots: int, with_tap: bool) -> _Setup:
     observed = ObservedBuses(campaign.tap or buses, truth)
     session = Session(plane, units, SAFETY, observed, angles)
     stop_s = rng.uniform(0, _FAULTS_BEGIN_S) if rng.random() < 0.1 else np.inf
-    return _Setup(orders, session, truth, stop_s)
+    return Setup(orders, session, truth, stop_s)
 
 
-def _start(campaign: Campaign, setup: _Setup, name: str, t: float) -> float | None:
+def _start(campaign: Campaign, setup: Setup, name: str, t: float) -> float | None:
     """Start the plan or HOME; return the time [s], None if the state does not allow it."""
     session = setup.session
     if name == "home" and session.state is SessionState.IDLE:
@@ -179,7 +141,7 @@ def _start(campaign: Campaign, setup: _Setup, name: str, t: float) -> float | No
     return max(t, session.start(t))
 
 
-def _follow(setup: _Setup, t: float) -> float:
+def _follow(setup: Setup, t: float) -> float:
     """Advance until no robot moves, with the operator's stop; return the time [s]."""
     session = setup.session
     while session.state is SessionState.MOVING and t <= _LONGEST_S:
@@ -192,81 +154,12 @@ def _follow(setup: _Setup, t: float) -> float:
     return t
 
 
-def _judge_motion(campaign: Campaign, setup: _Setup, t: float) -> None:
-    """Judge the true motion until time t [s]: orders, stops and gaps."""
-    plane = setup.orders.plane
-    campaign.ended_s = t
-    moves = setup.truth.movements(t)
-    _judge_movements(campaign, moves, setup.phases)
-    campaign.apart_ms = 1e3 * _apart_s(moves, setup.phases, setup.orders.units.tick_s)
-    motion = setup.truth.motion(t)
-    exact = Safety(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    truth = certify_arms(plane, motion, exact, neighbour_pairs(plane))
-    campaign.gap_mm = truth.min_gap_mm
-    if truth.unsafe.any():
-        at = int(np.argmin(truth.gap_mm))
-        campaign.wrong.append(
-            f"arms touch: robots {truth.pairs[at].tolist()} at {truth.time_s[at]:.4f} s, "
-            f"gap {truth.gap_mm[at]:.4f} mm"
-        )
-
-
 def _kinds(kind: str, rng: np.random.Generator) -> list[FaultKind]:
     if kind == "none":
         return []
     if kind == "mixed":
         return [FaultKind(k) for k in rng.integers(1, len(FaultKind) + 1, rng.integers(2, 6))]
     return [FaultKind[kind.upper()]]
-
-
-def _judge_outcomes(
-    campaign: Campaign, name: str, t: float, session: Session, result: PlanResult | None
-) -> None:
-    """Check that every robot has exactly one outcome and one reason."""
-    if result is None or not len(result.outcome) == len(result.reason) == session.plane.n:
-        campaign.wrong.append(f"{name}: not every robot has one outcome")
-        return
-    counts = Counter(Outcome(o).name.lower() for o in result.outcome)
-    campaign.outcomes += counts
-    campaign.log.append(f"{t:.4f} s: {name} ended {session.state.name}: {dict(counts)}")
-
-
-def _judge_movements(campaign: Campaign, moves: Movements, phases: list[LoadedPlan]) -> None:
-    """Check that each movement is, from first to last segment, a verified order."""
-    for k, row in enumerate(moves.row):
-        if not moves.ended_s[k] > moves.started_s[k]:
-            if np.isnan(moves.ended_s[k]):
-                campaign.wrong.append(f"robot {row} never came to rest")
-            continue  # cancelled in its countdown
-        late = [abs(moves.started_s[k] - phase.start_s) for phase in phases]
-        phase = phases[int(np.argmin(late))] if late else None
-        if phase is None or min(late) > SAFETY.start_skew_s or not phase.started[row]:
-            campaign.wrong.append(f"robot {row} moved at {moves.started_s[k]:.4f} s unverified")
-            continue
-        wire = phase.motion
-        for joint in range(2):
-            part = slice(*wire.offsets[2 * row + joint : 2 * row + joint + 2])
-            count = moves.counts[k, joint]
-            same = (
-                count == part.stop - part.start
-                and np.array_equal(moves.ticks[k, joint, :count], wire.ticks[part])
-                and np.array_equal(moves.velocity[k, joint, :count], wire.velocity[part])
-            )
-            if not same:
-                campaign.wrong.append(f"robot {row} executed another order than was verified")
-
-
-def _apart_s(moves: Movements, phases: list[LoadedPlan], tick_s: float) -> float:
-    """Longest time between the first and the last stop of a phase that was broken off [s]."""
-    used = np.arange(moves.ticks.shape[2]) < moves.counts[..., None]
-    lasts = (moves.ticks * used).sum(axis=2)
-    broken = moves.ended_s > moves.started_s
-    broken &= moves.ended_s < moves.started_s + (1 - 1e-3) * lasts.max(axis=1) * tick_s
-    apart = [0.0]
-    for phase in phases:
-        of_phase = broken & (np.abs(moves.started_s - phase.start_s) <= SAFETY.start_skew_s)
-        apart.append(float(np.ptp(moves.ended_s[of_phase])) if of_phase.any() else 0.0)
-    return max(apart)
 
 
 def _work(task: _Task) -> _Line:
@@ -276,6 +169,7 @@ def _work(task: _Task) -> _Line:
         "kind": campaign.kind,
         "seed": campaign.seed,
         "robots": task[2],
+        "drive": task[3],
         "wrong": campaign.wrong,
         "outcomes": dict(campaign.outcomes),
         "gap_mm": round(float(campaign.gap_mm), 5),
@@ -311,6 +205,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--kind", choices=KINDS, nargs="+", default=list(KINDS))
     parser.add_argument("--seed", type=int, default=0, help="first seed of each kind")
     parser.add_argument("--robots", type=int, default=127)
+    parser.add_argument("--drive", choices=list(DRIVES), default="ideal", help="of the motors")
     parser.add_argument("--jobs", type=int, default=1, help="number of processes")
     parser.add_argument("--lines", type=Path, help="file of campaigns to continue")
     parser.add_argument("--out", type=Path, help="file for the table, in markdown")
@@ -325,7 +220,9 @@ def main(argv: list[str] | None = None) -> int:
     if args.replay:
         return _replay(args)
     lines = _read(args.lines)
-    done = {(line["kind"], line["seed"], line["robots"]) for line in lines}
+    done = {
+        (line["kind"], line["seed"], line["robots"], line.get("drive", "ideal")) for line in lines
+    }
     tasks = [task for task in _tasks(args) if task not in done]
     commit, failed = _commit(), sum(bool(line["wrong"]) for line in lines)
     with multiprocessing.Pool(args.jobs) if args.jobs > 1 else nullcontext() as pool:
@@ -356,17 +253,18 @@ def _tasks(args: argparse.Namespace) -> list[_Task]:
     counts = {kind: args.campaigns for kind in args.kind}
     if args.mixed is not None and "mixed" in counts:
         counts["mixed"] = args.mixed
-    tasks: list[tuple[float, str, int, int]] = []
+    tasks: list[tuple[float, str, int, int, str]] = []
     for kind, count in counts.items():
         # spread evenly, for every number of campaigns
         places = (np.arange(count) + 0.5) / max(count, 1)
-        tasks += [(p, kind, args.seed + k, args.robots) for k, p in enumerate(places.tolist())]
+        of_all = args.robots, args.drive
+        tasks += [(p, kind, args.seed + k, *of_all) for k, p in enumerate(places.tolist())]
     return [task[1:] for task in sorted(tasks, key=lambda task: task[0])]
 
 
 def _replay(args: argparse.Namespace) -> int:
     kind, seed = args.replay.split(":")
-    campaign = run_campaign(kind, int(seed), args.robots, args.capture)
+    campaign = run_campaign(kind, int(seed), args.robots, args.drive, args.capture)
     print("\n".join(campaign.log))
     print(f"smallest true gap {campaign.gap_mm:.4f} mm, stops {campaign.apart_ms:.3f} ms apart")
     print("\n".join(campaign.wrong) or "nothing wrong")

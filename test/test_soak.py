@@ -22,9 +22,15 @@ def soak():
         return importlib.import_module("soak")
 
 
-@pytest.mark.parametrize("kind", ["none", "stall", "sda_stuck", "noise", "mixed"])
-def test_a_campaign_ends_with_nothing_wrong(soak, kind):
-    campaign = soak.run_campaign(kind, 1, robots=37)
+@pytest.mark.parametrize(
+    ("kind", "drive"),
+    [
+        ("none", "ideal"), ("stall", "ideal"), ("sda_stuck", "ideal"), ("noise", "ideal"),
+        ("mixed", "ideal"), ("stall", "accelerated"), ("mixed", "accelerated"),
+    ],
+)  # fmt: skip
+def test_a_campaign_ends_with_nothing_wrong(soak, kind, drive):
+    campaign = soak.run_campaign(kind, 1, robots=37, drive=drive)
     assert campaign.wrong == []
     assert 0.0 < campaign.gap_mm < 5.0
     assert sum(campaign.outcomes.values()) % 37 == 0 and campaign.outcomes
@@ -58,8 +64,8 @@ def test_the_judge_detects_orders_that_were_not_verified(soak):
     campaign = soak.Campaign("none", 0)
     ones = np.ones((1, 2, 15), dtype=np.int64)
     one = np.array([1.0])
-    odd = Movements(np.array([3]), one, one + 1.0, one, np.array([[1, 1]]), ones, ones)
-    soak._judge_movements(campaign, odd, [])
+    odd = Movements(np.array([3]), one, one + 1.0, one, np.array([[1, 1]]), ones, ones, 0 * ones)
+    importlib.import_module("soak_judge")._judge_movements(campaign, odd, [])
     assert campaign.wrong == ["robot 3 moved at 1.0000 s unverified"]
 
 

@@ -29,37 +29,38 @@ def random_movements(rng):
         np.array(rows, dtype=np.int64)[order], started_s, ended_s, rng.uniform(0.01, 0.02, count),
         rng.integers(0, SEGMENTS + 1, (count, 2)),
         rng.integers(1, 200, (count, 2, SEGMENTS)), rng.integers(-5, 6, (count, 2, SEGMENTS)),
+        rng.integers(0, 2000, (count, 2, SEGMENTS)),
     )  # fmt: skip
 
 
 def plain_pieces(moves, row, joint, begin_s):
-    """Duration, speed and movement of the segments of one joint."""
+    """Duration, speed, movement and ramp of the segments of one joint."""
     pieces, now, number = [], begin_s, 0
     for k in np.flatnonzero(moves.row == row):
         end_s = UNTIL_S if np.isnan(moves.ended_s[k]) else moves.ended_s[k]
         left = end_s - moves.started_s[k]
         if left <= 0.0:
             continue
-        pieces.append((moves.started_s[k] - now, 0.0, -1))
+        pieces.append((moves.started_s[k] - now, 0.0, -1, 0.0))
         for m in range(moves.counts[k, joint]):
             lasts_s = min(moves.ticks[k, joint, m] * moves.tick_s[k], left)
             speed = moves.velocity[k, joint, m] * QUANTUM_RAD / moves.tick_s[k]
-            pieces.append((lasts_s, speed, number))
+            pieces.append((lasts_s, speed, number, 1e-6 * moves.ramp_us[k, joint, m]))
             left -= lasts_s
-        pieces.append((left, 0.0, number))
+        pieces.append((left, 0.0, number, 0.0))
         now, number = end_s, number + 1
-    return np.array([piece for piece in pieces if piece[0] > 1e-12]).reshape(-1, 3)
+    return np.array([piece for piece in pieces if piece[0] > 1e-12]).reshape(-1, 4)
 
 
 @given(seed=st.integers(0, 2**32 - 1))
 def test_movements_make_the_segments_of_a_plain_loop(seed):
     rng = np.random.default_rng(seed)
     moves, start = random_movements(rng), rng.integers(-500, 500, (ROBOTS, 2))
-    motion, numbers = moves.numbered(start, QUANTUM_RAD, UNTIL_S, 0.25)
+    motion, numbers, ramps = moves.counters(start, QUANTUM_RAD, UNTIL_S, 0.25)
     np.testing.assert_array_equal(motion.start, start * QUANTUM_RAD)
     for row, joint in np.ndindex(ROBOTS, 2):
         part = slice(*motion.offsets[2 * row + joint : 2 * row + joint + 2])
         kept = motion.duration_s[part] > 1e-12  # what rounding leaves of a time
-        found = [motion.duration_s[part], motion.velocity_rad_s[part], numbers[part]]
+        found = [motion.duration_s[part], motion.velocity_rad_s[part], numbers[part], ramps[part]]
         plain = plain_pieces(moves, row, joint, 0.25)
         np.testing.assert_allclose(np.transpose(found)[kept], plain, rtol=1e-9, atol=1e-12)

@@ -14,6 +14,7 @@ from fiber_core import bounds, kinematics
 from fiber_core.arm_bounds import grown
 from fiber_core.array_types import Angles, Floats, Mask, Points
 from fiber_core.clearance import Certificate, Safety, certify_arms, neighbour_pairs
+from fiber_core.drive.curves import CurveMotion
 from fiber_core.errors import LayoutError
 from fiber_core.motion import SegmentMotion
 from fiber_core.problem import Problem
@@ -95,7 +96,7 @@ class Move:
 
     orders: Orders
     run: SimulatedRun
-    arms: SegmentMotion
+    arms: SegmentMotion | CurveMotion
     angles: Angles
     touches: Certificate
     exposures: list[Exposure]

@@ -19,13 +19,14 @@ from fiber_bus_bridge import (
 )
 from fiber_bus_bridge.capture import Tap
 from fiber_bus_bridge.simulation import (
+    CounterMotion,
     ObservedBuses,
     SimulationConfig,
     TrueMotion,
     simulated_buses,
 )
 from fiber_bus_bridge.wire import Speeds, encode_load
-from fiber_core.array_types import Counts, Ints
+from fiber_core.array_types import Counts
 from fiber_core.clearance import Certificate, certify, neighbour_pairs
 from fiber_core.motion import SegmentMotion
 from fiber_positioners.orders import Orders, ProgressCallback
@@ -49,8 +50,7 @@ class SimulatedRun:
         counts: encoder readings after the plan [quanta], shape (n, 2).
         costs: bytes of an order (mean), time on the buses [s], length of the countdown [s],
             wall time of each stage [s].
-        counters: the motion that the counters made, and the movement of each segment, as from
-            Movements.numbered, if it was observed.
+        counters: the motion that the counters made, if it was observed.
     """
 
     motion: SegmentMotion
@@ -59,7 +59,7 @@ class SimulatedRun:
     exchanges: list[Exchange]
     counts: Counts
     costs: dict[str, float]
-    counters: tuple[SegmentMotion, Ints] | None = None
+    counters: CounterMotion | None = None
 
 
 def run_on_simulated_buses(
@@ -123,7 +123,7 @@ def run_on_simulated_buses(
     counters = None
     if true_motion is not None:
         moves, begin_s = true_motion.movements(now_s), loaded_plan.go_s
-        counters = moves.numbered(orders.counts, units.quantum_rad, now_s, begin_s)
+        counters = moves.counters(orders.counts, units.quantum_rad, now_s, begin_s)
     return SimulatedRun(
         motion, certificate, result.explained_by(orders.reason), exchanges, session.counts, costs,
         counters,

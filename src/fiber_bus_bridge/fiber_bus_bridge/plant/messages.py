@@ -63,7 +63,7 @@ ANSWERS: _Schema = {
         "now_s": "<f8", "bridge": "<i8", "first": "<i8", "quantum_rad": "<f8", "start": "<i8",
         "position": "<i8", "state": "<i8", "row": "<i8", "started_s": "<f8",
         "ended_s": "<f8", "tick_s": "<f8", "counts": "<i8", "ticks": "<i8",
-        "velocity": "<i8", "controller": "<i8", "verified": "?",
+        "velocity": "<i8", "ramp_us": "<i8", "controller": "<i8", "verified": "?",
     },
     Kind.REFUSED: {"text": "u1"},
 }  # fmt: skip

@@ -10,6 +10,7 @@ from fiber_bus_bridge.plant.messages import Kind, PlantError
 from fiber_bus_bridge.simulation import Mechanics, Movements, arms_at, arms_motion
 from fiber_core.array_types import Bools, Codes, Counts, Ints
 from fiber_core.clearance import Certificate, Safety, certify_arms, neighbour_pairs
+from fiber_core.drive.curves import CurveMotion
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.motion import SegmentMotion
 
@@ -52,12 +53,12 @@ class Truth(NamedTuple):
         """Number of the movement that comes after these."""
         return self.first + len(self.moves.row)
 
-    def motion(self, mechanics: Mechanics | None = None) -> SegmentMotion:
+    def motion(self, mechanics: Mechanics | None = None) -> SegmentMotion | CurveMotion:
         """Return the true joint angles of all robots over time, until now.
 
         Args:
             mechanics: the errors of the joints, of arms that stood where their counters read
-                before the first movement of all; by default the arms follow the counters.
+                before the first movement of all; by default the arms have none.
 
         Raises:
             PlantError: with errors, the movements must begin with the first of all.
@@ -68,9 +69,9 @@ class Truth(NamedTuple):
             return self.moves.motion(self.start, self.quantum_rad, *times)
         if self.first != 0:
             raise PlantError(f"the arms are unknown before movement {self.first}: ask from 0 on")
-        numbered = self.moves.numbered(self.start, self.quantum_rad, *times)
+        counters = self.moves.counters(self.start, self.quantum_rad, *times)
         state = arms_at(mechanics, self.start * self.quantum_rad)
-        return arms_motion(mechanics, state, *numbered)[0]
+        return arms_motion(mechanics, state, *counters)[0]
 
 
 class PlantTruth:
@@ -116,6 +117,7 @@ class PlantTruth:
             got["row"], got["started_s"], got["ended_s"], got["tick_s"],
             got["counts"].reshape(r, 2), got["ticks"].reshape(r, 2, -1 if r else 0),
             got["velocity"].reshape(r, 2, -1 if r else 0),
+            got["ramp_us"].reshape(r, 2, -1 if r else 0),
         )  # fmt: skip
         return Truth(
             float(got["now_s"][0]), int(got["bridge"][0]), int(got["first"][0]),

@@ -21,11 +21,17 @@ from fiber_bus_bridge.simulation.mechanics import (
 )
 from fiber_bus_bridge.simulation.positioners import Positioners
 from fiber_bus_bridge.simulation.true_arms import ArmState, arms_at, arms_motion, true_angles
-from fiber_bus_bridge.simulation.true_motion import Movements, ObservedBuses, TrueMotion
+from fiber_bus_bridge.simulation.true_motion import (
+    CounterMotion,
+    Movements,
+    ObservedBuses,
+    TrueMotion,
+)
 
 __all__ = [
     "NEVER",
     "ArmState",
+    "CounterMotion",
     "EVENT",
     "Event",
     "FaultKind",

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from fiber_bus_bridge.errors import BridgeError
 from fiber_bus_bridge.simulation.mechanics import Mechanics
 from fiber_core.array_types import Angles, Floats, Ints
+from fiber_core.drive.curves import CurveMotion, spread_out
 from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
 
@@ -67,10 +68,12 @@ def arms_motion(
     state: ArmState,
     motion: SegmentMotion,
     movement: Ints | None = None,
-) -> tuple[SegmentMotion, ArmState]:
+    ramp_s: Floats | None = None,
+) -> tuple[SegmentMotion | CurveMotion, ArmState]:
     """Return the motion of the true arms that a motion of the counters makes, and their end.
 
-    Without errors it is the same motion, to the byte, from where the arms are.
+    Without errors and ramps it is the same motion, to the byte, from where the arms are. A ramp
+    spreads whatever a segment turns the arm: the arms rest when a ramp has passed after it.
 
     Args:
         mechanics: the errors of n robots.
@@ -79,6 +82,7 @@ def arms_motion(
         movement: for each segment of the motion, which movement of its robot it belongs to, from 0
             for the first in this motion, -1 for a wait between two, shape (m,); by default all
             are one movement.
+        ramp_s: the time over which the motor spreads each segment [s], shape (m,); by default 0.
 
     Raises:
         BridgeError: the motion has another number of robots.
@@ -111,6 +115,8 @@ def arms_motion(
     np.maximum.at(begun, owner, movement + 1)
     start = true_angles(mechanics, state)
     made = SegmentMotion.of_valid(start, offsets, duration[used], velocity[used])
+    if ramp_s is not None:
+        made = spread_out(made, np.repeat(ramp_s, counts))
     return made, ArmState(gear, slack, state.movements + begun)
 
 

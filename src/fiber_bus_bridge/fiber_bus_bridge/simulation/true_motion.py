@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """True motion of the simulated robots, for judges that must not believe the robots' reports.
 
-The motion of the counters is what the robots did with their orders; the arms follow it as their
-`Mechanics` let them.
+The motion of the counters is what the robots did with their orders. Motors with a ramp spread each
+change of speed over it, so the arms come after their counters and stand where these read when a
+ramp has passed; and they follow as their `Mechanics` let them.
 """
 
 from typing import NamedTuple
@@ -17,13 +18,31 @@ from fiber_bus_bridge.simulation.memory import Memory
 from fiber_bus_bridge.simulation.positioners import Positioners
 from fiber_bus_bridge.simulation.true_arms import ArmState, arms_motion
 from fiber_bus_bridge.wire import Frames, RobotState
+from fiber_bus_bridge.wire.fields import number
+from fiber_bus_bridge.wire.speed_block import number_of
 from fiber_core.array_types import Counts, Floats, Ints, Rows
+from fiber_core.drive.curves import CurveMotion, spread_out
 from fiber_core.motion import SegmentMotion
 from fiber_core.ragged import Parts
 
-__all__ = ["Movements", "ObservedBuses", "TrueMotion"]
+__all__ = ["CounterMotion", "Movements", "ObservedBuses", "TrueMotion"]
 
 _TOGETHER_S = 0.01  # between the first and the last start of one motion
+
+
+class CounterMotion(NamedTuple):
+    """The motion of the counters of a plane, and what its motors make of each segment.
+
+    Args:
+        segments: the motion of the counters.
+        movement: the movement that each segment belongs to, by its number among those of its
+            robot, from 0, -1 for a wait between two, shape (m,).
+        ramp_s: the time over which the motor spreads each segment [s], shape (m,).
+    """
+
+    segments: SegmentMotion
+    movement: Ints
+    ramp_s: Floats
 
 
 class Movements(NamedTuple):
@@ -37,6 +56,7 @@ class Movements(NamedTuple):
         counts: numbers of segments of theta and phi, shape (r, 2).
         ticks: durations [ticks], shape (r, 2, MAX_SEGMENTS).
         velocity: speeds [velocity units], shape (r, 2, MAX_SEGMENTS).
+        ramp_us: ramps of the motors at these speeds [us], 0 without, shape (r, 2, MAX_SEGMENTS).
     """
 
     row: Rows
@@ -46,11 +66,12 @@ class Movements(NamedTuple):
     counts: Ints
     ticks: Ints
     velocity: Ints
+    ramp_us: Ints
 
     def motion(
         self, start: Counts, quantum_rad: float, until_s: float, begin_s: float = 0.0
-    ) -> SegmentMotion:
-        """Return the motion of the counters of a plane that these movements make.
+    ) -> SegmentMotion | CurveMotion:
+        """Return the motion of the arms of a plane that these movements make, without errors.
 
         Args:
             start: encoders before the first movement [quanta], shape (n, 2).
@@ -58,48 +79,45 @@ class Movements(NamedTuple):
             until_s: end of the motion [s]; a movement without an end goes on until then.
             begin_s: time zero of the motion [s], before any movement.
         """
-        return self.numbered(start, quantum_rad, until_s, begin_s)[0]
+        counters = self.counters(start, quantum_rad, until_s, begin_s)
+        return spread_out(counters.segments, counters.ramp_s)
 
-    def numbered(
+    def counters(
         self, start: Counts, quantum_rad: float, until_s: float, begin_s: float = 0.0
-    ) -> tuple[SegmentMotion, Ints]:
-        """Return the same motion, and the movement that each segment belongs to.
+    ) -> CounterMotion:
+        """Return the motion of the counters that these movements make.
 
         The arguments are those of `motion`.
-
-        Returns:
-            The motion, and for each segment the number of its movement among those of its robot,
-            from 0, -1 for a wait between two, shape (m,).
         """
         ended_s = np.where(np.isnan(self.ended_s), until_s, self.ended_s)
         # copies: one type of arrays, wherever they come from
-        row, counts, ticks, velocity = (
+        row, counts, ticks, velocity, ramp_us = (
             np.array(each, dtype=np.int64)
-            for each in (self.row, self.counts, self.ticks, self.velocity)
+            for each in (self.row, self.counts, self.ticks, self.velocity, self.ramp_us)
         )
         started_s, tick_s = (np.array(each, dtype=float) for each in (self.started_s, self.tick_s))
-        owner, duration, speed, movement = _pieces(
-            len(start), row, started_s, ended_s, tick_s, counts, ticks, velocity,
+        owner, duration, speed, movement, ramp = _pieces(
+            len(start), row, started_s, ended_s, tick_s, counts, ticks, velocity, ramp_us,
             float(quantum_rad), float(begin_s),
         )  # fmt: skip
         order = np.argsort(owner, kind="stable")
         offsets = Parts.from_owners(owner[order], 2 * len(start)).offsets
         motion = SegmentMotion(start * quantum_rad, offsets, duration[order], speed[order])
-        return motion, movement[order]
+        return CounterMotion(motion, movement[order], 1e-6 * ramp[order])
 
 
 @njit(cache=True)
 def _pieces(
     n: int, rows: Rows, started_s: Floats, ended_s: Floats, tick_s: Floats,
-    counts: Ints, ticks: Ints, velocity: Ints, quantum_rad: float, begin_s: float,
-) -> tuple[Ints, Floats, Floats, Ints]:  # fmt: skip
-    """Return owner, duration, speed and movement of all segments, a movement after the other.
+    counts: Ints, ticks: Ints, velocity: Ints, ramp_us: Ints, quantum_rad: float, begin_s: float,
+) -> tuple[Ints, Floats, Floats, Ints, Ints]:  # fmt: skip
+    """Return owner, duration, speed, movement and ramp of all segments, movement by movement.
 
     A joint waits for its movement, turns segment by segment until the movement ends, and rests for
     what is left of it. Pieces that last no time are left out.
     """
     most = len(rows) * (2 * ticks.shape[2] + 4)
-    owner, movement = np.empty((2, most), dtype=np.int64)
+    owner, movement, ramp = np.empty((3, most), dtype=np.int64)
     duration, speed = np.empty((2, most))
     now, begun, used = np.full(n, begin_s), np.zeros(n, dtype=np.int64), 0
     for k in range(len(rows)):
@@ -108,7 +126,7 @@ def _pieces(
             continue  # broken off in its countdown
         for joint in range(2):
             owner[used], duration[used] = 2 * row + joint, started_s[k] - now[row]
-            speed[used], movement[used] = 0.0, -1
+            speed[used], movement[used], ramp[used] = 0.0, -1, 0
             used += duration[used] > 0.0
             end = before = 0.0
             for m in range(counts[k, joint] + 1):
@@ -117,11 +135,34 @@ def _pieces(
                 owner[used], duration[used] = 2 * row + joint, min(end, lasts_s) - before
                 speed[used] = 0.0 if rests else velocity[k, joint, m] * quantum_rad / tick_s[k]
                 movement[used] = begun[row]
+                ramp[used] = 0 if rests else ramp_us[k, joint, m]
                 before = min(end, lasts_s)
                 used += duration[used] > 0.0
         now[row] = ended_s[k]
         begun[row] += 1
-    return owner[:used], duration[:used], speed[:used], movement[:used]
+    return owner[:used], duration[:used], speed[:used], movement[:used], ramp[:used]
+
+
+@njit(cache=True)
+def _ramps(copies: Memory) -> Ints:
+    """Return the ramps of the running order of robots [us], shape (r, 2, MAX_SEGMENTS).
+
+    They are those that the robots took from their CONFIG: of a robot with a list of speeds that of
+    the speed of each segment, and of one that has none 0.
+    """
+    found = np.zeros((len(copies), 2, copies[0].ticks.shape[1]), dtype=np.int64)
+    for k in range(len(copies)):
+        r = copies[k]
+        if r.ramp_bytes == 0:
+            continue
+        for joint in range(2):
+            for m in range(r.counts[joint]):
+                speed = 0
+                if r.listed_bytes > 0:
+                    speed = number_of(r.listed, 0, r.velocity[joint, m], joint)
+                if speed >= 0:  # a rest has no speed
+                    found[k, joint, m] = number(r.ramps, 4 * speed, 4)
+    return found
 
 
 def _turned(r: np.void) -> Counts:
@@ -253,6 +294,7 @@ class TrueMotion:
         moves = Movements(
             row, copies["started_s"], ended_s, tick_s,
             copies["counts"], copies["ticks"], copies["velocity"],
+            _ramps(copies) if len(copies) else np.zeros_like(copies["ticks"]),
         )  # fmt: skip
         return first, self._start_before(first), moves
 
@@ -262,8 +304,8 @@ class TrueMotion:
         self.observe()
         return self.since()[2]
 
-    def motion(self, t: float, begin_s: float = 0.0) -> SegmentMotion:
-        """Return the motion of the plane until time t [s].
+    def motion(self, t: float, begin_s: float = 0.0) -> SegmentMotion | CurveMotion:
+        """Return the motion of the arms of the plane until time t [s], without errors.
 
         Args:
             t: the end [s], not in the past.
@@ -274,7 +316,7 @@ class TrueMotion:
 
     def arms(
         self, mechanics: Mechanics, state: ArmState, t: float, begin_s: float = 0.0
-    ) -> tuple[SegmentMotion, ArmState]:
+    ) -> tuple[SegmentMotion | CurveMotion, ArmState]:
         """Return the motion of the true arms until time t [s], and where they are then.
 
         Args:
@@ -283,8 +325,8 @@ class TrueMotion:
             t: the end [s], not in the past.
             begin_s: time zero of the motion [s], before any movement.
         """
-        numbered = self.movements(t).numbered(self._start, self.quantum_rad, t, begin_s)
-        return arms_motion(mechanics, state, *numbered)
+        counters = self.movements(t).counters(self._start, self.quantum_rad, t, begin_s)
+        return arms_motion(mechanics, state, *counters)
 
 
 class ObservedBuses:

@@ -146,6 +146,18 @@ def certify(
             would take for ever to examine; names the robot and the value.
     """
     true_motion = carried_out(plane.drive, motion)
+    certificate = _judged(plane, true_motion, safety, pairs, tolerance_mm)
+    refused = orders_refused(plane, motion, true_motion)
+    return replace(certificate, limits_broken=certificate.limits_broken | refused)
+
+
+def _judged(
+    plane: FocalPlane,
+    true_motion: SegmentMotion | CurveMotion,
+    safety: Safety,
+    pairs: ArrayLike | None,
+    tolerance_mm: float,
+) -> Certificate:
     wild = out_of_bounds(true_motion)
     if wild.any():
         row = int(np.argmax(wild))
@@ -163,16 +175,14 @@ def certify(
     minima = Minima.unknown(len(pairs))
     every = np.arange(len(pairs))
     minimum_gaps(
-        bodies, true_motion.curve_arrays, np.zeros(motion.n, dtype=bool), pairs, every,
+        bodies, true_motion.curve_arrays, np.zeros(true_motion.n, dtype=bool), pairs, every,
         required, tolerance_mm, True, minima,
     )  # fmt: skip
-    certificate = certificate_of(plane, true_motion, pairs, required, minima, tolerance_mm)
-    refused = orders_refused(plane, motion, true_motion)
-    return replace(certificate, limits_broken=certificate.limits_broken | refused)
+    return certificate_of(plane, true_motion, pairs, required, minima, tolerance_mm)
 
 
 def certify_arms(
-    plane: FocalPlane, motion: SegmentMotion, safety: Safety, pairs: ArrayLike
+    plane: FocalPlane, motion: SegmentMotion | CurveMotion, safety: Safety, pairs: ArrayLike
 ) -> Certificate:
     """Return the certificate of a motion that the arms have made, and not of one that is ordered.
 
@@ -184,7 +194,8 @@ def certify_arms(
         safety: the margin and the timing errors.
         pairs: rows a < b to examine, shape (p, 2).
     """
-    return certify(replace(plane, drive=Drive(plane.n)), motion, safety, pairs)
+    exact = replace(plane, drive=Drive(plane.n))
+    return _judged(exact, motion, safety, pairs, _TOLERANCE_MM)
 
 
 def unproven(

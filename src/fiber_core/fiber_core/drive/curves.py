@@ -14,7 +14,7 @@ from fiber_core.drive.rules import ramps_of
 from fiber_core.motion import AngleSegments, CurveArrays, Extremes, SegmentMotion
 from fiber_core.ragged import Parts
 
-__all__ = ["CurveMotion", "carried_out"]
+__all__ = ["CurveMotion", "carried_out", "spread_out"]
 
 _SAME_S = 1e-12  # two changes of the law that are nearer than this are one
 
@@ -95,9 +95,28 @@ def carried_out(drive: Drive, motion: SegmentMotion) -> SegmentMotion | CurveMot
     if not drive.has_curves:
         return motion
     if drive.listed is not None:
-        pieces = _superposed(*motion.arrays, ramps_of(drive, motion))
-    else:
-        pieces = _filtered(*motion.arrays, drive.ramp_s)
+        return _curves(motion, _superposed(*motion.arrays, ramps_of(drive, motion)))
+    return _curves(motion, _filtered(*motion.arrays, drive.ramp_s))
+
+
+def spread_out(motion: SegmentMotion, ramp_s: Floats) -> SegmentMotion | CurveMotion:
+    """Return the motion of joints whose segments are each spread over a ramp of its own.
+
+    Args:
+        motion: the segments.
+        ramp_s: ramp of each segment [s], 0 or more, shape (m,); that of a rest has no effect.
+    """
+    ramps = np.unique(ramp_s[motion.velocity_rad_s != 0.0])
+    if not ramps.any():
+        return motion
+    if len(ramps) == 1:
+        return _curves(motion, _filtered(*motion.arrays, float(ramps[0])))
+    return _curves(motion, _superposed(*motion.arrays, ramp_s))
+
+
+def _curves(
+    motion: SegmentMotion, pieces: tuple[Offsets, Floats, Floats, Floats, Floats]
+) -> CurveMotion:
     counts, duration, velocity, acceleration, angle = pieces
     parts = Parts.from_counts(counts)
     return CurveMotion(motion.start, parts.offsets, duration, velocity, acceleration, angle)

@@ -219,8 +219,8 @@ class CameraNode(ManagedNode):
             raise MetrologyError("movements between two images are lost: the plant keeps too few")
         begin_s = min(truth.moves.started_s.min(initial=truth.now_s), truth.now_s) - _FIRST_S
         moves = truth.moves._replace(row=self._arm_of[truth.moves.row])
-        numbered = moves.numbered(truth.start, truth.quantum_rad, truth.now_s, begin_s)
-        self._arms = arms_motion(self._mechanics, self._arms, *numbered)[1]
+        counters = moves.counters(truth.start, truth.quantum_rad, truth.now_s, begin_s)
+        self._arms = arms_motion(self._mechanics, self._arms, *counters)[1]
         self._next = truth.next
         return kinematics.forward(plane, true_angles(self._mechanics, self._arms))[1]
 
