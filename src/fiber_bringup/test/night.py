@@ -21,9 +21,9 @@ ARMS = {"scale": 0.004, "backlash_deg": 0.08, "wave_deg": 0.12, "non_movers": 0.
 class Night:
     """A plant, the graph with a camera, and a client."""
 
-    def __init__(self, folder, domain, simulation=None, **bridge):
+    def __init__(self, folder, domain, simulation=None, preset="desi", **bridge):
         self.domain, path = domain, folder / "plant"
-        config = SimulationConfig(preset="desi", robots=ROBOTS, **(simulation or {}))
+        config = SimulationConfig(preset=preset, robots=ROBOTS, **(simulation or {}))
         problem = simulated_problem(config).problem
         units = WireUnits.for_plane(problem.plane)
         buses = simulated_buses(problem.plane, units, problem.start, config)
@@ -35,7 +35,7 @@ class Night:
             target=self._server.serve, args=[self._ended.is_set], daemon=True
         )
         self._thread.start()
-        self.bridge = {"preset": "desi", "robots": ROBOTS, "plant": str(path), "time_scale": 0.0,
+        self.bridge = {"preset": preset, "robots": ROBOTS, "plant": str(path), "time_scale": 0.0,
                        "memory": "none", "blind_um": 40.0} | bridge  # fmt: skip
         camera = {"plant": str(path), "seed": 3, "dark": 0.04}
         camera |= {f"arms.{name}": value for name, value in ARMS.items()}
