@@ -111,6 +111,7 @@ ARROWS = {
         "sector_plane",
         "sectors",
     },
+    "bench.joins": {"fiber_bringup", "fiber_client", "fiber_node", "numpy"},
     "bench.kill_jobs": {"fiber_node"},
     "bench.kill_judge": {"fiber_bus_bridge.plant", "fiber_msgs_py"},
     "bench.memory": {"fiber_bringup", "forked_processes"},
@@ -137,6 +138,8 @@ ARROWS = {
     "bench.motor_judge": {"numpy"},  # neither
     "bench.kaiju_adapter": {"kaiju", "numpy"},  # runs in the Python of the rival
     "bench.kill_others": {"fiber_client"},
+    "bench.soak": {"bench", "soak_judge"},
+    "bench.soak_judge": {"bench"},
 }
 # Compartments that may import the simulated plant directly. Run-time code for real buses may not;
 # the demonstration may, because it checks the names of faults before it starts the bridge.

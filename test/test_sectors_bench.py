@@ -67,14 +67,21 @@ def moves_of(*moves):
     ticks[:, 0] = LASTS
     counts = np.array([[1, 0]] * len(row))
     tick_s = np.full(len(row), TICK_S)
-    return Movements(row, started_s, ended_s, tick_s, counts, ticks, 0 * ticks)
+    return Movements(row, started_s, ended_s, tick_s, counts, ticks, *(0 * ticks,) * 2)
 
 
 def test_what_lies_beyond_an_order_is_no_part_of_it(bench):
     ticks = np.array([[[100, 50], [80, 70]]] * 2)
     counts = np.array([[1, 1], [2, 1]])  # the first order has one segment a joint
     moves = Movements(
-        np.arange(2), np.zeros(2), np.full(2, 0.4), np.full(2, 4e-3), counts, ticks, ticks
+        np.arange(2),
+        np.zeros(2),
+        np.full(2, 0.4),
+        np.full(2, 4e-3),
+        counts,
+        ticks,
+        ticks,
+        0 * ticks,
     )
     broken_off = bench("sector_judge").broken_off
     np.testing.assert_array_equal(broken_off(moves, 9.0), [False, True])

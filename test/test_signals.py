@@ -158,3 +158,28 @@ def test_a_planner_ends_while_it_plans(new_domain, how):
         ends_with_code_0(process, how)
         peer.wait_for(lambda: not peer.node.count_publishers(topics.TRAJECTORY.name), ENDS_S)
     assert not trajectories and not any("arrive" in text for text in planner_says(told))
+
+
+EARLY = """
+import asyncio, os, signal, sys
+from asyncio import events
+made = events.new_event_loop
+
+def interrupted():
+    os.kill(os.getpid(), signal.SIGTERM)
+    return made()
+
+events.new_event_loop = interrupted
+from fiber_console.node import main
+sys.exit(main(["--ros-args", "-p", "port:=0"]))
+"""
+
+
+def test_a_signal_while_the_loop_of_the_console_is_made_ends_it(new_domain):
+    ran = subprocess.run(
+        [sys.executable, "-c", EARLY],
+        env=os.environ | {"ROS_DOMAIN_ID": str(new_domain())},
+        capture_output=True, text=True, timeout=ENDS_S, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stderr
+    assert "Traceback" not in ran.stderr and "never awaited" not in ran.stderr

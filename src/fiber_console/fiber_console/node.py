@@ -185,12 +185,12 @@ class _FirstSignal:
 
     def __init__(self) -> None:
         self.end: Callable[[], object] | None = None
-        self._came = False
+        self.came = False
 
     def __call__(self, *_: object) -> None:
-        if self._came:
+        if self.came:
             return
-        self._came = True
+        self.came = True
         if self.end is None:
             raise KeyboardInterrupt
         self.end()
@@ -199,6 +199,8 @@ class _FirstSignal:
 async def _run(node: ConsoleNode, interrupt: _FirstSignal) -> None:
     ended, loop = asyncio.Event(), asyncio.get_running_loop()
     interrupt.end = lambda: loop.call_soon_threadsafe(ended.set)
+    if interrupt.came:
+        ended.set()
     try:
         await serve(node, ended)
     finally:
@@ -230,6 +232,7 @@ def main(args: Sequence[str] | None = None) -> int:
         warn_of_sections(node, given)
         executor.add_node(node)
         thread.start()
+        interrupt.end = lambda: None  # an interrupt would leave the loop half made: _run looks
         asyncio.run(_run(node, interrupt))
     except (ConsoleError, FiberError) as error:
         print(f"console: {error}", file=sys.stderr)
