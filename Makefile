@@ -182,10 +182,10 @@ bench-bus: build ## load, verify and start 5000 robots, on bad buses too, and pr
 
 CAMPAIGNS ?= 10
 .PHONY: soak
-soak: build ## campaigns of faults (CAMPAIGNS= of each kind, MIXED=, LINES=file to go on), REPLAY=kind:seed
-	@$(INSTALLED) && if [ -n "$(REPLAY)" ]; then $(PYTHON) bench/soak.py --replay $(REPLAY); \
+soak: build ## campaigns of faults (CAMPAIGNS= of each kind, MIXED=, DRIVE=, LINES=file to go on), REPLAY=kind:seed
+	@$(INSTALLED) && if [ -n "$(REPLAY)" ]; then $(PYTHON) bench/soak.py --replay $(REPLAY) $(if $(DRIVE),--drive $(DRIVE)); \
 	else $(PYTHON) bench/soak.py --campaigns $(CAMPAIGNS) $(if $(MIXED),--mixed $(MIXED)) \
-		$(if $(LINES),--lines $(LINES)) && $(PYTHON) bench/fuzz.py; fi
+		$(if $(DRIVE),--drive $(DRIVE)) $(if $(LINES),--lines $(LINES)) && $(PYTHON) bench/fuzz.py; fi
 
 RUNS ?= 90
 .PHONY: kill
