@@ -20,11 +20,16 @@ def outcome_of(plan):
     return PlanOutcome(7, plan.plane.ids, result.outcome, result.reason, result.error_mm)
 
 
+def recorded(plan, **given):
+    return build_recording(
+        plan.plane, plan.units, logs=plan.logs, outcome=outcome_of(plan), counts_before=plan.start,
+        **given,
+    )  # fmt: skip
+
+
 def test_frame_log_and_outcome_are_enough(simulated_plan):
     plan = simulated_plan()
-    recording = build_recording(
-        plan.plane, plan.units, logs=plan.logs, outcome=outcome_of(plan), counts_before=plan.start
-    )
+    recording = recorded(plan)
     np.testing.assert_array_equal(recording.motion.ticks, plan.replay.motion.ticks)
     np.testing.assert_array_equal(recording.outcome, plan.result.outcome)
     assert recording.started.all() and not recording.problem.asked.any()
@@ -36,15 +41,8 @@ def test_frame_log_and_outcome_are_enough(simulated_plan):
 
 def test_stops_and_lost_robots_are_in_the_notes(simulated_plan):
     plan = simulated_plan([(11, 0.9, Event.POWER, 0)])
-    recording = build_recording(
-        plan.plane,
-        plan.units,
-        logs=plan.logs,
-        outcome=outcome_of(plan),
-        counts_before=plan.start,
-        counts_after=plan.last_counts,
-        about={"seed": 3},
-        notes=["simulated"],
+    recording = recorded(
+        plan, counts_after=plan.last_counts, about={"seed": 3}, notes=["simulated"]
     )
     assert recording.outcome[11] == Outcome.FAILED and recording.about["seed"] == 3
     first, stopped, lost = recording.about["notes"]
@@ -59,14 +57,7 @@ def test_stops_and_lost_robots_are_in_the_notes(simulated_plan):
 def test_a_loss_of_power_in_motion_that_resets_counters_is_recorded(simulated_plan, dead_s):
     failing = (11, 0.8, Event.POWER, 0), (11, 0.8 + dead_s, Event.POWER, 1)
     plan = simulated_plan(failing, volatile=True)
-    recording = build_recording(
-        plan.plane,
-        plan.units,
-        logs=plan.logs,
-        outcome=outcome_of(plan),
-        counts_before=plan.start,
-        counts_after=plan.last_counts,
-    )
+    recording = recorded(plan, counts_after=plan.last_counts)
     first, second = recording.phases[0], recording.phases[-1]
     others = np.arange(plan.robots) != 11
     np.testing.assert_array_equal(second.end[others], plan.encoders[others])
@@ -86,9 +77,7 @@ def test_a_loss_of_power_in_motion_that_resets_counters_is_recorded(simulated_pl
 )
 def test_the_failure_of_a_robot_comes_before_the_stop_of_all(simulated_plan, fault, kind):
     plan = simulated_plan([(11, 0.9, *fault)])
-    recording = build_recording(
-        plan.plane, plan.units, logs=plan.logs, outcome=outcome_of(plan), counts_before=plan.start
-    )
+    recording = recorded(plan)
     events = recording.events
     stop = np.flatnonzero(events.kind == EventKind.STOP)[0]
     cause = np.flatnonzero((events.kind == kind) & (events.row == 11))[0]
