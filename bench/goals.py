@@ -138,7 +138,7 @@ def main(argv: list[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument("--planes", nargs="+", default=list(ROWS), choices=list(ROWS))
-    parser.add_argument("--fields", type=int, help="of each plane; by default as many as in ROWS")
+    parser.add_argument("--fields", type=int, help="of each plane, at most as many as in ROWS")
     parser.add_argument("--jobs", type=int, default=2, help="fields at the same time")
     parser.add_argument("--anew", action="store_true", help="run also fields that are there")
     parser.add_argument("--out", type=Path, default=_RESULTS, help="folder of the results")
@@ -148,6 +148,9 @@ def main(argv: list[str] | None = None) -> int:
     lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     if options.anew:
         lines = [line for line in lines if line["plane"] not in options.planes]
+    for plane in options.planes:
+        if (options.fields or 0) > ROWS[plane].fields:
+            print(f"{plane}: {ROWS[plane].fields} fields and no more", file=sys.stderr)
     there = {(line["plane"], line["seed"]) for line in lines}
     tasks = [
         (plane, _FIRST_SEED + number)
