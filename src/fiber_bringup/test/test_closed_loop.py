@@ -262,6 +262,10 @@ def test_what_the_bridge_may_take_over_after_the_time_out_is_forgotten(night, fi
     night.client.wait_for(lambda: bridge._measured._images == taken + 1, WAIT_S)
     night.metrology.set_parameters([Parameter("timeout_s", value=COMPILE_S)])
     assert night.metrology._knowledge is not before and not night.metrology._knowledge._lit.any()
+    # the counters that the bridge has set come later: an image before them would be refused
+    told = bridge._session.units.to_angles(bridge._session.counts)
+    heard = night.metrology._motions.at_rest
+    night.client.wait_for(lambda: np.allclose(heard().counters, told, atol=1e-9), WAIT_S)
     night.loop().take_image()
     ids, xy_mm = night.field(11)
     blind = night.client.reconfigure(ids, xy_mm, WAIT_S)
