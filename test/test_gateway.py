@@ -50,7 +50,8 @@ class Caller(Stranger):
         ):
             self.node.create_subscription(kind, f"focal_plane/{topic}", hear, latest)
         self.clear = self.node.create_client(Trigger, "focal_plane/clear")
-        assert self.action.wait_for_server(WAIT_S) and self.start.wait_for_service(WAIT_S)
+        assert self.action.wait_for_server(WAIT_S)
+        assert all(each.wait_for_service(WAIT_S) for each in (self.start, self.clear))
 
     def _on_joint_states(self, message):
         self.velocities = np.array(message.velocity)
