@@ -10,7 +10,6 @@ delivery inside a process.
 
 import argparse
 import json
-import os
 import sys
 import time
 
@@ -19,7 +18,7 @@ import numpy as np
 from fiber_bringup.graph import Graph
 from fiber_client import PlaneClient
 from fiber_node import WaitError
-from fiber_node.ros_environment import use_loopback
+from fiber_node.ros_environment import own_domain, use_loopback
 
 __all__ = ["main", "measure"]
 
@@ -39,7 +38,7 @@ def measure(joins: int, domain: int) -> dict[str, float]:
             begin = time.monotonic()
             deaf = _deaf(domain)
             took_s.append(time.monotonic() - begin)
-    heard_s = took_s[: len(took_s) - bool(deaf)]
+    heard_s = took_s[: len(took_s) - bool(deaf)] or [np.nan]
     return {
         "joins": len(took_s),
         "deaf": deaf,
@@ -72,10 +71,9 @@ def main(argv: list[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument("--joins", type=int, default=1000)
-    parser.add_argument("--domain", type=int, default=int(os.environ.get("ROS_DOMAIN_ID", "0")))
     options = parser.parse_args(argv)
     use_loopback()
-    print(json.dumps(measure(options.joins, options.domain)))
+    print(json.dumps(measure(options.joins, own_domain())))
     return 0
 
 
