@@ -42,12 +42,13 @@ RECORDING ?= out/demo/recording.npz
 OPTIONS = $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) \
 	$(if $(SEED),--seed $(SEED)) $(if $(PLANNER),--planner $(PLANNER)) \
 	$(if $(LAYOUT),--layout $(LAYOUT)) $(if $(STARTS),--starts $(STARTS)) \
-	$(if $(TARGETS),--targets $(TARGETS)) $(if $(SPACING),--spacing $(SPACING))
+	$(if $(TARGETS),--targets $(TARGETS)) $(if $(SPACING),--spacing $(SPACING)) $(MOTORS)
+MOTORS = $(if $(DRIVE),--drive $(DRIVE)) $(if $(MOTORS_ON),--motors-on $(MOTORS_ON))
 
 .PHONY: help
 help: ## list the targets
 	@grep -hE '^[a-z -]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /|/' | column -t -s '|'
-	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file STARTS=file TARGETS=file SPACING=mm OUT=folder; demo FAULTS=stall:2,reset FORM=desi TOLERANCE_UM=10"
+	@echo "demo and bench take PRESET= ROBOTS= SEED= PLANNER= LAYOUT=file STARTS=file TARGETS=file SPACING=mm DRIVE=desi MOTORS_ON=0.55 OUT=folder; demo FAULTS=stall:2,reset FORM=desi TOLERANCE_UM=10"
 	@echo "the commands of a running plane take ARGS= for more options, such as ARGS=--help"
 
 .PHONY: venv
@@ -103,11 +104,11 @@ demo: inputs build ## take 5000 simulated robots through one reconfiguration, in
 		$(if $(TOLERANCE_UM),--tolerance-um $(TOLERANCE_UM)) --out $(OUT)
 
 .PHONY: console
-console: inputs build ## a simulated plane in a browser until Ctrl-C, into out/live (PORT=, PRESET=, ROBOTS=, FAULTS=, CAMERA=1, SWAPPED=3-17)
+console: inputs build ## a simulated plane in a browser until Ctrl-C, into out/live (PORT=, PRESET=, ROBOTS=, DRIVE=, FAULTS=, CAMERA=1, SWAPPED=3-17)
 	@$(call command,fiber_bringup,live) $(if $(PRESET),--preset $(PRESET)) $(if $(ROBOTS),--robots $(ROBOTS)) \
 		$(if $(SEED),--seed $(SEED)) $(if $(PLANNER),--planner $(PLANNER)) $(if $(LAYOUT),--layout $(LAYOUT)) \
 		$(if $(STARTS),--starts $(STARTS)) $(if $(FAULTS),--faults $(FAULTS)) $(if $(PORT),--port $(PORT)) \
-		$(if $(CAMERA),--camera) $(if $(SWAPPED),--swapped '$(SWAPPED)') \
+		$(MOTORS) $(if $(CAMERA),--camera) $(if $(SWAPPED),--swapped '$(SWAPPED)') \
 		--out $(if $(filter file,$(origin OUT)),out/live,$(OUT))
 
 .PHONY: reconfigure

@@ -47,6 +47,7 @@ from fiber_client.closed_loop import CameraLoop, show_images
 from fiber_client.reconfigure import summary, went_well
 from fiber_client.terminal import ProgressDisplay, table
 from fiber_core.array_types import Ids
+from fiber_core.drive.named import DRIVES
 from fiber_core.errors import FiberError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.metrics import ORDER_BYTES_BOUND
@@ -161,6 +162,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--starts", help="files with the present angles; by default random")
     parser.add_argument("--targets", help="files with targets; by default random targets")
     parser.add_argument("--spacing", type=float, metavar="MM", help="least distance of two targets")
+    parser.add_argument("--drive", choices=sorted(DRIVES), help="motors; by default of the layout")
+    parser.add_argument(
+        "--motors-on", type=float, metavar="SHARE", help="most motors of a supply on at once, to 1"
+    )
     parser.add_argument(
         "--form", choices=sorted(FORMS), help="columns of an instrument in results.ecsv"
     )
@@ -198,6 +203,8 @@ def _found_problem(options: argparse.Namespace) -> FoundProblem:
         starts=options.starts,
         targets=options.targets,
         spacing_mm=options.spacing,
+        drive=options.drive,
+        motors_on=options.motors_on,
     )
 
 

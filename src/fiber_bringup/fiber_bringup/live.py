@@ -23,6 +23,7 @@ from pathlib import Path
 from fiber_bringup.demo import ARMS
 from fiber_bringup.processes import Processes
 from fiber_bus_bridge.plant import plant_socket
+from fiber_core.drive.named import DRIVES
 from fiber_core.errors import FiberError
 from fiber_core.presets import PRESETS
 from fiber_core.problem import save_problem
@@ -63,6 +64,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--robots", type=int, help="number of robots; by default all")
     parser.add_argument("--layout", help="files of robots instead of a preset, joined by commas")
     parser.add_argument("--starts", help="files with the present angles; by default random")
+    parser.add_argument("--drive", choices=sorted(DRIVES), help="motors; by default of the layout")
+    parser.add_argument(
+        "--motors-on", type=float, metavar="SHARE", help="most motors of a supply on at once, to 1"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of random starts")
     parser.add_argument("--planner", choices=planners(), default=DEFAULT_PLANNER)
     parser.add_argument("--faults", default="", metavar="KIND[:COUNT],...", help="as of the demo")
@@ -82,6 +87,8 @@ def _run(options: argparse.Namespace) -> None:
         robots=options.robots,
         seed=options.seed,
         starts=options.starts,
+        drive=options.drive,
+        motors_on=options.motors_on,
     )
     for line in found.lines:
         print(line, file=sys.stderr)

@@ -41,6 +41,8 @@ _ARGUMENTS = {
     "layout": ("", "files of robots; none: a preset"),
     "starts": ("", "files of present angles; none: random"),
     "spacing_mm": ("-1.0", "least distance between two targets; -1: that of the layout"),
+    "drive": ("", "motors of the robots, as desi; none: those of the layout, ideal without any"),
+    "motors_on": ("0.0", "most motors of a supply on at once, to 1; 0: as the layout tells"),
     "problem": ("", "problem.npz with plane and starts; none: random starts"),
     "disabled_file": ("", "file that keeps the list of disabled robots; none: in memory only"),
     "sectors": (
@@ -95,7 +97,7 @@ _MANAGED: Mapping[str, type] = {"autostart": bool}
 _ALL, _NONE = "all", "none"
 _OF_PLANE: Mapping[str, type] = {
     "preset": str, "robots": int, "seed": int, "layout": str, "starts": str,
-    "spacing_mm": float, "problem": str,
+    "spacing_mm": float, "drive": str, "motors_on": float, "problem": str,
 }  # fmt: skip
 
 
@@ -238,6 +240,8 @@ def _plant() -> ExecuteProcess:
             ["--seed=", LaunchConfiguration("seed")],
             ["--layout=", LaunchConfiguration("layout")],
             ["--starts=", LaunchConfiguration("starts")],
+            ["--drive=", LaunchConfiguration("drive")],
+            ["--motors-on=", LaunchConfiguration("motors_on")],
             ["--problem=", LaunchConfiguration("problem")],
             ["--faults=", LaunchConfiguration("faults")],
             ["--time-scale=", LaunchConfiguration("time_scale")],
@@ -259,9 +263,8 @@ def _plant() -> ExecuteProcess:
 def _control() -> list[Node]:
     """Return the nodes that plan and move."""
     of_bridge = {
-        "preset": str, "robots": int, "seed": int, "layout": str, "starts": str,
-        "spacing_mm": float, "problem": str, "time_scale": float, "plant": str,
-        "disabled_file": str, "autostart": bool, "blind_um": float,
+        **_OF_PLANE, "time_scale": float, "plant": str, "disabled_file": str, "autostart": bool,
+        "blind_um": float,
     }  # fmt: skip
     return [
         _node("fiber_bus_bridge", "bridge", of_bridge, condition=IfCondition(_one_bridge())),

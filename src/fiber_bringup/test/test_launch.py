@@ -184,7 +184,10 @@ def test_the_plant_has_the_options_that_the_launch_file_gives_it(
         "faults",
         "namespace",
     }
-    values = {"robots": "7", "seed": "3", "time_scale": "0.5", "faults": "stall", "plant": "auto"}
+    values = {
+        "robots": "7", "seed": "3", "time_scale": "0.5", "faults": "stall", "plant": "auto",
+        "drive": "desi", "motors_on": "0.55",
+    }  # fmt: skip
     parameters = SHARE / "config" / "focal_plane.yaml"
     options = [f"{option}{values.get(name, '')}" for name, option in given.items()]
     assert main.main([f"--params-file={parameters}", *options]) == 0

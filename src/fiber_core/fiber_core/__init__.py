@@ -10,7 +10,7 @@ from fiber_core.assignment import Assignment, assign
 from fiber_core.corridor import JointCorridors
 from fiber_core.custom_plane import hexagonal
 from fiber_core.drive import CurveMotion, Drive, carried_out
-from fiber_core.drive.named import DRIVES, with_drive
+from fiber_core.drive.named import DRIVES, with_accelerations, with_drive
 from fiber_core.errors import FiberError, FieldError, LayoutError, MotionError, TargetsError
 from fiber_core.fields import Field, random_field, random_problem
 from fiber_core.focal_plane import FocalPlane
@@ -65,5 +65,6 @@ __all__ = [
     "random_problem",
     "save_plan",
     "save_problem",
+    "with_accelerations",
     "with_drive",
 ]

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fiber_core.array_types import Floats, Ints
-from fiber_core.drive import Drive
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets import PRESETS, PlaneColumns, Preset, plane_from
+from fiber_formats.drives import gears_of, same_for_all, with_motors
 from fiber_formats.errors import FormatError
 from fiber_formats.formats.own import OUTLINES
 from fiber_formats.records import LayoutColumns
@@ -106,8 +106,6 @@ def plane_of(
     )
     if "fibre_places_mm" in columns:
         fields["fibres"], fields["fibre_names"] = columns["fibre_places_mm"], found.fibre_names
-    if "spacing_mm" in columns:
-        fields["spacing_mm"] = _same(name, columns["spacing_mm"], "spacing_mm")
     if "phi_outline_mm" in columns or "theta_outline_mm" in columns:
         _put_outlines(name, columns, fields, supplied)
     elif "radius_mm" in columns:
@@ -117,42 +115,15 @@ def plane_of(
     else:
         supplied.append("outlines")
     try:
-        drive = _drive(columns)
+        if "spacing_mm" in columns:
+            fields["spacing_mm"] = same_for_all(columns, "spacing_mm")
+        drive = gears_of(columns)
         if drive is not None:
             fields["drive"] = drive
-        return plane_from(figures, ids, centers, arms, **fields), tuple(supplied)
+        plane = plane_from(figures, ids, centers, arms, **fields)
+        return with_motors(plane, columns), tuple(supplied)
     except LayoutError as error:
         raise FormatError(f"{name}: {error}") from None
-
-
-def _drive(columns: Mapping[str, NDArray]) -> Drive | None:
-    # what a table tells of each robot's gears, joints and supply; None without such a column
-    names = [f"{joint}_scale_{way}" for joint in ("theta", "phi") for way in ("falling", "rising")]
-    known = [name for name in names if name in columns]
-    of_joints = [
-        [f"{joint}_{what}_deg" for joint in ("theta", "phi")]
-        for what in ("uncertainty", "lost_motion")
-    ]
-    known += [name for pair in of_joints for name in pair if name in columns]
-    if not known and "supply" not in columns:
-        return None
-    n = len(columns["id"])
-
-    def of(name: str, otherwise: float) -> Floats:
-        return np.asarray(columns.get(name, np.full(n, otherwise)))
-
-    uncertainty, lost = (
-        np.deg2rad(np.stack([of(name, 0.0) for name in pair], axis=1)) for pair in of_joints
-    )
-    scale = np.stack([of(name, 1.0) for name in names], axis=1).reshape(n, 2, 2)
-    return Drive(
-        n,
-        uncertainty_rad=uncertainty,
-        lost_motion_rad=lost,
-        scale=scale,
-        supply=columns.get("supply"),
-        ids=columns["id"],
-    )
 
 
 def _put_outlines(
@@ -195,13 +166,6 @@ def _refuse_other_units(name: str, centers: Floats, arms: Floats) -> None:
             f"{name}: neighbours stand {pitch:.3g} mm apart and arms reach {reach:.3g} mm: are "
             "places and arms in mm?"
         )
-
-
-def _same(name: str, values: NDArray, column: str) -> float:
-    if np.ptp(values):
-        least, most = values.min(), values.max()
-        raise FormatError(f"{name}: column {column} is {least} to {most}; it holds for all robots")
-    return float(values[0])
 
 
 def _pair(

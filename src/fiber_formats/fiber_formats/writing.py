@@ -16,7 +16,7 @@ from fiber_formats.errors import FormatError
 __all__ = ["kind_of", "write_table", "write_whole"]
 
 _KINDS = {".csv": "ascii.csv", ".ecsv": "ascii.ecsv", ".fits": "fits", ".fit": "fits"}
-_UNITS = {"_deg_s": "deg / s", "_deg": "deg", "_mm": "mm", "_um": "um"}
+_UNITS = {"_deg_s2": "deg / s2", "_deg_s": "deg / s", "_deg": "deg", "_mm": "mm", "_um": "um"}
 
 
 def kind_of(path: str | os.PathLike[str]) -> str:

@@ -8,6 +8,7 @@ from sensor_msgs.msg import PointCloud2
 
 from fiber_core.array_types import Floats, Ints
 from fiber_core.drive import Drive, ListedSpeeds
+from fiber_core.drive.named import with_name
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.wire_units import WireUnits
@@ -256,7 +257,7 @@ def decode(message: PointCloud2) -> tuple[FocalPlane, WireUnits]:
     refuse(robots["enabled"] > 1, "layout", "enabled", ids, robots["enabled"], "is neither 0 nor 1")
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what is infinite in mm is refused
-            return _plane(robots, fixed, walls), _units(rows[0])
+            return with_name(_plane(robots, fixed, walls)), _units(rows[0])
     except LayoutError as error:
         raise MessageError("layout", f"is not a focal plane: {error}") from None
 
@@ -338,7 +339,7 @@ def _drive(robots: np.ndarray) -> Drive | None:
         float(ramp[0, 0]),
         np.where(acceleration == 0.0, np.inf, acceleration),
         uncertainty,
-        "layout",
+        "own",
         ListedSpeeds.of_numbers(listed[0]) if listed.shape[1] else None,
         scale.reshape(-1, 2, 2),
         lost,

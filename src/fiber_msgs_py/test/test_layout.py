@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from fiber_core.drive import Drive, ListedSpeeds
+from fiber_core.drive.named import DRIVES, with_drive
 from fiber_core.errors import FiberError
+from fiber_core.presets import preset
 from fiber_core.wire_units import WireUnits
 from fiber_msgs_py import MessageError, layout
 from fiber_msgs_py.table import encode_table
@@ -203,7 +205,7 @@ def test_listed_speeds_gears_and_supplies_travel_with_the_robots(plane, stamp):
     rng = np.random.default_rng(6)
     drive = Drive(
         plane.n,
-        name="layout",
+        name="own",
         listed=listed,
         scale=rng.uniform(0.4, 1.0, (plane.n, 2, 2)),
         lost_motion_rad=rng.uniform(0.0, 0.1, (plane.n, 2)),
@@ -212,12 +214,19 @@ def test_listed_speeds_gears_and_supplies_travel_with_the_robots(plane, stamp):
     )
     message = layout.encode(replace(plane, drive=drive), UNITS, stamp)
     assert layout.decode(message)[0].drive == drive
-    known = Drive(plane.n, name="layout", scale=drive.scale)  # of motors of any speed
+    known = Drive(plane.n, name="ideal", scale=drive.scale)  # of motors of any speed
     message = layout.encode(replace(plane, drive=known), UNITS, stamp)
     assert layout.decode(message)[0].drive == known
     raw_rows(message)["drive"][1, 12] = 0.9
     with pytest.raises(MessageError, match="is not the 1.0 of the other robots"):
         layout.decode(message)
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_a_named_drive_keeps_its_name(stamp, name):
+    driven = with_drive(preset("desi_petals", 61), name, motors_on=0.55)
+    message = layout.encode(driven, WireUnits.for_plane(driven), stamp)
+    assert layout.decode(message)[0].drive == driven.drive
 
 
 def test_a_drive_that_no_robot_can_have_is_refused(plane, stamp):

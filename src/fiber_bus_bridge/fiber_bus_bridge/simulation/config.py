@@ -39,6 +39,9 @@ class SimulationConfig:
         robots: number of robots of the preset, 0 for all of them.
         starts: files with the present angles of all robots; random without one.
         spacing_mm: least distance between two targets [mm]; below 0 for that of the plane.
+        drive: name of the drive, one of `fiber_core.DRIVES`; empty for that of the plane.
+        motors_on: largest share of the motors of a supply that may turn at once; 0 for that of the
+            plane.
         seed: seed of random starts and of the clock errors.
         clock: bus clock, as 100k, 400k, 1M, 1.7M or 3.4M.
         clock_ppm: largest error of a robot's clock, in both directions [1e-6].
@@ -54,6 +57,7 @@ class SimulationConfig:
     RANGES: ClassVar = {
         "robots": bounds.Range(0, bounds.MAX_ROBOTS, whole=True),
         "spacing_mm": bounds.Range(-1.0, bounds.MAX_LENGTH_MM),
+        "motors_on": bounds.Range(0.0, 1.0),
         "seed": bounds.Range(0, 2**64, whole=True),
         "clock_ppm": bounds.Range(0.0, bounds.MAX_CLOCK_PPM),
         "start_skew_s": bounds.Range(0.0, bounds.MAX_SKEW_S),
@@ -67,6 +71,8 @@ class SimulationConfig:
     robots: int = 0
     starts: str = ""
     spacing_mm: float = -1.0
+    drive: str = ""
+    motors_on: float = 0.0
     seed: int = 0
     clock: str = "1M"
     clock_ppm: float = 20.0
@@ -120,6 +126,8 @@ def simulated_problem(config: SimulationConfig) -> FoundProblem:
         starts=config.starts,
         random_targets=False,
         spacing_mm=None if config.spacing_mm < 0.0 else config.spacing_mm,
+        drive=config.drive or None,
+        motors_on=config.motors_on or None,
     )
 
 

@@ -12,9 +12,9 @@ from fiber_core.drive.listed import ListedSpeeds
 from fiber_core.errors import LayoutError
 from fiber_core.validation import frozen_array
 
-__all__ = ["Drive"]
+__all__ = ["MAX_RAMP_S", "Drive"]
 
-_MAX_RAMP_S = 60.0  # longer than any motion of an instrument
+MAX_RAMP_S = 60.0  # longer than any motion of an instrument
 _MIN_ACCELERATION_RAD_S2 = 1e-6
 _MAX_UNCERTAINTY_RAD = np.pi  # beyond half a turn nothing is known about a joint
 _MIN_SCALE, _MAX_SCALE = 0.01, 100.0  # beyond it a gear is not the one that was meant
@@ -47,7 +47,7 @@ class Drive:
             that broadcasts to it; inf is unlimited.
         uncertainty_rad: largest difference between the true angle of each joint and the reported
             one [rad], shape (n, 2) or one that broadcasts to it.
-        name: name of the drive, as in `fiber_core.DRIVES`.
+        name: name of the drive, as in `fiber_core.DRIVES`, or `own`.
         listed: the speeds of motors that have only a few; None for any speed.
         scale: turn of each joint by that of its motor, shape (n, 2, 2): robot, joint, direction
             (falling, rising angle), or one that broadcasts to it. It has an effect only on
@@ -87,7 +87,7 @@ class Drive:
         motors_on: float = 1.0,
         ids: ArrayLike | None = None,
     ):
-        bounds.check_number(ramp_s, "ramp of the drive [s]", 0.0, _MAX_RAMP_S, LayoutError)
+        bounds.check_number(ramp_s, "ramp of the drive [s]", 0.0, MAX_RAMP_S, LayoutError)
         bounds.check_number(
             motors_on, "share of motors that may be on", _MIN_MOTORS_ON, 1.0, LayoutError
         )

@@ -6,16 +6,18 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from fiber_core.array_types import Angles, Ints
-from fiber_core.drive.drive import Drive
+from fiber_core.array_types import Angles, Floats, Ints
+from fiber_core.drive.drive import MAX_RAMP_S, Drive
 from fiber_core.drive.listed import ListedSpeeds
 from fiber_core.drive.power import motors_allowed
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.validation import frozen_array
 from fiber_core.wire_units import WireUnits
 
-__all__ = ["DRIVES", "DriveFigures", "check_share", "with_drive"]
+__all__ = ["DRIVES", "DriveFigures", "check_share", "with_accelerations", "with_drive", "with_name"]
 
 
 @dataclass(frozen=True)
@@ -99,13 +101,12 @@ def with_drive(plane: FocalPlane, name: str, motors_on: float | None = None) -> 
         raise LayoutError(f"no drive is named {name!r}; there are {', '.join(DRIVES)}")
     figures, units = DRIVES[name], WireUnits.for_plane(plane)
     limit, before = np.deg2rad(figures.acceleration_deg_s2), plane.drive
-    rise_s = float((plane.speeds / limit).max(initial=0.0))
     own_rad, supply = _own(before)
     if supply is None:
         supply = _supply(figures, plane.n)
     drive = Drive(
         plane.n,
-        ramp_s=float(np.ceil(rise_s / units.tick_s - 1e-9)) * units.tick_s,
+        ramp_s=_ramp_s(plane, limit),
         acceleration_rad_s2=limit,
         uncertainty_rad=np.maximum(np.deg2rad(figures.uncertainty_deg), own_rad),
         name=name,
@@ -118,6 +119,55 @@ def with_drive(plane: FocalPlane, name: str, motors_on: float | None = None) -> 
     equipped = replace(plane, drive=drive)
     check_share(equipped)
     return equipped
+
+
+def with_accelerations(plane: FocalPlane, acceleration_rad_s2: ArrayLike) -> FocalPlane:
+    """Return the same plane with motors of any speed, each with an acceleration of its own.
+
+    The ramp lasts the whole number of ticks in which the slowest of all motors reaches its highest
+    speed from rest. The rest of the drive stays; its name becomes `own`.
+
+    Args:
+        plane: the focal plane; its motors have no listed speeds.
+        acceleration_rad_s2: highest acceleration of each joint [rad/s2], shape (n, 2); inf is
+            unlimited.
+
+    Raises:
+        LayoutError: an acceleration is out of range, or the motors have listed speeds; names the
+            robot.
+    """
+    limit = frozen_array(
+        acceleration_rad_s2, np.float64, (plane.n, 2), "accelerations", LayoutError
+    )
+    with np.errstate(divide="ignore"):
+        rise_s = plane.speeds / limit
+    slow = ~((limit > 0.0) & (rise_s <= MAX_RAMP_S)).all(axis=1)  # nan is slow
+    if slow.any():
+        at = int(np.argmax(slow))
+        raise LayoutError(
+            f"robot {plane.ids[at]}: accelerations must be above 0 and give full speed within "
+            f"{MAX_RAMP_S:g} s, got {np.rad2deg(limit[at]).tolist()} deg/s2"
+        )
+    ramp_s = _ramp_s(plane, limit)
+    drive = replace(plane.drive, ramp_s=ramp_s, acceleration_rad_s2=limit, name="own")
+    return replace(plane, drive=drive)
+
+
+def with_name(plane: FocalPlane) -> FocalPlane:
+    """Return the same plane with its drive called as in DRIVES, or `own` if none has its numbers.
+
+    Args:
+        plane: the focal plane; the name of its drive has no effect.
+    """
+    drive = replace(plane.drive, name="own")
+    for name in reversed(list(DRIVES)):  # `ideal` is also all others' uncertainty alone
+        of_name = with_drive(replace(plane, drive=drive), name, motors_on=1.0).drive
+        uncertainty_rad = np.deg2rad(DRIVES[name].uncertainty_deg)
+        if uncertainty_rad.any() and not (drive.uncertainty_rad == uncertainty_rad).any():
+            continue
+        if replace(drive, name=name, motors_on=1.0) == of_name:
+            return replace(plane, drive=replace(drive, name=name))
+    return replace(plane, drive=drive)
 
 
 def check_share(plane: FocalPlane) -> None:
@@ -135,6 +185,12 @@ def check_share(plane: FocalPlane) -> None:
             f"supply {number}: {share:.3g} of its {motors} motors is {share * motors:.3g}, and "
             f"less than one motor moves no robot"
         )
+
+
+def _ramp_s(plane: FocalPlane, limit_rad_s2: float | Floats) -> float:
+    tick_s = WireUnits.for_plane(plane).tick_s
+    rise_s = float((plane.speeds / limit_rad_s2).max(initial=0.0))
+    return float(np.ceil(rise_s / tick_s - 1e-9)) * tick_s
 
 
 def _own(drive: Drive) -> tuple[Angles, Ints | None]:

@@ -45,6 +45,9 @@ NUMBERS = {
     "theta_scale_rising": "",
     "phi_scale_falling": "",
     "phi_scale_rising": "",
+    "theta_acceleration_deg_s2": "deg / s2",
+    "phi_acceleration_deg_s2": "deg / s2",
+    "motors_on": "",
 }
 _ENABLED, _DISABLED = ("enabled", "functional"), ("nonfunctional", "disabled")
 _IDS = ("id", "location")
@@ -52,7 +55,7 @@ _WIRED = ("petal", "bus", "address", "supply")
 OUTLINES = ("theta_outline_mm", "phi_outline_mm")
 LAYOUT_COLUMNS = (
     *("id", "x_mm", "y_mm", *NUMBERS, *OUTLINES, "fibre_places_mm"),
-    *("enabled", *_WIRED, "preset"),
+    *("enabled", *_WIRED, "drive", "preset"),
 )
 _STARTS = ("theta_deg", "phi_deg")
 _LAYOUT_NAMES = (*LAYOUT_COLUMNS, *_IDS, *_ENABLED, *_DISABLED)
@@ -93,7 +96,8 @@ def layout(source: Source) -> LayoutColumns:
     for name in ("address", "supply"):
         if name in columns:
             found[name] = columns.whole(name)
-    preset = _preset(columns)
+    found |= _drive(columns)
+    preset = _one_word(columns, "preset")
     if enabled is None and (doubtful := columns.flag_names()):
         columns.note(
             f"{', '.join(doubtful)} may tell which robots are out of use: call it enabled or "
@@ -195,13 +199,19 @@ def _enabled(columns: Columns) -> Bools | None:
     return enabled
 
 
-def _preset(columns: Columns) -> str | None:
-    if "preset" not in columns:
+def _drive(columns: Columns) -> dict[str, np.ndarray]:
+    name = _one_word(columns, "drive")
+    return {} if name is None else {"drive": np.full(len(columns), name)}
+
+
+def _one_word(columns: Columns, name: str) -> str | None:
+    # the word that a column has in every row, None without one
+    if name not in columns:
         return None
-    names = np.unique(columns.words("preset"))
-    if len(names) > 1:
-        columns.note(f"column preset names several: {', '.join(names.tolist())}")
-    return str(names[0]) if len(names) else None
+    words = np.unique(columns.words(name))
+    if len(words) > 1:
+        columns.note(f"column {name} names several: {', '.join(words.tolist())}")
+    return str(words[0]) if len(words) else None
 
 
 def _refuse_near_names(columns: Columns, known: tuple[str, ...]) -> None:
