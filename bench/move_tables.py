@@ -4,9 +4,10 @@
 
 A table has one line a positioner: for each of its rows the motor steps of phi (P) and theta (T),
 the mode (cruise or creep), the time of the row [s] and the pause after it [ms]. Both motors of a
-row start together; each runs for its steps at its speed.
+row start together; each runs for its steps at its speed. A plan.npz beside them is read by its true
+curves.
 
-    python3 bench/move_tables.py desi/hwtables_*.csv --figure docs/images/move-tables.png
+    python3 bench/move_tables.py desi/hwtables_*.csv out/motors/plan.npz --figure out/motors.png
 """
 
 import argparse
@@ -26,6 +27,7 @@ COLUMNS = (
     "table", "positioners", "time [s]", "motor time [s]", "of it creep", "most motors on", "mean"
 )  # fmt: skip
 _MOTORS = 2  # of a positioner
+_CREEPS = 0.5  # share of the fastest speed below which a piece of a curve is creep
 _FOLLOWS_S = 2e-3  # largest difference between a row's time and the one of our speeds
 
 
@@ -114,6 +116,24 @@ def read_runs(path: Path) -> Runs:
     return Runs(positioners, np.array(begin), np.array(end), np.array(creeps, dtype=bool))
 
 
+def read_plan(path: Path) -> Runs:
+    """Read the motors of all robots of a plan.npz from its true curves, a run for each piece.
+
+    Raises:
+        TableError: the file is no plan, or has no curves.
+    """
+    names = ("curve_offsets", "curve_time_s", "curve_velocity_rad_s", "curve_acceleration_rad_s2")
+    try:
+        with np.load(path) as plan:
+            offsets, begin_s, speed, change = (plan[name] for name in names)
+    except (KeyError, ValueError, OSError) as error:
+        raise TableError(f"{path.name} is no plan with true curves: {error}") from None
+    at_once = np.abs(speed)
+    moves = (at_once > 0.0) | (change != 0.0)  # the last piece of each motor is its rest
+    end_s, creeps = np.roll(begin_s, -1), at_once < _CREEPS * at_once.max(initial=0.0)
+    return Runs((len(offsets) - 1) // _MOTORS, begin_s[moves], end_s[moves], creeps[moves])
+
+
 def _rows_of(line: dict[str, str]) -> list[tuple[float, float, str, str, float, float]]:
     # steps of phi and theta, their modes, time [s] and pause [ms] of each row
     names = ("motor_steps_P", "motor_steps_T", "speed_mode_P", "speed_mode_T")
@@ -147,13 +167,15 @@ def draw(path: Path, tables: Sequence[tuple[str, Runs]], cap: float) -> None:
     """Draw the share of motors that run over time, against the cap and the bound."""
     from matplotlib.figure import Figure
 
+    longest_s = max(runs.total_s for _, runs in tables)
     figure = Figure(figsize=(7.0, 2.4 * len(tables)), layout="constrained")
     for axes, (name, runs) in zip(figure.subplots(len(tables), squeeze=False)[:, 0], tables):
         times = np.linspace(0.0, runs.total_s, 2000)
         axes.fill_between(times, runs.share_on(times), color="tab:blue", alpha=0.5, lw=0)
         axes.axhline(cap, color="tab:red", lw=1, label=f"cap, {cap:.0%}")
         axes.axvline(runs.bound_s(cap), color="k", ls="--", lw=1, label="bound under the cap")
-        axes.set(title=name, xlabel="time [s]", ylabel="motors on", xlim=(0, None), ylim=(0, 1))
+        axes.set(title=name, xlabel="time [s]", ylabel="motors on", ylim=(0, 1))
+        axes.set_xlim(0.0, 1.02 * longest_s)
         axes.legend(loc="upper right", fontsize="small")
     figure.savefig(path, dpi=100)
 
@@ -168,7 +190,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not 0.0 < args.cap <= 1.0:
         parser.error(f"--cap is {args.cap}, expected more than 0 and at most 1")
     try:
-        tables = [(path.stem, read_runs(path)) for path in args.tables]
+        tables = [
+            (path.stem, read_plan(path) if path.suffix == ".npz" else read_runs(path))
+            for path in args.tables
+        ]
     except (TableError, KeyError, ValueError, OSError) as error:
         print(f"move_tables: {error}", file=sys.stderr)
         return 1

@@ -56,6 +56,25 @@ def test_a_table_that_is_not_understood_is_refused(tables, tmp_path, old, new, w
         tables.read_runs(path)
 
 
+def test_a_plan_is_a_table_of_its_true_curves(tables, tmp_path):
+    # one robot: theta 0.1 s up, 1 s at 2 rad/s, 0.1 s down; phi 0.5 s at 0.1 rad/s, 1 s later
+    np.savez(
+        path := tmp_path / "plan.npz",
+        curve_offsets=[0, 4, 7],
+        curve_time_s=[0.0, 0.1, 1.1, 1.2, 0.0, 1.0, 1.5],
+        curve_velocity_rad_s=[0.0, 2.0, 2.0, 0.0, 0.0, 0.1, 0.0],
+        curve_acceleration_rad_s2=[20.0, 0.0, -20.0, 0.0, 0.0, 0.0, 0.0],
+    )
+    runs = tables.read_plan(path)
+    assert (runs.positioners, runs.total_s, runs.peak) == (1, 1.5, 1.0)
+    assert runs.motor_s == pytest.approx(1.7)
+    assert runs.share_on(np.array([0.05, 1.05, 1.3])).tolist() == [0.5, 1.0, 0.5]
+    assert (runs.end_s - runs.begin_s)[runs.creeps].sum() == pytest.approx(0.1 + 0.5)
+    np.savez(path, offsets=[0])
+    with pytest.raises(tables.TableError, match="plan.npz is no plan with true curves"):
+        tables.read_plan(path)
+
+
 def test_the_command_prints_a_line_a_table_and_draws(tables, tmp_path, capsys):
     path = _written(tmp_path, *LINES)
     assert tables.main([str(path), "--figure", str(tmp_path / "on.png")]) == 0
