@@ -21,6 +21,7 @@ from fiber_metrology.errors import ImageError, MetrologyError
 from fiber_metrology.exposures import Lights, beside_free_lights, combine
 from fiber_metrology.identify import IdentifyConfig, identify
 from fiber_metrology.plate import PlateConfig
+from fiber_metrology.reasons import reason_text
 from fiber_metrology.spots import Spots
 
 __all__ = ["Expected", "MeasureConfig", "Measurement", "Verdict", "measure"]
@@ -152,6 +153,8 @@ class Measurement:
         angles: joint angles [rad], shape (n, 2): measured, or else as expected.
         interval_rad: half the width of the interval of each joint [rad], shape (n, 2).
         error_mm: bound of the error of each place [mm], shape (n,), nan without a place.
+        off_mm: distance of each place from where the counters say [mm], shape (n,), nan without a
+            place.
         doubt: probability that the light is of another robot or a stray one, shape (n,).
         group: robots with the same number share lights, -1 for none, shape (n,).
         light: row of the light of each robot in `lights`, -1 for none, shape (n,).
@@ -164,6 +167,7 @@ class Measurement:
     angles: Angles
     interval_rad: Angles
     error_mm: Floats
+    off_mm: Floats
     doubt: Floats
     group: Ints
     light: Ints
@@ -183,14 +187,12 @@ class Measurement:
         """Return a line for each robot that is not simply measured, with what is known."""
         lines = []
         for row in np.flatnonzero(self.verdict != Verdict.MEASURED):
-            text = Verdict(self.verdict[row]).name.lower().replace("_", " ")
-            if self.verdict[row] == Verdict.AMBIGUOUS:
-                others = self.plane.ids[(self.group == self.group[row]) & (self.group >= 0)]
-                others = others[others != self.plane.ids[row]]
-                text += f", doubt {self.doubt[row]:.1e}"
-                if len(others):
-                    text += f", shares lights with {', '.join(map(str, others))}"
-            lines.append(f"robot {self.plane.ids[row]}: {text}")
+            robot, group = self.plane.ids[row], self.group[row]
+            others = self.plane.ids[(self.group == group) & (group >= 0)]
+            text = reason_text(
+                self.verdict[row], self.off_mm[row], self.doubt[row], others[others != robot]
+            )
+            lines.append(f"robot {robot}: {text}")
         return lines
 
 
@@ -269,7 +271,7 @@ def measure(
     angles[unknown] = _angles_there(expected, where)[unknown]
     interval[unknown] = _unseen(expected, config)[unknown]
     return Measurement(
-        plane, verdict, measured, angles, interval, bound_mm,
+        plane, verdict, measured, angles, interval, bound_mm, off,
         found.doubt, found.group, found.light, lights,
     )  # fmt: skip
 

@@ -19,6 +19,7 @@ from fiber_metrology import (
     measure,
 )
 from fiber_metrology.camera import CameraConfig
+from fiber_metrology.reasons import reason_text
 
 
 def test_every_fibre_is_found_to_a_few_micrometres_and_every_interval_holds(scene):
@@ -65,7 +66,21 @@ def test_a_joint_that_did_not_turn_is_named_and_no_other(scene):
     assert (image.verdict[9:] == Verdict.MEASURED).all()
     assert (np.abs(image.angles - scene.true) <= image.interval_rad)[:9].all()
     assert not follows(image)[:9].any()
-    assert image.reasons()[3] == f"robot {scene.plane.ids[3]}: theta not moved"
+    assert image.reasons()[3] == (
+        f"robot {scene.plane.ids[3]}: theta not moved: theta did not turn when it was told to; "
+        f"{image.off_mm[3]:.3f} mm from where its counters say"
+    )
+    assert (np.abs(image.off_mm - away)[:9] < 0.3).all() and (image.off_mm[9:] < 0.3).all()
+
+
+@pytest.mark.parametrize("verdict", [code for code in Verdict if code != Verdict.MEASURED])
+def test_every_verdict_but_measured_has_its_reason_in_words(verdict):
+    text = reason_text(verdict, np.nan, 0.02, [3, 5])
+    name, why = text.split(": ")
+    assert name == verdict.name.lower().replace("_", " ") and len(why.split()) > 4
+    assert ("doubt 2.0e-02, shares lights with 3, 5" in text) == (verdict == Verdict.AMBIGUOUS)
+    assert "from where its counters say" not in text
+    assert reason_text(verdict, 0.41, 0.0).endswith("; 0.410 mm from where its counters say")
 
 
 def test_a_joint_is_named_with_a_doubt_at_which_its_place_is_not_told(scene):
