@@ -4,6 +4,7 @@
 from fiber_viewer.figures.conflict import conflict, conflict_rows
 from fiber_viewer.figures.plane import before_and_after, outcomes, plane
 from fiber_viewer.figures.profiles import positions, velocities
+from fiber_viewer.figures.residuals import images, residuals
 from fiber_viewer.figures.statistics import bus_load, clearances, makespan, segments
 from fiber_viewer.figures.trends import trends
 
@@ -13,10 +14,12 @@ __all__ = [
     "clearances",
     "conflict",
     "conflict_rows",
+    "images",
     "makespan",
     "outcomes",
     "plane",
     "positions",
+    "residuals",
     "segments",
     "trends",
     "velocities",

@@ -2,7 +2,8 @@
 """Draw the figures of a recording, as PDF and PNG.
 
 The figures are: plane, outcomes, conflict (a closest approach at six moments), velocities and
-positions (of some robots), clearances, makespan, segments, buses.
+positions (of some robots), clearances, makespan, segments, buses; and images (vectors and histogram
+after the move and each correction) if a camera has seen the plan.
 """
 
 import argparse
@@ -33,6 +34,7 @@ FIGURES: dict[str, Callable[[Recording, Rows], Figure]] = {
     "makespan": lambda recording, rows: figures.makespan(recording),
     "segments": lambda recording, rows: figures.segments(recording),
     "buses": lambda recording, rows: figures.bus_load(recording),
+    "images": lambda recording, rows: figures.images(recording),
 }
 _ROBOT_FIGURES = ("conflict", "velocities", "positions")
 _DPI = 150
@@ -48,10 +50,12 @@ def main(argv: list[str] | None = None) -> int:
     try:
         recording = load_recording(args.recording)
         rows = recording.rows_of(args.robots) if args.robots else figures.conflict_rows(recording)
-        if not len(rows) and set(args.only) & set(_ROBOT_FIGURES):
+        unseen = () if recording.images is not None else ("images",)
+        names = args.only or [name for name in FIGURES if name not in unseen]
+        if not len(rows) and set(names) & set(_ROBOT_FIGURES):
             rows = np.flatnonzero(recording.started)[:1]
         args.out.mkdir(parents=True, exist_ok=True)
-        for name in args.only:
+        for name in names:
             if name in _ROBOT_FIGURES and not len(rows):
                 raise RecordingError(f"{name}: no robot moves; name robots with --robots")
             figure = FIGURES[name](recording, rows)
@@ -95,9 +99,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--only",
         type=listed(FIGURES),
-        default=list(FIGURES),
+        default=[],
         metavar="NAME,NAME",
-        help="figures to draw",
+        help="figures to draw; by default all that the recording has",
     )
     parser.add_argument(
         "--formats", type=listed(("pdf", "png")), default=["pdf", "png"], metavar="pdf,png"

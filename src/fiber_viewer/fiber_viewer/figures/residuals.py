@@ -9,12 +9,38 @@ from numpy.typing import ArrayLike
 
 from fiber_core.array_types import Points
 from fiber_core.focal_plane import FocalPlane
+from fiber_core.outcomes import STILL, Outcome
+from fiber_recording.errors import RecordingError
+from fiber_recording.recording import Recording
 from fiber_viewer.figures.style import COLORS
 
-__all__ = ["residuals"]
+__all__ = ["images", "residuals"]
 
 _MOST_PITCHES = 1.5  # of the longest usual vector
 _BINS = 40
+_SHOWN_PERCENT = 99  # of the lengths of an image are inside its histogram
+
+
+def images(recording: Recording) -> Figure:
+    """Draw what a camera told after a plan and its corrections, as `residuals`.
+
+    Fibres of robots that the plan brought to their targets are shown. Robots that did not move are
+    crosses.
+
+    Args:
+        recording: the recording, with images.
+
+    Raises:
+        RecordingError: no camera has seen the plan.
+    """
+    seen = recording.images
+    if seen is None:
+        raise RecordingError("images: no camera has seen this plan")
+    plane = recording.problem.plane
+    reached = (recording.outcome == Outcome.REACHED)[:, None]
+    targets = np.where(reached, recording.problem.targets, np.nan)
+    still = np.isin(seen.verdict, STILL).any(axis=0)
+    return residuals(plane, targets, list(seen.place_mm), plane.ids[still])
 
 
 def residuals(
@@ -23,11 +49,12 @@ def residuals(
     """Draw the vector from each target to its fibre, and a histogram of their lengths, by image.
 
     The vectors of one image have one scale, which its title tells: the 95th percentile is drawn as
-    long as one and a half pitches.
+    long as one and a half pitches. The last bar of a histogram counts all longer ones too.
 
     Args:
         plane: the focal plane.
-        targets: targets of the fibres [mm], shape (n, 2), nan without one.
+        targets: targets of the fibres [mm], shape (n, 2), nan without one, and for robots that the
+            plan held: they are far from it, and say nothing of the images.
         places: measured places of the fibres in each image [mm], shape (n, 2) each, nan where
             none is told.
         flagged: ids of robots that did not move when they were told to, marked and not counted.
@@ -50,8 +77,9 @@ def residuals(
         name = "after the move" if number == 0 else f"after correction {number}"
         rms = float(np.sqrt(np.mean(um**2))) if len(um) else float("nan")
         above.set_title(f"{name}: {len(um)} fibres, {rms:.1f} um rms\n{above.get_title()}")
-        below.hist(um, bins=_BINS, color=COLORS["reached"])
-        below.set_xlabel("distance from the target [um]")
+        far = max(float(np.percentile(um, _SHOWN_PERCENT)), 1e-3) if len(um) else 1.0
+        below.hist(np.minimum(um, far), np.linspace(0.0, far, _BINS + 1), color=COLORS["reached"])
+        below.set_xlabel("distance from the target [um], the last bar counts longer ones too")
     panels[0, 0].set_ylabel("y [mm]")
     panels[1, 0].set_ylabel("fibres")
     if still.any():
