@@ -78,7 +78,7 @@ def node(tmp_path):
         imports = "".join(
             f"import * as {name} from {json.dumps((PLAYER / f'{name}.js').as_uri())};\n"
             for name in ("recording", "kinematics", "clearance", "neighbourhood", "profiles")
-            + ("address", "headline", "axes", "phases")
+            + ("address", "headline", "axes", "phases", "images")
         )
         (tmp_path / "run.mjs").write_text(
             imports.replace("* as recording", "* as opened")

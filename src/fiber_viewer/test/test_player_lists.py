@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fiber_core.outcomes import Outcome, Reason
+from fiber_core.outcomes import Outcome, Reason, Verdict
 from fiber_recording import save_recording
+from fiber_recording.examples import seen_by_a_camera
 
 
 def test_a_robot_without_a_target_is_not_held_whatever_its_reason(node, recording, tmp_path):
@@ -92,3 +93,30 @@ def test_robots_that_fail_together_are_one_fault_when_they_stopped(node, resumed
         [pytest.approx(0.211), 11, "failed: not acknowledged"],
         [pytest.approx(0.3003), -1, f"{together.sum()} robots failed: not acknowledged"],
     ]
+
+
+def test_a_robot_that_did_not_move_stays_flagged_and_one_off_its_model_is_counted(
+    node, recording, tmp_path
+):
+    seen = seen_by_a_camera(recording, 1)
+    verdict = np.full((3, recording.problem.plane.n), int(Verdict.MEASURED))
+    verdict[:, 8] = Verdict.THETA_NOT_MOVED, Verdict.DARK, Verdict.MEASURED
+    verdict[:, 9] = Verdict.OFF_MODEL, Verdict.MEASURED, Verdict.MEASURED
+    verdict[:, 10] = Verdict.MERGED, Verdict.MEASURED, Verdict.MISSING
+    place = seen.images.place_mm[[0, 1, 1]]
+    images = replace(seen.images, place_mm=place, true_mm=None, verdict=verdict)
+    save_recording(tmp_path / "three.npz", replace(seen, images=images))
+    flagged, counted = node(
+        tmp_path / "three.npz",
+        """
+        const rows = (k) => images.residualsOf(recording, k).rows;
+        answer = [images.flaggedOf(recording), [0, 1, 2].map(rows)];
+        """,
+    )
+    told = {each["row"]: f"{each['verdict']} {each['text']}" for each in flagged}
+    assert sorted(told) == [8, 9, 10]
+    assert told[8].startswith("theta not moved after the move: theta did not turn")
+    assert told[9].startswith("off model after the move: its drive does not explain")
+    assert told[10].startswith("missing after correction 2: no light")
+    for rows in counted:
+        assert 9 in rows and 8 not in rows

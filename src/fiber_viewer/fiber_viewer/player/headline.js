@@ -25,12 +25,13 @@ export function figuresOf(recording) {
   };
 }
 
-/** Returns the outcomes in one sentence. */
-export function verdict({ asked, reached, held, failed, disabled }) {
+/** Returns the outcomes in one sentence; after images it says that counters told them. */
+export function verdict({ asked, reached, held, failed, disabled }, byCounters = false) {
   if (asked === 0) return "No robot had a target.";
-  if (reached === asked) return `All ${asked} robots reached their targets.`;
+  const by = byCounters ? ", by their counters" : "";
+  if (reached === asked) return `All ${asked} robots reached their targets${by}.`;
   const rest = [held && `${held} held`, disabled && `${disabled} disabled`, failed && `${failed} failed`].filter(Boolean).join(", ");
-  return `${reached} of ${asked} robots reached their targets; ${rest}.`;
+  return `${reached} of ${asked} robots reached their targets${by}; ${rest}.`;
 }
 
 /** Returns in one sentence what the last image of a camera tells. */
@@ -43,7 +44,7 @@ export function imagesNote(recording) {
 /** Fills title, subtitle and figures of the page. */
 export function showHeadline(app, { title, subtitle, figures, notes }) {
   const { recording } = app, { about, plane } = recording, numbers = figuresOf(recording);
-  title.textContent = `${about.report.plane || "Focal plane"}: ${verdict(numbers)}`;
+  title.textContent = `${about.report.plane || "Focal plane"}: ${verdict(numbers, Boolean(recording.images))}`;
   const when = new Date(about.plan_ns / 1e6).toISOString().slice(0, 19).replace("T", " ");
   subtitle.textContent = [
     `${plane.n} robots`, about.plan_ns > 0 && `${when} UTC`, about.planner && `planner ${about.planner}`,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Panel 8: how far fibres are from their targets in each image of a camera, and which robots have a remark.
+// Panel 8: how far fibres are from their targets in each image of a camera, and which robots are flagged and why.
 import { Camera } from "./camera.js";
 import { cleared, colors, write } from "./theme.js";
 import { line } from "./drawing.js";
@@ -10,6 +10,18 @@ const SHOWN = 0.99; // of the distances of all images are inside the histogram
 const USUAL = 0.95; // of the vectors are at most as long as LONGEST patrol radii
 const LONGEST = 1;
 const REACHED_CODE = 0; // of an outcome
+const WHY = {
+  dark: "no light where its fibre may be, in any image",
+  missing: "no light where its fibre may be",
+  ambiguous: "a light that may not be its own",
+  merged: "its light may be two",
+  not_moved: "neither joint turned when it was told to",
+  theta_not_moved: "theta did not turn when it was told to",
+  phi_not_moved: "phi did not turn when it was told to",
+  off_model: "its drive does not explain where it was",
+  unplaced: "its place is unknown, or its turn of theta",
+  unexplained: "no light where its fibre may be, and one of no robot in its reach",
+};
 
 /** Returns the name of an image. */
 export function imageName(k) {
@@ -18,13 +30,13 @@ export function imageName(k) {
 
 /**
  * Returns the rows of fibres that the plan brought to their targets and an image tells of, and how
- * far each is from there [mm]: {rows, dx, dy, um}. Robots that were held or are flagged are listed.
+ * far each is from there [mm]: {rows, dx, dy, um}. Robots that were held or did not move are listed.
  */
 export function residualsOf({ plane, images, outcome }, k) {
   const rows = [], dx = [], dy = [], um = [], places = images.places[k], { target } = plane;
   for (let row = 0; row < plane.n; row++) {
     const [x, y] = [places[2 * row] - target[2 * row], places[2 * row + 1] - target[2 * row + 1]];
-    if (!Number.isFinite(x + y) || images.verdicts[k][row] || outcome[row] !== REACHED_CODE) continue;
+    if (!Number.isFinite(x + y) || images.stays(images.verdicts[k][row]) || outcome[row] !== REACHED_CODE) continue;
     rows.push(row);
     dx.push(x);
     dy.push(y);
@@ -33,12 +45,18 @@ export function residualsOf({ plane, images, outcome }, k) {
   return { rows, dx, dy, um };
 }
 
-/** Returns the robots that the last image has a remark about: [{row, text}, ...]. */
-export function flaggedOf({ images }) {
+/** Returns the robots that are flagged after the last image, since when and why: [{row, verdict, text}, ...]. */
+export function flaggedOf({ plane, images }) {
   if (!images) return [];
-  const flagged = [];
-  images.verdicts[images.count - 1].forEach((code, row) => {
-    if (code) flagged.push({ row, text: (images.names[code] ?? `verdict ${code}`).replaceAll("_", " ") });
+  const flagged = [], last = images.count - 1, places = images.places[last];
+  images.verdicts[last].forEach((code, row) => {
+    if (!code) return;
+    const name = images.names[code] ?? `verdict ${code}`;
+    let first = last; // image since which this is told
+    while (first && images.verdicts[first - 1][row] === code) first -= 1;
+    const far = Math.hypot(places[2 * row] - plane.target[2 * row], places[2 * row + 1] - plane.target[2 * row + 1]);
+    const text = (WHY[name] ? `${imageName(first)}: ${WHY[name]}` : imageName(first)) + (Number.isFinite(far) ? `; now ${far.toFixed(3)} mm from its target` : "");
+    flagged.push({ row, verdict: name.replaceAll("_", " "), text });
   });
   return flagged;
 }

@@ -68,8 +68,8 @@ export class Lists {
   }
 
   /** A robot about which the camera has a remark. */
-  flaggedEntry({ row, text }) {
-    return { cells: [`${this.app.recording.plane.ids[row]}`, "", text], action: () => this.app.goToRobot(row) };
+  flaggedEntry({ row, verdict, text }) {
+    return { cells: [`${this.app.recording.plane.ids[row]}`, verdict, text], action: () => this.app.goToRobot(row) };
   }
 
   show(key) {

@@ -150,8 +150,9 @@ function pairsOf(arrays) {
   }));
 }
 
-// What is true of a robot in later images too: it takes no part in corrections.
-const LASTING = new Set(["not_moved", "theta_not_moved", "phi_not_moved", "off_model"]);
+// Robots that did not move take no part in corrections; what they and those off their models are told
+// to be is shown in later images too.
+const STILL = ["not_moved", "theta_not_moved", "phi_not_moved"], LASTING = [...STILL, "off_model"];
 
 // Images of a camera: place x of robot `row` in image k is places[k][2 * row]; null without a camera.
 function imagesOf(arrays, about, n) {
@@ -159,10 +160,14 @@ function imagesOf(arrays, about, n) {
   const count = arrays.image_place_mm.shape[0];
   const split = (array, width) => array && Array.from({ length: count }, (_, k) => array.data.subarray(k * n * width, (k + 1) * n * width));
   const { verdict: names } = about.names, verdicts = split(arrays.image_verdict, 1);
+  const stays = (code) => STILL.includes(names[code]);
   for (let k = 1; k < count; k++) {
-    verdicts[k] = verdicts[k].map((code, row) => (code === 0 && LASTING.has(names[verdicts[k - 1][row]]) ? verdicts[k - 1][row] : code));
+    verdicts[k] = verdicts[k].map((code, row) => {
+      const before = verdicts[k - 1][row], lasts = code === 0 ? LASTING.includes(names[before]) : stays(before) && !stays(code);
+      return lasts ? before : code;
+    });
   }
-  return { count, places: split(arrays.image_place_mm, 2), truths: split(arrays.image_true_mm, 2) ?? null, verdicts, names };
+  return { count, places: split(arrays.image_place_mm, 2), truths: split(arrays.image_true_mm, 2) ?? null, verdicts, names, stays };
 }
 
 // Motors of each power supply that turn at once, in bins; null for a plane without a cap on them.
