@@ -392,3 +392,25 @@ def test_turns_of_another_session_or_plane_are_refused_and_none_waits(night, fir
     client.call_service(topics.CLEAR, WAIT_S)  # and forgets it
     with pytest.raises(PlaneRefusal, match="clear, configure, home or another motion made this"):
         client.call_service(topics.TURN, WAIT_S)
+
+
+def test_spots_in_the_pixels_of_images_close_the_loop_as_lists_of_spots_do(night, first):
+    metrology, camera = night.metrology, night.camera
+    metrology.set_parameters([Parameter("pixels", value=True)])
+    assert metrology.trigger_deactivate() and metrology.trigger_cleanup()  # it hears another topic
+    assert metrology.trigger_configure() and metrology.trigger_activate()
+    night.client.wait_for(lambda: camera._images.get_subscription_count() == 1, WAIT_S)
+    night.client.wait_for(lambda: camera._spots.get_subscription_count() == 0, WAIT_S)
+    night.client.wait_for(lambda: metrology._knowledge is not None, WAIT_S)
+    ids, xy_mm = night.field(13)
+    blind = night.client.reconfigure(ids, xy_mm, WAIT_S)
+    end = night.loop().run(ids, xy_mm, blind)
+    assert end.images()[-1]["rms_um"] < 8.0 < end.images()[0]["rms_um"] and not end.ended
+    off_um = 1e3 * np.hypot(*(end.places[-1] - night.true_fibres()).T)
+    assert np.isfinite(off_um).sum() > 0.85 * len(ids) and np.nanmedian(off_um) < 8.0
+    # a closed shutter: pixels without light are refused, and nothing is learned
+    camera._lit, lit = np.zeros_like(camera._lit), camera._lit
+    fiducials, camera._fiducials = camera._fiducials, np.zeros((0, 2))
+    with pytest.raises(PlaneRefusal, match="no light, or the shutter was closed"):
+        night.loop().take_image()
+    camera._lit, camera._fiducials = lit, fiducials
