@@ -79,3 +79,30 @@ def test_a_plan_that_waits_is_no_rest():
     heard.motions.hear_accepted(Attempt(PlanStamp(20), PlanStamp(20), 1, 10, 10), False)
     with pytest.raises(MetrologyError, match="plan 0.000000020 has not ended"):
         heard.motions.at_rest()
+
+
+def heard_late(*states):
+    """Motions of a node that hears no targets, but states before and after and the outcome."""
+    begun = []
+    motions = Motions(lambda angles, straight: begun.append((angles[0, 0], straight)))
+    motions.open(OPENED)
+    for ns, angles in states:
+        motions.hear_states(ns, angles, moving=False)
+    motions.hear_outcome(PlanStamp(20))
+    motions.hear_states(90, AFTER, moving=False)
+    return begun, motions
+
+
+def test_a_node_that_is_started_between_targets_and_motion_knows_where_the_motion_began():
+    begun, motions = heard_late((30, BEFORE), (80, AFTER))
+    assert begun == [(0.0, False)] and motions.at_rest().begin_heard
+
+
+@pytest.mark.parametrize("states", [(), ((80, AFTER),)], ids=["nothing", "states of after it"])
+def test_a_node_that_is_started_after_the_motion_tells_that_it_does_not_know(states):
+    _, motions = heard_late(*states)
+    assert not motions.at_rest().begin_heard
+    motions.hear_accepted(Attempt(PlanStamp(100), PlanStamp(100), 1, 90, 90), False)
+    motions.hear_outcome(PlanStamp(100))
+    motions.hear_states(110, BEFORE, moving=False)
+    assert motions.at_rest().begin_heard  # of the next motion it does

@@ -202,6 +202,11 @@ class MetrologyNode(ManagedNode):
             raise
         with self._motions.lock:
             knowledge.learn(image)  # after the bridge: both count from the same places
+        if not rest.begin_heard:
+            self.get_logger().warning(
+                f"plan {stamp}: this node was started after the robots moved and did not hear "
+                "where they were before: the image names no joint that did not turn"
+            )
         return self._report(image, stamp, took_s)
 
     def _forget(self, knowledge: Knowledge) -> None:

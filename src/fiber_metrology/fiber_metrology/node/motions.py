@@ -25,12 +25,15 @@ class Rest(NamedTuple):
         plan: the last plan that has ended, None before the first.
         since_ns: time of the first joint states that show this rest [ns].
         session: id of the session of the bridge.
+        begin_heard: whether it is known where the last motion began; if not, no image tells that a
+            joint did not turn in it.
     """
 
     counters: Angles
     plan: PlanStamp | None
     since_ns: int
     session: str | None
+    begin_heard: bool = True
 
     def lasts_until(self, later: "Rest") -> bool:
         """Return whether nothing was told to move between this rest and a later look at it."""
@@ -56,6 +59,9 @@ class Motions:
 
     def _reset(self) -> None:
         self._at_rest: dict[int, Angles] = {}  # joint states by stamp
+        self._first: Angles | None = None  # the first ones at rest that were heard
+        # the last plan of which no joint states surely tell where it began, and the likeliest ones
+        self._unsure: tuple[PlanStamp, Angles | None] | None = None
         self._newest_ns, self._moving = -1, False
         self._rests_since_ns: int | None = None
         self._waiting: tuple[PlanStamp, int, bool] | None = None  # its joint states have not come
@@ -79,6 +85,7 @@ class Motions:
                 elif self._rests_since_ns is None:
                     self._rests_since_ns = ns
             if not moving:
+                self._first = angles if self._first is None else self._first
                 self._at_rest[ns] = angles
                 for old in sorted(self._at_rest)[:-_KEPT]:
                     del self._at_rest[old]
@@ -117,6 +124,10 @@ class Motions:
             found = [ns for ns in sorted(self._at_rest) if ns >= since_ns]
         if found:
             self._begin(self._at_rest[found[0]], straight)
+        elif ended:  # this node was started after its targets were sent, and maybe before it moved
+            self._unsure = plan, self._first
+            if self._first is not None:
+                self._begin(self._first, straight)
         if found or ended:
             self._waiting = None
 
@@ -139,7 +150,11 @@ class Motions:
             if self._rests_since_ns is None or not self._has_settled():
                 raise MetrologyError(f"plan {self._begun} has not ended: start it, or clear")
             angles = self._at_rest[max(self._at_rest)]
-            return Rest(angles, self._ended, self._rests_since_ns, self._session)
+            heard = self._unsure is None or self._unsure[0] != self._ended
+            if not heard and self._unsure is not None and self._unsure[1] is not None:
+                # joint states that differ from those after the motion are of before it
+                heard = not np.array_equal(self._unsure[1], angles)
+            return Rest(angles, self._ended, self._rests_since_ns, self._session, heard)
 
     def _has_settled(self) -> bool:
         ended = self._begun is None or (self._ended is not None and self._begun <= self._ended)
