@@ -6,11 +6,13 @@ import pytest
 from metrology_scene import N, Scene, owners
 
 from fiber_core import kinematics
+from fiber_core.fields import random_field
 from fiber_core.outcomes import STILL
 from fiber_core.presets import preset
 from fiber_metrology import (
     DriveErrors,
     IdentifyConfig,
+    ImageError,
     Knowledge,
     MeasureConfig,
     MetrologyError,
@@ -284,3 +286,15 @@ def test_theta_that_stuck_almost_a_turn_from_where_it_should_be_is_told_with_its
     assert image.certain.mean() > 0.9 and not np.isin(image.verdict, STILL).any()
     off = np.abs(image.angles - scene.true)[image.certain]
     assert (off <= image.interval_rad[image.certain] + 1e-9).all()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_robots_of_another_field_between_our_fiducials_are_refused_as_another_plane(scene, seed):
+    rng = np.random.default_rng(seed)
+    scene.true = np.array(random_field(scene.plane, rng).goal)  # nothing known brought them there
+    known = Knowledge(scene.plane)
+    known.begin(scene.before, False)
+    spots = [exposure.spots for exposure in scene.expose(exposures=3)]
+    expected = known.expected(scene.counters)
+    with pytest.raises(ImageError, match=r"\d+ robots are at \d+ lights: the image is of another"):
+        measure(expected, spots, scene.fiducials, scene.camera.calibrated)
