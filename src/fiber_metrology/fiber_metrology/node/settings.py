@@ -17,7 +17,7 @@ class MetrologyConfig:
     Args:
         exposures: exposures of one image.
         pixels: whether spots are found in the pixels of the topic camera/image; else lists of
-            spots are heard on camera/spots.
+            spots are heard on camera/spots. A change is in effect when the node is configured next.
         expose: whether the camera is told to expose by the service camera/expose; else the next
             exposures that come are taken.
         timeout_s: longest wait for all exposures of an image, and for the bridge to take over what
