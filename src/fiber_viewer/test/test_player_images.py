@@ -48,7 +48,7 @@ def text(browser, name):
 def lengths_um(recording, image):
     off = recording.images.place_mm[image] - recording.problem.targets
     counted = np.isfinite(off).all(axis=1) & (recording.outcome == Outcome.REACHED)
-    counted &= ~np.isin(recording.images.verdict[: image + 1], STILL_THERE).any(axis=0)
+    counted &= ~np.isin(recording.images.verdict, STILL_THERE).any(axis=0)
     return 1e3 * np.hypot(*off[counted].T)
 
 

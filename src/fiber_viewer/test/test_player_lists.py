@@ -103,6 +103,7 @@ def test_a_robot_that_did_not_move_stays_flagged_and_one_off_its_model_is_counte
     verdict[:, 8] = Verdict.THETA_NOT_MOVED, Verdict.DARK, Verdict.MEASURED
     verdict[:, 9] = Verdict.OFF_MODEL, Verdict.MEASURED, Verdict.MEASURED
     verdict[:, 10] = Verdict.MERGED, Verdict.MEASURED, Verdict.MISSING
+    verdict[:, 12] = Verdict.MEASURED, Verdict.MEASURED, Verdict.PHI_NOT_MOVED
     place = seen.images.place_mm[[0, 1, 1]]
     images = replace(seen.images, place_mm=place, true_mm=None, verdict=verdict)
     save_recording(tmp_path / "three.npz", replace(seen, images=images))
@@ -114,9 +115,9 @@ def test_a_robot_that_did_not_move_stays_flagged_and_one_off_its_model_is_counte
         """,
     )
     told = {each["row"]: f"{each['verdict']} {each['text']}" for each in flagged}
-    assert sorted(told) == [8, 9, 10]
+    assert sorted(told) == [8, 9, 10, 12]
     assert told[8].startswith("theta not moved after the move: theta did not turn")
     assert told[9].startswith("off model after the move: its drive does not explain")
     assert told[10].startswith("missing after correction 2: no light")
     for rows in counted:
-        assert 9 in rows and 8 not in rows
+        assert 9 in rows and 8 not in rows and 12 not in rows

@@ -30,13 +30,15 @@ export function imageName(k) {
 
 /**
  * Returns the rows of fibres that the plan brought to their targets and an image tells of, and how
- * far each is from there [mm]: {rows, dx, dy, um}. Robots that were held or did not move are listed.
+ * far each is from there [mm]: {rows, dx, dy, um}. Robots that were held, or of which any image tells
+ * that they did not move, are listed.
  */
 export function residualsOf({ plane, images, outcome }, k) {
   const rows = [], dx = [], dy = [], um = [], places = images.places[k], { target } = plane;
+  const told = images.verdicts[images.count - 1]; // what was ever told of robots that did not move
   for (let row = 0; row < plane.n; row++) {
     const [x, y] = [places[2 * row] - target[2 * row], places[2 * row + 1] - target[2 * row + 1]];
-    if (!Number.isFinite(x + y) || images.stays(images.verdicts[k][row]) || outcome[row] !== REACHED_CODE) continue;
+    if (!Number.isFinite(x + y) || images.stays(told[row]) || outcome[row] !== REACHED_CODE) continue;
     rows.push(row);
     dx.push(x);
     dy.push(y);
