@@ -50,6 +50,8 @@ class Night:
         self.client.wait_for_graph(COMPILE_S)
         # its layout may come to the camera later than to the client
         self.client.wait_for(lambda: self.camera._plane is not None, WAIT_S)
+        # true places are told once: a recorder that has not found the camera yet misses them
+        self.client.wait_for(lambda: self.camera._true.get_subscription_count() > 0, WAIT_S)
 
     def end(self):
         self.client.close()

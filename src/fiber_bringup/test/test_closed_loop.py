@@ -394,26 +394,6 @@ def test_turns_of_another_session_or_plane_are_refused_and_none_waits(night, fir
         client.call_service(topics.TURN, WAIT_S)
 
 
-def test_a_metrology_that_begins_between_targets_and_motion_names_a_joint_that_sticks(night, first):
-    client, metrology, camera = night.client, night.metrology, night.camera
-    ids, xy_mm = night.field(14)
-    far = np.hypot(*(night.true_fibres()[client.plane.index_of(ids)] - xy_mm).T)
-    row = client.plane.index_of(ids[camera._lit[client.plane.index_of(ids)] & (far > 3.0)][:1])[0]
-    stamp = client.send_targets(ids, xy_mm)
-    client.wait_until_ready(stamp, WAIT_S)
-    assert metrology.trigger_deactivate() and metrology.trigger_cleanup()
-    assert metrology.trigger_configure() and metrology.trigger_activate()
-    client.wait_for(lambda: metrology._motions._at_rest, WAIT_S)
-    mechanics, stuck = camera._mechanics, np.array(camera._mechanics.stuck_from)
-    stuck[row] = 0  # both joints of this robot do not turn any more
-    camera._mechanics = mechanics.with_(stuck_from=stuck)
-    client.start(WAIT_S)
-    client.wait_for_outcome(stamp, WAIT_S)
-    image = night.loop().take_image()
-    assert image.verdict[np.flatnonzero(image.ids == client.plane.ids[row])[0]] == Verdict.NOT_MOVED
-    camera._mechanics = mechanics
-
-
 def test_spots_in_the_pixels_of_images_close_the_loop_as_lists_of_spots_do(night, first):
     metrology, camera = night.metrology, night.camera
     metrology.set_parameters([Parameter("pixels", value=True)])
@@ -434,3 +414,23 @@ def test_spots_in_the_pixels_of_images_close_the_loop_as_lists_of_spots_do(night
     with pytest.raises(PlaneRefusal, match="no light, or the shutter was closed"):
         night.loop().take_image()
     camera._lit, camera._fiducials = lit, fiducials
+
+
+def test_a_metrology_that_begins_between_targets_and_motion_names_a_joint_that_sticks(night, first):
+    client, metrology, camera = night.client, night.metrology, night.camera
+    ids, xy_mm = night.field(14)
+    far = np.hypot(*(night.true_fibres()[client.plane.index_of(ids)] - xy_mm).T)
+    row = client.plane.index_of(ids[camera._lit[client.plane.index_of(ids)] & (far > 3.0)][:1])[0]
+    stamp = client.send_targets(ids, xy_mm)
+    client.wait_until_ready(stamp, WAIT_S)
+    assert metrology.trigger_deactivate() and metrology.trigger_cleanup()
+    assert metrology.trigger_configure() and metrology.trigger_activate()
+    client.wait_for(lambda: metrology._motions._at_rest, WAIT_S)
+    mechanics, stuck = camera._mechanics, np.array(camera._mechanics.stuck_from)
+    stuck[row] = 0  # both joints of this robot do not turn any more
+    camera._mechanics = mechanics.with_(stuck_from=stuck)
+    client.start(WAIT_S)
+    client.wait_for_outcome(stamp, WAIT_S)
+    image = night.loop().take_image()
+    assert image.verdict[np.flatnonzero(image.ids == client.plane.ids[row])[0]] == Verdict.NOT_MOVED
+    camera._mechanics = mechanics
