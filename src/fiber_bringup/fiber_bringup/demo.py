@@ -60,7 +60,7 @@ from fiber_planner import DEFAULT_PLANNER, planners
 from fiber_positioners.report import save_report
 from fiber_recording import Recording, load_recording
 from fiber_recording.node import recording_name
-from fiber_viewer import before_and_after, residuals, write_player
+from fiber_viewer import before_and_after, figures, write_player
 
 __all__ = ["ARMS", "main"]
 
@@ -233,7 +233,9 @@ def _reconfigure(problem: Problem, options: argparse.Namespace, display: Progres
         with PlaneClient(
             on_progress=display, on_status=display.status, guard=processes.check
         ) as client:
-            client.wait_for_graph(options.timeout, also=("recorder",))
+            # the metrology too: it has to hear where the robots are before they move
+            also = ("recorder",) if options.tolerance_um is None else ("recorder", "metrology")
+            client.wait_for_graph(options.timeout, also)
             loop = None
             if options.tolerance_um is not None:
                 loop = CameraLoop(client, options.tolerance_um, options.iterations, options.timeout)
@@ -254,8 +256,6 @@ def _reconfigure(problem: Problem, options: argparse.Namespace, display: Progres
             if loop is not None:
                 asked_ids = plane.ids[asked]
                 closed = loop.run(asked_ids, problem.targets[asked], outcome)
-                figure = residuals(plane, problem.targets, closed.places, list(closed.flagged))
-                figure.savefig(options.out / "residuals.png", dpi=110)
                 outcome, images = closed.outcome, show_images(closed, display.say)
                 times[-1] = time.monotonic()
                 path = options.out / recording_name(stamp)
@@ -312,6 +312,8 @@ def _write(out: Path, run: _Run, report: dict[str, Any], form: str | None) -> No
     motion = recording.executed
     save_plan(out / "plan.npz", motion, outcome.outcome, outcome.reason)
     before_and_after(recording.problem, motion, outcome.outcome).savefig(out / "plane.png", dpi=110)
+    if recording.images is not None:
+        figures.images(recording).savefig(out / "residuals.png", dpi=110)
     write_player(out / "player.html", out / "recording.npz")
     save_report(out / "report.json", report)
     problem = recording.problem

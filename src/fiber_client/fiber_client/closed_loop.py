@@ -38,6 +38,8 @@ class LoopEnd:
             nan where there is no target or no place.
         corrected: number of robots with a target in each correction.
         flagged: robots that did not move when they were told to, with their Verdict, by id.
+        planned: robots that the motion before the corrections was to bring to their targets,
+            shape (n,).
         ended: why the loop ended early, empty if it did not.
     """
 
@@ -46,15 +48,16 @@ class LoopEnd:
     errors_mm: list[Floats]
     corrected: list[int]
     flagged: dict[int, Verdict]
+    planned: Mask
     ended: str = ""
 
     def images(self) -> list[dict[str, Any]]:
         """Return figures of each image, of the robots that follow and were to move.
 
+        A robot that is held in a correction counts with what the motion before it left.
         Robots measured; rms, 99th percentile and largest of their errors [um].
         """
-        planned = np.isin(self.outcome.reason, (Reason.OK, Reason.OFF_TARGET, Reason.NOT_SEEN))
-        figures, follow = [], planned & ~np.isin(self.outcome.ids, list(self.flagged))
+        figures, follow = [], self.planned & ~np.isin(self.outcome.ids, list(self.flagged))
         for errors in self.errors_mm:
             um = 1e3 * errors[np.isfinite(errors) & follow]
             row: dict[str, Any] = {"measured": len(um)}
@@ -164,7 +167,8 @@ class CameraLoop:
                 reason=np.where(todo, after.reason, moved.reason),
             )
         outcome = self._outcome(moved, wanted, errors_mm)
-        return LoopEnd(outcome, places, errors_mm, corrected, dict(self._flagged), ended)
+        flagged = dict(self._flagged)
+        return LoopEnd(outcome, places, errors_mm, corrected, flagged, _on_the_way(base), ended)
 
     def _usable_image(self) -> Measured:
         try:
@@ -185,11 +189,9 @@ class CameraLoop:
 
     def _to_correct(self, errors_mm: Floats, base: PlanOutcome) -> Mask:
         still = np.isin(self.client.plane.ids, list(self._flagged))
-        # a robot that the blind motion was not planned for stays as it is
-        on_the_way = np.isin(base.reason, (Reason.OK, Reason.OFF_TARGET))
         with np.errstate(invalid="ignore"):
             off = errors_mm > 1e-3 * self.tolerance_um
-        return off & ~still & on_the_way & self.client.plane.enabled
+        return off & ~still & _on_the_way(base) & self.client.plane.enabled
 
     def _correct(self, ids: Ids, xy_mm: Points) -> PlanOutcome:
         client = self.client
@@ -223,6 +225,11 @@ class CameraLoop:
         outcome[still & asked], why[still & asked] = Outcome.FAILED, Reason.NOT_MOVED
         outcome[reached], why[reached] = Outcome.REACHED, Reason.OK
         return PlanOutcome(moved.stamp_ns, moved.ids, outcome, why, error)
+
+
+def _on_the_way(base: PlanOutcome) -> Mask:
+    # a robot that the blind motion was not planned for stays as it is
+    return np.isin(base.reason, (Reason.OK, Reason.OFF_TARGET))
 
 
 def show_images(closed: LoopEnd, say: Callable[[str], None]) -> dict[str, object]:

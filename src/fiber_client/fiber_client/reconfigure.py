@@ -98,7 +98,8 @@ def _run(client: PlaneClient, options: argparse.Namespace, display: ProgressDisp
     elif options.form is not None:
         raise PlaneError("--form tells columns of --results, which is not given")
     loop = _camera_loop(client, options)
-    client.wait_for_graph(options.timeout)
+    # the metrology has to hear where the robots are before they move
+    client.wait_for_graph(options.timeout, () if loop is None else ("metrology",))
     if loop is not None and client.plane.fibres.shape[1]:
         names = ", ".join(client.plane.fibre_names)
         raise PlaneError(f"the camera sees one fibre at each tip, the plane has {names}")

@@ -99,6 +99,18 @@ def test_a_flagged_robot_is_never_reached_wherever_its_light_is():
     assert end.images()[-1]["measured"] == N - 1
 
 
+def test_a_robot_that_is_held_in_a_correction_counts_with_what_the_move_before_it_left():
+    graph = Graph([([50.0] * N, SEEN), ([2.0] * 3 + [50.0] + [2.0] * (N - 4), SEEN)])
+    held, reason = np.full(N, Outcome.REACHED), np.full(N, Reason.OK)
+    held[3], reason[3] = Outcome.HELD, Reason.UNSAFE
+    ended = PlanOutcome(1, PLANE.ids, held, reason, np.zeros(N))
+    graph.wait_for_outcome = lambda stamp, timeout_s: ended
+    end = run(graph, iterations=1)
+    assert end.outcome.reason[3] == Reason.UNSAFE
+    assert [figures["measured"] for figures in end.images()] == [N, N]
+    assert end.images()[-1]["most_um"] == pytest.approx(50.0)
+
+
 def test_a_correction_that_fails_ends_the_loop_with_what_the_images_showed():
     refused = PlaneRefusal("planner", "no plan today")
     graph = Graph([([50.0, 3.0] + [50.0] * (N - 2), SEEN)], correction=refused)
