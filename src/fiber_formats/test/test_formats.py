@@ -90,21 +90,29 @@ def test_two_calibration_rows_of_one_time_are_refused(made_up, tmp_path):
         read_layout(tmp_path / "calibration.csv")
 
 
+def write_tile(path, **tables):
+    hdus = [fits.PrimaryHDU(), *(fits.table_to_hdu(Table(rows)) for rows in tables.values())]
+    for hdu, name in zip(hdus[1:], tables):
+        hdu.name = name
+    fits.HDUList(hdus).writeto(path)
+    return path
+
+
+def assignment(target_id=(39627000000000000, 1, 2), status=(0, 0, 0), x=(210.0, np.nan, 195.5)):
+    return {
+        "TARGETID": np.array(target_id, dtype=np.int64),
+        "LOCATION": np.array([3002, 4001, 9001], dtype=np.int32),
+        "FIBERSTATUS": np.array(status, dtype=np.int32),
+        "FIBERASSIGN_X": np.array(x, dtype=np.float32),
+        "FIBERASSIGN_Y": np.array([101.0, np.nan, 92.25], dtype=np.float32),
+    }
+
+
 @pytest.fixture
 def tile(tmp_path):
-    table = Table(
-        {
-            "TARGETID": np.array([39627000000000000, 1, 2], dtype=np.int64),
-            "LOCATION": np.array([3002, 4001, 9001], dtype=np.int32),
-            "FIBERASSIGN_X": np.array([210.0, np.nan, 195.5], dtype=np.float32),
-            "FIBERASSIGN_Y": np.array([101.0, np.nan, 92.25], dtype=np.float32),
-        }
+    return write_tile(
+        tmp_path / "tile.fits", FIBERASSIGN=assignment(), TARGETS={"TARGETID": [1, 2]}
     )
-    others = Table({"TARGETID": [1, 2]})
-    hdus = [fits.PrimaryHDU(), *(fits.table_to_hdu(item) for item in (table, others))]
-    hdus[1].name, hdus[2].name = "FIBERASSIGN", "TARGETS"
-    fits.HDUList(hdus).writeto(tmp_path / "tile.fits")
-    return tmp_path / "tile.fits"
 
 
 @pytest.mark.parametrize("name", ["tile.fits", "tile.fits.gz", "tile.dat"])
@@ -118,8 +126,41 @@ def test_a_desi_tile_is_known_by_its_content(tile, name):
     assert targets.format_name == "DESI fiberassign tile"
     assert targets.ids.tolist() == [3002, 9001] and targets.without_target.tolist() == [4001]
     assert targets.xy_mm.tolist() == [[210.0, 101.0], [195.5, 92.25]]
-    assert targets.notices[0].endswith("HDU 2 TARGETS")
-    assert targets.notices[1] == "columns not used: TARGETID"
+    assert targets.notices == (f"tables not used: {path} HDU 2 TARGETS",)
+
+
+def test_a_fibre_that_a_desi_tile_marks_as_unassigned_has_no_target(tmp_path):
+    # fiberassign gives it the centre of its robot
+    columns = assignment(target_id=(7, 1, -2000009001), status=(0, 0, 1 | 2))
+    targets = read_targets(write_tile(tmp_path / "tile.fits", FIBERASSIGN=columns))
+    assert targets.ids.tolist() == [3002] and targets.without_target.tolist() == [4001, 9001]
+    assert targets.notices == ()
+    del columns["TARGETID"]
+    targets = read_targets(write_tile(tmp_path / "other.fits", FIBERASSIGN=columns))
+    assert targets.ids.tolist() == [3002] and targets.without_target.tolist() == [4001, 9001]
+    lacks = "columns that such a table can have, and this one has not: TARGETID"
+    assert targets.notices == (lacks,)
+
+
+def test_a_tile_with_doubtful_marks_is_refused_or_named(tmp_path):
+    columns = assignment(status=(1, 0, 0))
+    targets = read_targets(write_tile(tmp_path / "tile.fits", FIBERASSIGN=columns))
+    assert targets.ids.tolist() == [3002, 9001]
+    assert targets.notices[0].startswith("1 rows have a TARGETID and the bit of FIBERSTATUS")
+    columns["TARGETIDS"] = columns.pop("TARGETID")
+    with pytest.raises(FormatError, match="column TARGETIDS is not known; is TARGETID meant?"):
+        read_targets(write_tile(tmp_path / "other.fits", FIBERASSIGN=columns))
+
+
+def test_of_a_merged_tile_the_assignment_counts_and_the_others_are_named(tmp_path):
+    # sky monitors and the copy of the raw assignment have the same columns
+    raw = assignment(x=(1.0, 2.0, 3.0)) | {"DEVICE_TYPE": np.array(["POS", "POS", "ETC"])}
+    path = write_tile(
+        tmp_path / "tile.fits", FASSIGN=raw, SKY_MONITOR=raw, FIBERASSIGN=assignment()
+    )
+    targets = read_targets(path)
+    assert targets.xy_mm[:, 0].tolist() == [210.0, 195.5]
+    assert targets.notices[0].endswith("HDU 1 FASSIGN, " + f"{path} HDU 2 SKY_MONITOR")
 
 
 def test_sdss_v_needs_two_files_and_takes_four(made_up):
