@@ -21,7 +21,7 @@ _NAMED = 10  # how many rows a message lists
 _NEARER = 0.9  # the same for a column that a table may lack
 _NEAR = 0.8  # ratio of equal letters from which a name counts as a misspelt one
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$", re.ASCII)
-_WHOLE = re.compile(r"([+-]?\d+)(\.0*)?$", re.ASCII)
+_WHOLE = re.compile(r"([+-]?\d{1,99})(\.0*)?$", re.ASCII)  # Python refuses to convert thousands
 _TRUE, _FALSE = ("true", "t", "yes", "y", "1", "1.0"), ("false", "f", "no", "n", "0", "0.0")
 
 

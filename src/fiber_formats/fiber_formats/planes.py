@@ -15,15 +15,15 @@ from fiber_core.presets import PRESETS, PlaneColumns, Preset, plane_from
 from fiber_formats.drives import gears_of, same_for_all, with_motors
 from fiber_formats.errors import FormatError
 from fiber_formats.formats.own import OUTLINES
+from fiber_formats.plausibility import MANY
 from fiber_formats.records import LayoutColumns
 
 __all__ = ["plane_of", "preset_of", "without_outlines"]
 
 _ARMS_ALIKE = 0.1  # relative difference of arm lengths up to which an instrument is recognised
 _KNOWN_BY_ARMS = ("desi", "pfs", "sdss_v", "moons", "lamost")
-_SAME_PLACE_MM = 0.001
+_SAME_PLACE_MM = 0.1  # no instrument has robots so near to each other
 _NAMED = 10
-_MANY = 10  # robots from which on the distance of neighbours tells the unit
 _SPARSE = 50.0  # of a plane, neighbours by arms; in units of 1000 mm or 1/1000 mm it is more
 
 
@@ -86,11 +86,10 @@ def plane_of(
     columns = {key: np.asarray(values)[order] for key, values in found.columns.items()}
     ids = columns["id"].astype(np.int64)
     centers = np.stack([columns["x_mm"], columns["y_mm"]], axis=1)
-    _refuse_shared_places(name, ids, centers)
     figures = PRESETS[preset]
     supplied: list[str] = []
     arms = _pair(columns, "arm_theta_mm", "arm_phi_mm", figures.arms_mm, supplied, "arms")
-    _refuse_other_units(name, centers, arms)
+    _refuse_wrong_places(name, ids, centers, arms)
     limits = _limits(columns, figures, supplied)
     speed = ("theta_speed_deg_s", "phi_speed_deg_s")
     speeds = np.deg2rad(_pair(columns, *speed, figures.speeds_deg_s, supplied, "speeds"))
@@ -143,29 +142,25 @@ def _put_outlines(
         supplied.append("outline of theta bodies")
 
 
-def _refuse_shared_places(name: str, ids: NDArray, centers: Floats) -> None:
-    places = np.rint(centers / _SAME_PLACE_MM)
-    order = np.lexsort([places[:, 1], places[:, 0]])
-    same = np.flatnonzero((np.diff(places[order], axis=0) == 0).all(axis=1))
-    if len(same):
-        pairs = [
-            f"{ids[order[k]]} and {ids[order[k + 1]]} at {centers[order[k]].tolist()} mm"
-            for k in same[:_NAMED]
-        ]
-        raise FormatError(f"{name}: two robots stand on one place: {'; '.join(pairs)}")
-
-
-def _refuse_other_units(name: str, centers: Floats, arms: Floats) -> None:
+def _refuse_wrong_places(name: str, ids: NDArray, centers: Floats, arms: Floats) -> None:
     # places in um stand far apart for their arms, and no robot would be in the way of another
-    if len(centers) < _MANY:
+    if len(ids) < 2:
         return
-    apart = cKDTree(centers).query(centers, k=2)[0][:, 1]
-    pitch, reach = float(np.median(apart)), float(np.median(arms.sum(axis=1)))
-    if not reach / _SPARSE < pitch < reach * _SPARSE:
+    apart, nearest = cKDTree(centers).query(centers, k=2)
+    pitch, reach = float(np.median(apart[:, 1])), float(np.median(arms.sum(axis=1)))
+    if len(ids) >= MANY and pitch > 0.0 and not reach / _SPARSE < pitch < reach * _SPARSE:
         raise FormatError(
             f"{name}: neighbours stand {pitch:.3g} mm apart and arms reach {reach:.3g} mm: are "
             "places and arms in mm?"
         )
+    same = np.flatnonzero(apart[:, 1] < _SAME_PLACE_MM)
+    if len(same):  # of two robots on one place, either may be its own nearest
+        pairs = {tuple(sorted({k, *nearest[k].tolist()})[:2]) for k in same.tolist()}
+        named = [
+            f"{ids[first]} and {ids[second]} at {centers[first].tolist()} mm"
+            for first, second in sorted(pairs)[:_NAMED]
+        ]
+        raise FormatError(f"{name}: two robots stand on one place: {'; '.join(named)}")
 
 
 def _pair(

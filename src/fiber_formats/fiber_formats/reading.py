@@ -8,7 +8,7 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from fiber_core.array_types import Floats, Ids, Points
+from fiber_core.array_types import Angles, Floats, Ids, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.kinematics import distance_range
 from fiber_formats.errors import FormatError
@@ -17,6 +17,7 @@ from fiber_formats.formats import FORMATS, OWN
 from fiber_formats.formats.own import obstacles_of
 from fiber_formats.interface import Format
 from fiber_formats.planes import plane_of, preset_of, without_outlines
+from fiber_formats.plausibility import AS_RADIANS, MANY, far_from_others, layout_doubts
 from fiber_formats.records import Layout, Starts, Targets
 from fiber_formats.source import Source
 from fiber_formats.turns import Turned, on_a_turn_inside
@@ -26,8 +27,7 @@ __all__ = ["find_format", "read_layout", "read_obstacles", "read_starts", "read_
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 _Columns = TypeVar("_Columns")
 _NAMED = 10
-_MANY = 10  # robots from which on what is common to all of them tells something
-_AS_RADIANS = 7.0  # a turn, and what ranges have beyond it
+_MOST_TURNS = 2  # from its joint range; a present angle farther away is none
 _STOP_DEG = 1e-4  # a start this far beyond a stop is on the stop
 
 
@@ -85,7 +85,11 @@ def read_layout(
         summary += f", {len(plane.walls)} walls"
     if supplied:
         summary += f"; from preset {chosen}: {', '.join(supplied)}"
-    return Layout(plane, found, found_format.name, chosen, summary, found.notices)
+    notices = found.notices + layout_doubts(found.columns)
+    far = far_from_others(plane.ids, plane.centers)
+    if len(far):
+        notices += (f"far from all others: {_robots(far)}: is their place known?",)
+    return Layout(plane, found, found_format.name, chosen, summary, notices)
 
 
 def read_obstacles(path: str | os.PathLike[str]) -> Floats:
@@ -124,6 +128,7 @@ def read_starts(path: Paths, plane: FocalPlane, formats: Sequence[Format] = FORM
             f"{plane.n}: the place of every robot must be known, also of disabled ones"
         )
     notices += _not_in_plane(found.ids[rows < 0])
+    _refuse_far_angles(source.name, plane, angles)
     stop = np.deg2rad(_STOP_DEG)
     turned = on_a_turn_inside(angles, plane.limits, stop)
     angles = turned.angles
@@ -140,9 +145,22 @@ def _unit_notice(angles_deg: Floats) -> tuple[str, ...]:
     # angles of many robots that would suit radians better
     known = angles_deg[np.isfinite(angles_deg).all(axis=1)]
     most = float(np.abs(known).max(initial=0.0))
-    if len(known) < _MANY or most > _AS_RADIANS or np.ptp(known[:, 0]) < 1.0:
+    if len(known) < MANY or most > AS_RADIANS or np.ptp(known[:, 0]) < 1.0:
         return ()
     return (f"all present angles are within {most:.2f} degrees: are they in radians?",)
+
+
+def _refuse_far_angles(name: str, plane: FocalPlane, angles: Angles) -> None:
+    # as -999, which stands for an angle that is not known
+    low, high = plane.limits[:, :, 0], plane.limits[:, :, 1]
+    beyond = np.maximum(low - angles, angles - high).max(axis=1) / (2 * np.pi)
+    far = np.flatnonzero(beyond > _MOST_TURNS)
+    if len(far):
+        values = np.rad2deg(angles[far[:_NAMED]]).tolist()
+        raise FormatError(
+            f"{name}: present angles more than {_MOST_TURNS} turns from the joint ranges, so no "
+            f"place is known: {_robots(plane.ids[far])}: {', '.join(map(str, values))} deg"
+        )
 
 
 def _turn_notices(ids: Ids, turned: Turned) -> tuple[str, ...]:

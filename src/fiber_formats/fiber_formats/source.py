@@ -92,7 +92,9 @@ class DataFile:
             return fits_tables(self.name, self.data)
         if self.text is None:
             raise FormatError(
-                f"{self.name} is neither UTF-8 text nor FITS: save it as CSV, ECSV or FITS"
+                f"{self.name} is neither UTF-8 text nor FITS"
+                + ("" if self.is_zip else _first_odd_byte(self.data))
+                + ": save it as CSV, ECSV or FITS"
                 + " (a spreadsheet is a zip archive)" * self.is_zip
             )
         if is_yanny(self.text):
@@ -193,6 +195,16 @@ class Source:
         """Return the first file of which a table has these columns, None without one."""
         wanted = [folded(name) for name in names]
         return next((file for file in self.files if file.has_columns(*wanted)), None)
+
+
+def _first_odd_byte(data: bytes) -> str:
+    # where a text of another encoding ceases to be UTF-8
+    try:
+        data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        return f", line {line} holds the byte 0x{data[error.start]:02x}"
+    return ", it holds zero bytes" if b"\0" in data else ""
 
 
 def _names(paths: "str | os.PathLike[str] | Iterable[str | os.PathLike[str]]") -> list[str]:

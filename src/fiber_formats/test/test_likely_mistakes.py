@@ -138,3 +138,66 @@ def test_rows_without_ids_are_named_by_their_lines(tmp_path):
     rows = [["", "mm", "mm", "mm", "mm"], *layout_rows()]
     with pytest.raises(FormatError, match="column x_mm is not a number: line 2: mm"):
         read_layout(written(tmp_path, HEAD, rows))
+
+
+@pytest.mark.parametrize("name, value", [("theta_range_deg", 6.8), ("phi_range_deg", 3.1)])
+def test_ranges_that_may_be_in_radians_are_named(tmp_path, name, value):
+    for factor, said in ((1.0, 1), (180 / np.pi, 0)):
+        rows = [[*row, factor * value] for row in layout_rows()]
+        notices = read_layout(written(tmp_path, f"{HEAD},{name}", rows)).notices
+        assert len(notices) == said
+        assert all(f"{name} is within {value:.2f} degrees in every row" in n for n in notices)
+
+
+def test_zeros_that_may_be_in_radians_are_named_and_aligned_ones_are_not(tmp_path):
+    zeros = np.linspace(-3.1, 3.1, PLANE.n)
+    for values, said in ((zeros, 1), (np.rad2deg(zeros), 0), (0.1 * zeros, 0)):
+        rows = [[*row, zero] for row, zero in zip(layout_rows(), values.tolist())]
+        notices = read_layout(written(tmp_path, f"{HEAD},theta_zero_deg", rows)).notices
+        assert len(notices) == said and all("is it in radians?" in n for n in notices)
+
+
+@pytest.mark.parametrize("x, y", [(-999, -999), (9999.9, 9999.9), (0, 300)])
+def test_a_robot_far_from_all_others_is_named(tmp_path, x, y):
+    rows = layout_rows()
+    rows[3][1:3] = x, y
+    (said,) = read_layout(written(tmp_path, HEAD, rows)).notices
+    assert said == "far from all others: robot 3: is their place known?"
+
+
+@pytest.mark.parametrize("apart", [0.0004, 0.0006, 0.05])
+def test_two_robots_on_nearly_one_place_are_refused(tmp_path, apart):
+    rows = layout_rows()
+    rows[4][1:3] = rows[3][1] + apart, rows[3][2]
+    with pytest.raises(FormatError, match="two robots stand on one place: 3 and 4 at"):
+        read_layout(written(tmp_path, HEAD, rows))
+
+
+@pytest.mark.parametrize("joint, angle", [(1, -999), (2, -999), (1, 9999.9), (1, 1e20)])
+def test_an_angle_that_stands_for_an_unknown_one_is_refused(tmp_path, joint, angle):
+    rows = [[i, 10.0, 90.0] for i in PLANE.ids.tolist()]
+    rows[3][joint] = angle
+    with pytest.raises(
+        FormatError, match=f"no place is known: robot 3: .*{angle:.5g}".replace("+", ".")
+    ):
+        read_starts(written(tmp_path, "id,theta_deg,phi_deg", rows), PLANE)
+
+
+@pytest.mark.parametrize("digits", [100, 5000])
+def test_an_id_of_thousands_of_digits_is_refused(tmp_path, digits):
+    with pytest.raises(FormatError, match="column id is not a number from 0 to 4294967295: line 2"):
+        read_targets(written(tmp_path, "id,x_mm,y_mm", [["9" * digits, 1, 2]]))
+
+
+@pytest.mark.parametrize(
+    "encoding, words", [("latin-1", "line 3 holds the byte 0xb0"), ("utf-16-le", "zero bytes")]
+)
+def test_a_text_of_another_encoding_is_refused_with_the_place(tmp_path, encoding, words):
+    path = tmp_path / "table.csv"
+    path.write_bytes(
+        "id,x_mm,y_mm\n1,2,3\n# turned by 30°\n"[: 19 if "16" in encoding else None].encode(
+            encoding
+        )
+    )
+    with pytest.raises(FormatError, match=words):
+        read_targets(path)

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values of a layout that a file may hold by mistake: other units, robots without a known place."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiber_core.array_types import Floats, Ids, Points
+
+__all__ = ["AS_RADIANS", "MANY", "far_from_others", "layout_doubts"]
+
+MANY = 10  # robots from which on what is common to all of them tells something
+AS_RADIANS = 7.0  # a turn, and what ranges have beyond it
+_FAR = 2.0  # in a round plane the outermost robot is 1.05 times as far out as nine in ten
+_RANGES = ("theta_range_deg", "phi_range_deg")
+_ZERO = "theta_zero_deg"
+
+
+def layout_doubts(columns: Mapping[str, NDArray]) -> tuple[str, ...]:
+    """Return notices of columns that may be in radians.
+
+    Args:
+        columns: of own names, each of shape (n,).
+    """
+    if len(columns["id"]) < MANY:
+        return ()
+    most = {name: _most(columns[name]) for name in (*_RANGES, _ZERO) if name in columns}
+    small = [name for name, value in most.items() if value <= AS_RADIANS]
+    if _ZERO in small and np.ptp(columns[_ZERO]) < 1.0:
+        small.remove(_ZERO)  # zeros that were aligned
+    return tuple(
+        f"{name} is within {most[name]:.2f} degrees in every row: is it in radians?"
+        for name in small
+    )
+
+
+def far_from_others(ids: Ids, centers: Points) -> Ids:
+    """Return the robots that stand far outside of the plane, as one with a place of -999 mm.
+
+    Args:
+        ids: robot ids, shape (n,).
+        centers: their places [mm], shape (n, 2).
+    """
+    if len(ids) < MANY:
+        return ids[:0]
+    away = np.hypot(*(centers - np.median(centers, axis=0)).T)
+    return ids[away > _FAR * np.quantile(away, 0.9)]
+
+
+def _most(values: Floats) -> float:
+    return float(np.abs(values).max())
