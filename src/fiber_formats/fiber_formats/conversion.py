@@ -12,7 +12,7 @@ from fiber_formats.errors import FormatError
 from fiber_formats.fibres import fibre_texts
 from fiber_formats.formats.own import LAYOUT_COLUMNS, OUTLINES
 from fiber_formats.outlines import outline_texts, wall_rows
-from fiber_formats.reading import Paths, find_format, read_layout, read_targets
+from fiber_formats.reading import Paths, find_format, read_layout, read_starts, read_targets
 from fiber_formats.records import Layout, StartColumns
 from fiber_formats.source import Source
 from fiber_formats.writing import kind_of, write_table
@@ -27,6 +27,7 @@ def convert(
     target: str | os.PathLike[str],
     preset: str | None = None,
     what: str | None = None,
+    layout: Paths | None = None,
 ) -> tuple[str, ...]:
     """Write the layout, the targets or the starts of any format as a table of our own columns.
 
@@ -39,6 +40,7 @@ def convert(
         preset: for a layout, instrument that supplies what the files lack.
         what: one of `KINDS`; by default the first of them that the format holds. A table of our
             own columns is a layout if it has arms or a preset is named, else targets, else starts.
+        layout: files of the layout, for starts that count from the stops of the joints.
 
     Returns:
         One line that sums up, and the notices.
@@ -59,8 +61,9 @@ def convert(
     if len(kinds) > 1:
         notices = (f"{kinds[0]} is written; the format also holds {', '.join(kinds[1:])}",)
     if kinds[0] == "layout":
-        layout = read_layout(source, preset)
-        notices = (layout.summary, *write_layout(target, layout), *notices, *layout.notices)
+        found_layout = read_layout(source, preset)
+        said = write_layout(target, found_layout)
+        notices = (found_layout.summary, *said, *notices, *found_layout.notices)
     elif kinds[0] == "targets":
         found = read_targets(source)
         columns = {"id": found.ids, "x_mm": found.xy_mm[:, 0], "y_mm": found.xy_mm[:, 1]}
@@ -73,7 +76,7 @@ def convert(
         write_table(target, columns)
         notices = (found.summary, *notices, *found.notices)
     else:
-        notices = (*_write_starts(files, target), *notices)
+        notices = (*_write_starts(files, target, layout, preset), *notices)
     return notices
 
 
@@ -141,19 +144,23 @@ def _beside(path: Path, ending: str) -> Path:
     return path.with_name(stem + ending + path.name[len(stem) :])
 
 
-def _write_starts(files: Source, target: str | os.PathLike[str]) -> tuple[str, ...]:
+def _write_starts(
+    files: Source, target: str | os.PathLike[str], layout: Paths | None, preset: str | None
+) -> tuple[str, ...]:
     found = find_format(files)
     if found.starts is None:
         raise FormatError(f"{files.name} is of format {found.name}, which holds no starts")
     starts: StartColumns = found.starts(files)
+    ids, angles_deg, notices = starts.ids, starts.angles_deg, starts.notices
     if starts.from_lower_stop:
-        raise FormatError(
-            f"{files.name}: angles count from the stops of a layout: read them with read_starts"
-        )
-    columns = {
-        "id": starts.ids,
-        "theta_deg": starts.angles_deg[:, 0],
-        "phi_deg": starts.angles_deg[:, 1],
-    }
+        if layout is None:
+            raise FormatError(
+                f"{files.name}: angles count from the stops of a layout: name its files, with "
+                "--layout"
+            )
+        plane = read_layout(layout, preset).plane
+        on_plane = read_starts([file.path for file in files.files], plane)
+        ids, angles_deg, notices = plane.ids, np.rad2deg(on_plane.angles), on_plane.notices
+    columns = {"id": ids, "theta_deg": angles_deg[:, 0], "phi_deg": angles_deg[:, 1]}
     write_table(target, columns)
-    return (f"{files.name}: present angles of {len(starts.ids)} robots", *starts.notices)
+    return (f"{files.name}: present angles of {len(ids)} robots", *notices)

@@ -14,7 +14,7 @@ from fiber_formats.errors import FormatError
 from fiber_formats.result_forms import sdss_columns
 from fiber_formats.writing import write_whole
 
-__all__ = ["is_fibre_map", "write_fibre_map"]
+__all__ = ["check_fibres", "is_fibre_map", "write_fibre_map"]
 
 _TIP = "METROLOGY"
 _KINDS = ("BOSS", "APOGEE", _TIP)
@@ -36,6 +36,17 @@ def is_fibre_map(path: str | os.PathLike[str]) -> bool:
     """Return whether a path names a yanny file: .par, also with .gz."""
     suffixes = [suffix.lower() for suffix in Path(path).suffixes]
     return suffixes[-1:] == [".par"] or suffixes[-2:] == [".par", ".gz"]
+
+
+def check_fibres(path: str | os.PathLike[str], plane: FocalPlane) -> None:
+    """Check that a plane has the fibres of SDSS-V.
+
+    Raises:
+        FormatError: it has others or none; names path and fibres.
+    """
+    if set(plane.fibre_names) != set(_KINDS):
+        has = ", ".join(plane.fibre_names) or "none"
+        raise FormatError(f"{path}: a .par has the fibres {', '.join(_KINDS)}, the plane has {has}")
 
 
 def write_fibre_map(
@@ -64,10 +75,8 @@ def write_fibre_map(
         FormatError: the plane has other fibres than those of SDSS-V or none, a target is for the
             metrology fibre, or the file cannot be written.
     """
+    check_fibres(path, plane)
     names = plane.fibre_names
-    if set(names) != set(_KINDS):
-        has = ", ".join(names) or "none"
-        raise FormatError(f"{path}: a .par has the fibres {', '.join(_KINDS)}, the plane has {has}")
     asked = reason != Reason.NO_TARGET
     tips = plane.ids[asked & (np.array(names)[fibre] == _TIP)]
     if len(tips):

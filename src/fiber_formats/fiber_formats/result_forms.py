@@ -12,7 +12,7 @@ from fiber_core.array_types import Angles, Codes, Floats, Points
 from fiber_core.focal_plane import FocalPlane
 from fiber_core.outcomes import Outcome, Reason
 
-__all__ = ["FORMS", "desi_columns", "pfs_columns", "sdss_columns"]
+__all__ = ["FORMS", "PAIRS", "desi_columns", "pfs_columns", "sdss_columns"]
 
 Form: TypeAlias = Callable[
     [FocalPlane, Codes, Codes, Points, Angles, Floats], Mapping[str, NDArray]
@@ -104,3 +104,4 @@ def pfs_columns(
 FORMS: Mapping[str, Form] = MappingProxyType(
     {"desi": desi_columns, "sdss_v": sdss_columns, "pfs": pfs_columns}
 )
+PAIRS: Mapping[str, tuple[str, ...]] = MappingProxyType({"pfs": ("pfiCenter",)})  # x, y a row

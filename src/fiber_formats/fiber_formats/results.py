@@ -3,6 +3,7 @@
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,10 +14,10 @@ from fiber_core.kinematics import on_target
 from fiber_core.outcomes import Outcome, PlanOutcome, Reason
 from fiber_formats.columns import Columns
 from fiber_formats.errors import FormatError
-from fiber_formats.fibre_map import is_fibre_map, write_fibre_map
-from fiber_formats.result_forms import FORMS
+from fiber_formats.fibre_map import check_fibres, is_fibre_map, write_fibre_map
+from fiber_formats.result_forms import FORMS, PAIRS
 from fiber_formats.source import Source
-from fiber_formats.writing import kind_of, write_table
+from fiber_formats.writing import check_width, write_table
 
 __all__ = [
     "RESULT_COLUMNS",
@@ -159,22 +160,31 @@ def write_results(
     return results
 
 
-def check_results(path: str | os.PathLike[str], form: str | None = None) -> None:
-    """Check, before any work, that `write_results` knows a suffix and a form.
+def check_results(
+    path: str | os.PathLike[str], form: str | None = None, plane: FocalPlane | None = None
+) -> None:
+    """Check, before any work, that `write_results` can write to a path in a form.
 
     Args:
         path: where results will be written.
         form: as for `write_results`.
+        plane: the focal plane, if it is known already.
 
     Raises:
-        FormatError: the suffix or the form is not known, or they do not go together.
+        FormatError: the suffix or the form is not known, they do not go together or not with the
+            fibres of the plane, or there is no such folder.
     """
     if form is not None and form not in FORMS:
         raise FormatError(f"no form is named {form!r}; there are {', '.join(FORMS)}")
-    if not is_fibre_map(path):
-        kind_of(path)
-    elif form != "sdss_v":
-        raise FormatError(f"{path}: a .par is a confSummary of SDSS-V, the form is {form}")
+    if is_fibre_map(path):
+        if form != "sdss_v":
+            raise FormatError(f"{path}: a .par is a confSummary of SDSS-V, the form is {form}")
+        if plane is not None:
+            check_fibres(path, plane)
+    else:
+        check_width(path, PAIRS.get(form or "", ()))
+    if not Path(path).parent.is_dir():
+        raise FormatError(f"{path} cannot be written: there is no folder {Path(path).parent}")
 
 
 def read_results(path: str | os.PathLike[str]) -> Results:

@@ -5,7 +5,7 @@ import gzip
 import io
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fiber_formats.errors import FormatError
 
-__all__ = ["kind_of", "write_table", "write_whole"]
+__all__ = ["check_width", "kind_of", "write_table", "write_whole"]
 
 _KINDS = {".csv": "ascii.csv", ".ecsv": "ascii.ecsv", ".fits": "fits", ".fit": "fits"}
 _UNITS = {"_deg_s2": "deg / s2", "_deg_s": "deg / s", "_deg": "deg", "_mm": "mm", "_um": "um"}
@@ -34,6 +34,22 @@ def kind_of(path: str | os.PathLike[str]) -> str:
     return kind
 
 
+def check_width(path: str | os.PathLike[str], wide: Collection[str]) -> None:
+    """Check that a table with columns of several numbers a row can be written to a path.
+
+    Args:
+        path: where to.
+        wide: names of such columns.
+
+    Raises:
+        FormatError: the suffix is not known, or it is that of CSV and there are such columns.
+    """
+    if kind_of(path) == "ascii.csv" and wide:
+        raise FormatError(
+            f"{path}: {', '.join(wide)} has several numbers a row: write ECSV or FITS"
+        )
+
+
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, NDArray]) -> None:
     """Write columns of equal length; units in the names go into ECSV and FITS as well.
 
@@ -47,11 +63,7 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, NDArray]) ->
     kind = kind_of(path)
     from astropy.table import Table  # slow to import
 
-    wide = [name for name, values in columns.items() if np.ndim(values) > 1]
-    if wide and kind == "ascii.csv":
-        raise FormatError(
-            f"{path}: {', '.join(wide)} has several numbers a row: write ECSV or FITS"
-        )
+    check_width(path, [name for name, values in columns.items() if np.ndim(values) > 1])
     table = Table({name: np.asarray(values) for name, values in columns.items()})
     for name in columns:
         unit = next((_UNITS[end] for end in _UNITS if name.endswith(end)), None)

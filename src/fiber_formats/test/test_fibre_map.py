@@ -104,7 +104,7 @@ def test_what_no_confsummary_can_hold_is_refused(plan, tmp_path):
 def test_a_yanny_file_is_of_one_form_only_and_refused_before_the_work(form):
     with pytest.raises(FormatError, match=rf"night\.par: a .par is .* the form is {form}"):
         check_results("night.par", form)
-    check_results("night.csv", form)
+    check_results("night.ecsv", form)
     check_results("night.PAR", "sdss_v")
 
 

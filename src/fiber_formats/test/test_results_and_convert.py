@@ -11,6 +11,7 @@ from fiber_core.outcomes import Outcome, PlanOutcome, Reason
 from fiber_core.presets import preset
 from fiber_formats import (
     FormatError,
+    check_results,
     convert,
     read_layout,
     read_results,
@@ -94,6 +95,16 @@ def test_results_that_cannot_be_written_are_refused(plan, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_results_that_cannot_be_written_are_refused_before_the_work(plan, tmp_path):
+    with pytest.raises(FormatError, match="pfiCenter has several numbers a row: write ECSV or"):
+        check_results(tmp_path / "results.csv", "pfs")
+    with pytest.raises(FormatError, match="there is no folder .*absent"):
+        check_results(tmp_path / "absent" / "results.csv")
+    check_results(tmp_path / "results.par", "sdss_v")
+    with pytest.raises(FormatError, match="the plane has none"):
+        check_results(tmp_path / "results.par", "sdss_v", plan[0])
+
+
 def test_a_word_that_is_no_outcome_is_refused(plan, tmp_path):
     write_results(tmp_path / "results.csv", *plan)
     text = (tmp_path / "results.csv").read_text()
@@ -153,8 +164,17 @@ def test_converted_starts_are_the_same(made_up, tmp_path):
     convert(source, tmp_path / "starts.ecsv", what="starts")
     first, second = read_starts(source, plane), read_starts(tmp_path / "starts.ecsv", plane)
     assert np.array_equal(first.angles, second.angles)
+
+
+def test_starts_that_count_from_the_stops_are_converted_with_their_layout(made_up, tmp_path):
+    source, own = made_up / "sdss_confSummary.par", tmp_path / "starts.csv"
     with pytest.raises(FormatError, match="angles count from the stops of a layout"):
-        convert(made_up / "sdss_confSummary.par", tmp_path / "starts.csv", what="starts")
+        convert(source, own, what="starts")
+    files = [made_up / f"sdss_{name}.csv" for name in SDSS]
+    convert(source, own, what="starts", layout=files)
+    plane = read_layout(files).plane
+    first, second = read_starts(source, plane), read_starts(own, plane)
+    assert np.allclose(first.angles, second.angles, rtol=0, atol=1e-15)
 
 
 def test_convert_says_what_else_there_is(made_up, tmp_path):

@@ -109,6 +109,8 @@ def test_convert_writes_a_table_and_says_what_it_did(tmp_path, capsys):
         (["plan", "--problem", "missing.npz"], "missing.npz"),
         (["plan", "--starts", "missing.csv"], "there is no file missing.csv"),
         (["plan", "--results", "results.xlsx"], "a table is written as"),
+        (["plan", "--results", "absent/results.csv"], "there is no folder absent"),
+        (["plan", "--robots", "3", "--results", "r.par", "--form", "sdss_v"], "the plane has none"),
         (["plan", "--form", "desi"], "--form tells columns of --results"),
         (["convert", "missing.csv", "own.csv"], "there is no file missing.csv"),
         (["convert", "missing.csv"], "TABLE"),

@@ -20,6 +20,7 @@ examples:
   fiber-positioners convert fp-20260219.ecsv layout.csv
   fiber-positioners convert fp-20260219.ecsv starts.csv --what starts
   fiber-positioners convert positionerTable.csv,wokCoords.csv,fiducialCoords.csv layout.fits
+  fiber-positioners convert confSummary-1.par starts.csv --what starts --layout layout.fits
 """
 
 
@@ -30,10 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("target", metavar="TABLE", help="the table to write: .csv, .ecsv or .fits, also with .gz")
     add("--preset", choices=sorted(PRESETS), help="supplies what a layout lacks")
     add("--what", choices=KINDS, help="what to write; by default the first that the files hold")
+    add("--layout", metavar="FILES", help="the robots, for starts that count from their stops")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand; returns the exit code."""
-    lines = convert(args.source, args.target, preset=args.preset, what=args.what)
+    lines = convert(args.source, args.target, args.preset, args.what, args.layout)
     print("\n".join(lines))
     return DONE

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fiber_core.drive.named import DRIVES
+from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets import PRESETS
 from fiber_core.problem import Problem
 from fiber_formats import FORMS, FormatError, check_results, problem_from
@@ -72,9 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand; returns the exit code."""
-    _refuse_results(args)
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)  # refused before the work, not after it
+    _refuse_results(args)
     found = problem_from(
         args.problem,
         args.layout,
@@ -88,6 +89,7 @@ def run(args: argparse.Namespace) -> int:
         motors_on=args.motors_on,
     )
     problem = found.problem
+    _refuse_results(args, problem.plane)
     with ProgressLine() as progress:
         for line in found.lines:
             progress.line(line)
@@ -115,10 +117,10 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _refuse_results(args: argparse.Namespace) -> None:
+def _refuse_results(args: argparse.Namespace, plane: FocalPlane | None = None) -> None:
     # before the work, not after it
     if args.results is not None:
-        check_results(args.results, args.form)
+        check_results(args.results, args.form, plane)
     elif args.form is not None:
         raise FormatError("--form tells columns of --results, which is not given")
 
