@@ -199,6 +199,35 @@ def test_what_sdss_v_tables_lack_and_what_of_them_is_not_used_is_named(made_up, 
         read_layout(sdss(made_up, "sdss_wokCoords.csv"))
 
 
+def with_flags(made_up, folder, name, words):
+    head, *rows = (made_up / "sdss_positionerTable.csv").read_text().splitlines()
+    path = folder / "positionerTable.csv"
+    rows = [f"{row},{words[k % 2]}" for k, row in enumerate(rows)]
+    path.write_text("\n".join([f"{head},{name}", *rows]) + "\n")
+    return [path, made_up / "sdss_wokCoords.csv"]
+
+
+def test_a_flag_that_was_added_to_a_positioner_table_is_understood_or_refused(made_up, tmp_path):
+    usual = read_layout(sdss(made_up)).plane
+    for name, words in (("enabled", "TF"), ("disabled", "FT")):
+        plane = read_layout(with_flags(made_up, tmp_path, name, words)).plane
+        rows = plane.index_of(usual.ids)
+        assert np.count_nonzero(plane.enabled[rows]) == (plane.n + 1) // 2
+    with pytest.raises(FormatError, match="offline may tell which robots are out of use"):
+        read_layout(with_flags(made_up, tmp_path, "offline", "FT"))
+
+
+def test_a_petal_that_is_not_that_of_the_location_is_refused(made_up, tmp_path):
+    table = Table.read(made_up / "desi_state.ecsv", format="ascii.ecsv")
+    row = int(np.flatnonzero(table["DEVICE_TYPE"] == "POS")[0])
+    table["PETAL_LOC"][row] = (table["PETAL_LOC"][row] + 1) % 10
+    table.write(tmp_path / "state.ecsv", format="ascii.ecsv")
+    words = f"PETAL_LOC is not the thousands of LOCATION: robot {table['LOCATION'][row]}:"
+    for read in (read_layout, lambda path: read_starts(path, preset("desi", 3))):
+        with pytest.raises(FormatError, match=words):
+            read(tmp_path / "state.ecsv")
+
+
 def test_the_order_of_the_sdss_v_files_does_not_matter(made_up):
     backwards = joined(made_up, "sdss_wokCoords.csv", "sdss_positionerTable.csv")
     first, second = read_layout(sdss(made_up)).plane, read_layout(backwards).plane

@@ -9,6 +9,7 @@ that zero and from OFFSET_P: tips from them lie 58 um (median) from the observed
 
 import numpy as np
 
+from fiber_core.array_types import Ids, Ints
 from fiber_formats.columns import Columns
 from fiber_formats.formats.desi_frame import motor_notices, petal_angle_deg
 from fiber_formats.formats.desi_keepouts import (
@@ -35,10 +36,10 @@ def matches(source: Source) -> bool:
 def layout(source: Source) -> LayoutColumns:
     """Read the positioners; disabled are those with DEVICE_CLASSIFIED_NONFUNCTIONAL."""
     columns, notices = _positioners(source, "POS")
-    petal = columns.whole("PETAL_LOC", least=0, most=9, what="is not a petal from 0 to 9")
+    ids, petal = _ids_and_petals(columns)
     bus = columns.whole("BUS_ID", otherwise=_NO_BUS)
     found = {
-        "id": columns.ids("LOCATION"),
+        "id": ids,
         "x_mm": columns.numbers("X_FP", "mm"),
         "y_mm": columns.numbers("Y_FP", "mm"),
         "arm_theta_mm": columns.numbers("LENGTH_R1", "mm"),
@@ -78,13 +79,20 @@ def layout(source: Source) -> LayoutColumns:
 def starts(source: Source) -> StartColumns:
     """Read the angles after the last move of the night."""
     columns, notices = _positioners(source, "POS", "ETC")
-    ids = columns.ids("LOCATION")
-    petal = columns.whole("PETAL_LOC", least=0, most=9, what="is not a petal from 0 to 9")
+    ids, petal = _ids_and_petals(columns)
     theta = columns.numbers("POS_T", "deg", missing=True) + columns.numbers("OFFSET_T", "deg")
     phi = columns.numbers("POS_P", "deg", missing=True) + columns.numbers("OFFSET_P", "deg")
     columns.check()
     angles = np.stack([theta + petal_angle_deg(petal), phi], axis=1)
     return StartColumns(ids, angles, notices=notices)
+
+
+def _ids_and_petals(columns: Columns) -> tuple[Ids, Ints]:
+    # a wrong petal would turn the zero of theta by multiples of 36 degrees
+    petal = columns.whole("PETAL_LOC", least=0, most=9, what="is not a petal from 0 to 9")
+    ids = columns.ids("LOCATION")
+    columns.refuse_rows(ids // 1000 != petal, "PETAL_LOC", "is not the thousands of LOCATION")
+    return ids, petal
 
 
 def _positioners(source: Source, *robots: str) -> tuple[Columns, tuple[str, ...]]:

@@ -10,7 +10,8 @@ holds walls, a row for each corner: `wall`, `x_mm`, `y_mm`.
 
 import numpy as np
 
-from fiber_core.array_types import Bools, Floats
+from fiber_core.array_types import Floats
+from fiber_formats.availability import DISABLED, ENABLED, enabled_of, refuse_doubtful_flags
 from fiber_formats.columns import Columns, near
 from fiber_formats.errors import FormatError
 from fiber_formats.fibres import fibres_of
@@ -49,7 +50,6 @@ NUMBERS = {
     "phi_acceleration_deg_s2": "deg / s2",
     "motors_on": "",
 }
-_ENABLED, _DISABLED = ("enabled", "functional"), ("nonfunctional", "disabled")
 _IDS = ("id", "location")
 _WIRED = ("petal", "bus", "address", "supply")
 OUTLINES = ("theta_outline_mm", "phi_outline_mm")
@@ -58,8 +58,8 @@ LAYOUT_COLUMNS = (
     *("enabled", *_WIRED, "drive", "preset"),
 )
 _STARTS = ("theta_deg", "phi_deg")
-_LAYOUT_NAMES = (*LAYOUT_COLUMNS, *_IDS, *_ENABLED, *_DISABLED)
-_ONLY_LAYOUT = (*NUMBERS, *OUTLINES, "fibre_places_mm", *_ENABLED, *_DISABLED)
+_LAYOUT_NAMES = (*LAYOUT_COLUMNS, *_IDS, *ENABLED, *DISABLED)
+_ONLY_LAYOUT = (*NUMBERS, *OUTLINES, "fibre_places_mm", *ENABLED, *DISABLED)
 _RESULT_NAMES = ("outcome", "reason", "reached_x_mm", "reached_y_mm", "error_um")
 
 
@@ -86,7 +86,7 @@ def layout(source: Source) -> LayoutColumns:
         ends = [f"{joint}_{end}_deg" for end in ("min", "max")]
         if sum(end in columns for end in ends) == 1:
             columns.numbers(next(end for end in ends if end not in columns))  # notes what lacks
-    enabled = _enabled(columns)
+    enabled = enabled_of(columns)
     if enabled is not None:
         found["enabled"] = enabled
     for name in ("petal", "bus"):
@@ -98,11 +98,8 @@ def layout(source: Source) -> LayoutColumns:
             found[name] = columns.whole(name)
     found |= _drive(columns)
     preset = _one_word(columns, "preset")
-    if enabled is None and (doubtful := columns.flag_names()):
-        columns.note(
-            f"{', '.join(doubtful)} may tell which robots are out of use: call it enabled or "
-            "disabled, or leave it out"
-        )
+    if enabled is None:
+        refuse_doubtful_flags(columns)
     _refuse_near_names(columns, _LAYOUT_NAMES)
     columns.check()
     notices += why + columns.unused_notice()
@@ -187,16 +184,6 @@ def _layout_ids(columns: Columns) -> tuple[np.ndarray, tuple[str, ...]]:
     if likely:
         columns.note(f"no column id; is {' or '.join(likely)} meant? Rename it to id")
     return np.arange(len(columns)), ("no column id: robots have the numbers of their rows, from 0",)
-
-
-def _enabled(columns: Columns) -> Bools | None:
-    enabled = None
-    for name in (*_ENABLED, *_DISABLED):
-        if name in columns:
-            value = columns.flags(name)
-            value = ~value if name in _DISABLED else value
-            enabled = value if enabled is None else enabled & value
-    return enabled
 
 
 def _drive(columns: Columns) -> dict[str, np.ndarray]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from fiber_core.array_types import Floats
 from fiber_core.presets.sdss_v import CAMERA_MM
+from fiber_formats.availability import enabled_of, refuse_doubtful_flags
 from fiber_formats.columns import Columns
 from fiber_formats.errors import FormatError
 from fiber_formats.interface import Format
@@ -56,6 +57,11 @@ def layout(source: Source) -> LayoutColumns:
         names = tuple(FIBRES)
         places = [[columns.numbers(k, "mm") for k in pair] for pair in FIBRES.values()]
         found["fibre_places_mm"] = np.moveaxis(np.array(places), -1, 0)
+    enabled = enabled_of(columns)
+    if enabled is not None:
+        found["enabled"] = enabled
+    else:
+        refuse_doubtful_flags(columns)
     lacking = [name for name in ("dx", "dy", "metY") if name not in columns]
     some = [k for places in FIBRES.values() for k in places if k in columns and not names]
     columns.check()
