@@ -8,7 +8,7 @@ from fiber_core.convex_parts import convex_hull
 from fiber_core.presets.desi import keepouts
 from fiber_core.presets.desi_petals import petal_walls
 from fiber_core.walls import distances_to_walls
-from fiber_formats import FormatError, read_layout
+from fiber_formats import FormatError, read_layout, read_obstacles
 
 ROBOTS = "id,x_mm,y_mm\n3,0,0\n4,10.4,0\n"
 WALLS = "wall,x_mm,y_mm\n7,20,-5\n7,20,5\n9,0,8\n9,2,8\n9,2,9\n9,1,9\n9,1,12\n9,0,12\n"
@@ -57,6 +57,17 @@ def test_one_file_of_each_kind_stands_beside_a_layout(tmp_path):
     assert plane.obstacles.tolist() == [[0, 20, 1]] and len(plane.walls) > 2
     with pytest.raises(FormatError, match=r"one file of obstacles and one of walls: .*more\.csv"):
         layout(tmp_path, WALLS, more=[tmp_path / "more.csv"])
+
+
+def test_a_second_layout_is_not_taken_for_obstacles(tmp_path):
+    # a plane in two files: robots of the second would become discs that do not move
+    more = "id,x_mm,y_mm,arm_theta_mm,arm_phi_mm,radius_mm\n9,30,0,3,3,1.5\n"
+    (tmp_path / "more.csv").write_text(more)
+    words = "it is a layout and no table of obstacles: it has arm_theta_mm, arm_phi_mm"
+    with pytest.raises(FormatError, match=words):
+        layout(tmp_path, more=[tmp_path / "more.csv"])
+    with pytest.raises(FormatError, match=words):
+        read_obstacles(tmp_path / "more.csv")
 
 
 def test_each_robot_has_the_outlines_of_its_row(tmp_path):

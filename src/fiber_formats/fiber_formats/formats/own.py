@@ -123,9 +123,7 @@ def starts(source: Source) -> StartColumns:
 def targets(source: Source) -> TargetColumns:
     """Read targets from columns id, x_mm, y_mm; a row without both is a robot without target."""
     columns = Columns(source.only.likely_table("x_mm", "y_mm"))
-    of_layouts = [name for name in columns.table.names if folded(name) in _ONLY_LAYOUT]
-    if of_layouts:
-        columns.note(f"it is a layout and no table of targets: it has {', '.join(of_layouts)}")
+    _refuse_layout(columns, "targets")
     ids = columns.ids(_id_name(columns))
     xy_mm = [columns.numbers(name, "mm", missing=True) for name in ("x_mm", "y_mm")]
     half = np.isnan(xy_mm[0]) != np.isnan(xy_mm[1])
@@ -147,6 +145,7 @@ def obstacles_of(file: DataFile) -> tuple[Floats, tuple[str, ...]]:
     columns = Columns(file.likely_table(*names))
     discs = np.stack([columns.numbers(name, "mm") for name in names], axis=1)
     columns.refuse_rows(discs[:, 2] < 0, "radius_mm", "is negative")
+    _refuse_layout(columns, "obstacles", *names)
     columns.check()
     return discs, columns.unused_notice()
 
@@ -184,6 +183,13 @@ def _layout_ids(columns: Columns) -> tuple[np.ndarray, tuple[str, ...]]:
     if likely:
         columns.note(f"no column id; is {' or '.join(likely)} meant? Rename it to id")
     return np.arange(len(columns)), ("no column id: robots have the numbers of their rows, from 0",)
+
+
+def _refuse_layout(columns: Columns, meant: str, *but: str) -> None:
+    # robots that are taken for something else would not move, and neither would others near them
+    names = [n for n in columns.table.names if folded(n) in _ONLY_LAYOUT and folded(n) not in but]
+    if names:
+        columns.note(f"it is a layout and no table of {meant}: it has {', '.join(names)}")
 
 
 def _drive(columns: Columns) -> dict[str, np.ndarray]:
