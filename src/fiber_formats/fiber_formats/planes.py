@@ -14,7 +14,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_core.presets import PRESETS, PlaneColumns, Preset, plane_from
 from fiber_formats.drives import gears_of, same_for_all, with_motors
 from fiber_formats.errors import FormatError
-from fiber_formats.formats.own import OUTLINES
+from fiber_formats.formats.own import GEARS, MOTOR_LIMITS, MOTOR_SPEEDS, OUTLINES
 from fiber_formats.plausibility import MANY
 from fiber_formats.records import LayoutColumns
 
@@ -105,6 +105,7 @@ def plane_of(
     )
     if "fibre_places_mm" in columns:
         fields["fibres"], fields["fibre_names"] = columns["fibre_places_mm"], found.fibre_names
+    _put_gears(columns, figures, fields, supplied)
     if "phi_outline_mm" in columns or "theta_outline_mm" in columns:
         _put_outlines(name, columns, fields, supplied)
     elif "radius_mm" in columns:
@@ -123,6 +124,25 @@ def plane_of(
         return with_motors(plane, columns), tuple(supplied)
     except LayoutError as error:
         raise FormatError(f"{name}: {error}") from None
+
+
+def _put_gears(
+    columns: Mapping[str, NDArray], figures: Preset, fields: PlaneColumns, supplied: list[str]
+) -> None:
+    # motors of a table with gears are its own; without them those of the preset
+    if GEARS[0] not in columns:
+        if figures.gears is not None:
+            supplied.append("gears")
+        return
+    n = len(columns["id"])
+
+    def of(names: tuple[str, ...], *shape: int) -> Floats:
+        return np.stack([columns[name] for name in names], axis=1).reshape(n, *shape)
+
+    speeds, limits = MOTOR_SPEEDS[0] in columns, MOTOR_LIMITS[0] in columns
+    fields["coupling"] = of(GEARS, 2, 2)
+    fields["motor_speeds"] = np.deg2rad(of(MOTOR_SPEEDS, 2)) if speeds else None
+    fields["motor_limits"] = np.deg2rad(of(MOTOR_LIMITS, 2, 2)) if limits else None
 
 
 def _put_outlines(

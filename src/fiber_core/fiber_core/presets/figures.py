@@ -45,6 +45,8 @@ class Preset:
         phi_outline: "capsule" from elbow to tip, "tip" for a disc there, or a polygon [mm].
         theta_outline: polygon of the body that turns with theta [mm], empty for none.
         hexagon: whether the grid is a hexagon; otherwise it is a disc.
+        gears: angles of both motors by angles of both joints where gears couple them, else None.
+        motor_speeds_deg_s: highest speeds of both motors with gears [deg/s].
         note: which of these figures are inferred, chosen or assumed.
         build: makes the plane from the figures, a number of robots (None: all) and a name; by
             default `on_a_grid`. A plane of its own has scatter, walls or a layout besides, and the
@@ -62,6 +64,8 @@ class Preset:
     phi_outline: Literal["capsule", "tip"] | Polygon = "capsule"
     theta_outline: Polygon = ()
     hexagon: bool = False
+    gears: tuple[tuple[float, float], tuple[float, float]] | None = None
+    motor_speeds_deg_s: tuple[float, float] | None = None
     note: str = ""
     build: "Callable[[Preset, int | None, str], FocalPlane] | None" = None
 
@@ -161,6 +165,10 @@ def plane_from(
         spacing_mm=figures.spacing_mm,
         envelope_mm=figures.envelope_mm,
     )
+    if figures.gears is not None:
+        values["coupling"] = repeated(figures.gears, n)
+    if figures.motor_speeds_deg_s is not None:
+        values["motor_speeds"] = repeated(np.deg2rad(figures.motor_speeds_deg_s), n)
     values.update(columns)
     return FocalPlane(ids=ids, centers=centers, arms=arms, **values)
 

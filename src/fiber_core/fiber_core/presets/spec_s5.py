@@ -11,16 +11,13 @@ import numpy as np
 from fiber_core.array_types import Floats, Ints, Points
 from fiber_core.errors import LayoutError
 from fiber_core.focal_plane import FocalPlane
-from fiber_core.presets.figures import Preset, plane_from, repeated
+from fiber_core.presets.figures import Preset, plane_from
 
 __all__ = ["SPEC_S5"]
 
 _RAFTS, _SIDE_ROBOTS = 204, 11  # a triangle with 11 robots a side, less those at its corners
 _RAFT_SIDE_MM, _GAP_MM, _WALL_MM = 74.0, 2.0, 0.3
 _ROOT3 = 3.0**0.5
-# motor angles by joint angles: the motor of phi also turns with theta, phi = theta + 2/3 motor
-_COUPLING = ((1.0, 0.0), (-1.5, 1.5))
-_MOTOR_DEG_S = (180.0, 180.0)
 
 
 def _robots_of_raft() -> Points:
@@ -99,8 +96,6 @@ def _plane(figures: Preset, robots: int | None, name: str) -> FocalPlane:
         np.concatenate(centers)[:rows],
         walls=np.stack(walls),
         bus=(np.arange(rows) // len(sites)),
-        coupling=repeated(_COUPLING, rows),
-        motor_speeds=repeated(np.deg2rad(_MOTOR_DEG_S), rows),
         name=name,
     )
 
@@ -114,6 +109,9 @@ SPEC_S5 = Preset(
     speeds_deg_s=(180.0, 300.0),
     envelope_mm=3.2,
     radius_mm=0.8,
+    # the motor of phi also turns with theta: phi = theta + 2/3 motor
+    gears=((1.0, 0.0), (-1.5, 1.5)),
+    motor_speeds_deg_s=(180.0, 180.0),
     build=_plane,
     note="Published: 204 rafts of 63 robots, pitch, arms, no part beyond 4.4 mm, rafts of 74 mm, "
     "gaps of 2.0 mm, walls of 0.3 mm, joint ranges, gears. Inferred: where the corners of a raft "

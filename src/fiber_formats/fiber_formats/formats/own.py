@@ -50,6 +50,12 @@ NUMBERS = {
     "phi_acceleration_deg_s2": "deg / s2",
     "motors_on": "",
 }
+# of motors that gears couple to the joints: each group is there as a whole or not at all
+GEARS = tuple(f"motor_{motor}_by_{joint}" for motor in (1, 2) for joint in ("theta", "phi"))
+MOTOR_SPEEDS = tuple(f"motor_{motor}_speed_deg_s" for motor in (1, 2))
+MOTOR_LIMITS = tuple(f"motor_{motor}_{end}_deg" for motor in (1, 2) for end in ("min", "max"))
+NUMBERS |= {name: "" for name in GEARS}
+NUMBERS |= {name: "deg / s" for name in MOTOR_SPEEDS} | {name: "deg" for name in MOTOR_LIMITS}
 _IDS = ("id", "location")
 _WIRED = ("petal", "bus", "address", "supply")
 OUTLINES = ("theta_outline_mm", "phi_outline_mm")
@@ -86,6 +92,7 @@ def layout(source: Source) -> LayoutColumns:
         ends = [f"{joint}_{end}_deg" for end in ("min", "max")]
         if sum(end in columns for end in ends) == 1:
             columns.numbers(next(end for end in ends if end not in columns))  # notes what lacks
+    _ask_whole_groups(columns)
     enabled = enabled_of(columns)
     if enabled is not None:
         found["enabled"] = enabled
@@ -183,6 +190,15 @@ def _layout_ids(columns: Columns) -> tuple[np.ndarray, tuple[str, ...]]:
     if likely:
         columns.note(f"no column id; is {' or '.join(likely)} meant? Rename it to id")
     return np.arange(len(columns)), ("no column id: robots have the numbers of their rows, from 0",)
+
+
+def _ask_whole_groups(columns: Columns) -> None:
+    # notes what lacks of a group of which a part is there, and gears that speeds or ranges need
+    groups = (GEARS, MOTOR_SPEEDS, MOTOR_LIMITS)
+    there = [group for group in groups if any(name in columns for name in group)]
+    for group in dict.fromkeys((GEARS, *there) if there else ()):
+        for name in group:
+            columns.numbers(name, NUMBERS[name])
 
 
 def _refuse_layout(columns: Columns, meant: str, *but: str) -> None:
