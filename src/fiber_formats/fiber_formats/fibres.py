@@ -9,6 +9,7 @@ from fiber_core.focal_plane import FocalPlane
 from fiber_formats.columns import Columns
 from fiber_formats.errors import FormatError
 from fiber_formats.records import TargetColumns
+from fiber_formats.text_tables import MISSING
 
 __all__ = ["chosen_fibres", "fibre_texts", "fibres_of"]
 
@@ -35,6 +36,8 @@ def fibres_of(columns: Columns, name: str) -> tuple[Floats, tuple[str, ...]]:
         except ValueError:
             bad[row] = True
     columns.refuse_rows(bad, name, "does not name the fibres of the first row: NAME x y ...")
+    if unfit := [fibre for fibre in names if fibre.lower() in MISSING]:
+        columns.note(f"{name}: {', '.join(unfit)} is no name, it stands for a missing value")
     return places, names
 
 

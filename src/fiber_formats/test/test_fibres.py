@@ -47,6 +47,13 @@ def test_bad_fibres_are_refused_by_robot(tmp_path, text):
         read(tmp_path, LAYOUT.replace("A 3.1 0 B 3 -0.3", text))
 
 
+@pytest.mark.parametrize("name", ["NA", "none", "--"])
+def test_a_fibre_is_not_named_by_a_word_for_a_missing_value(tmp_path, name):
+    # a target for it would be read as one for any fibre
+    with pytest.raises(FormatError, match=f"{name} is no name, it stands for a missing value"):
+        read(tmp_path, LAYOUT.replace("B 3", f"{name} 3"))
+
+
 def test_a_fibre_that_the_plane_has_not_is_refused(tmp_path):
     with pytest.raises(FormatError, match="the plane has no fibre C; it has A, B"):
         read(tmp_path, targets="id,x_mm,y_mm,fibre\n4,12,1,C\n")
