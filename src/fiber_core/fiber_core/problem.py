@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Problems and plans, and the exchange files that hold them."""
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -182,7 +183,7 @@ def save_problem(path: FilePath, problem: Problem) -> None:
     np.savez_compressed(path, **columns)
 
 
-def load_problem(path: FilePath) -> Problem:
+def load_problem(path: FilePath, content: bytes | None = None) -> Problem:
     """Read a problem file, of this or any other program.
 
     Only the fields of the exchange format must be there. Without outlines, the phi arm is a
@@ -190,12 +191,13 @@ def load_problem(path: FilePath) -> Problem:
 
     Args:
         path: the .npz file.
+        content: what the file holds, if it was read and unpacked already.
 
     Raises:
         LayoutError: the file is not a problem file, or a field is missing or does not fit;
             names the file and the field.
     """
-    return problem_of(_read(path, _NEEDED, LayoutError), str(path))
+    return problem_of(_read(path, _NEEDED, LayoutError, content), str(path))
 
 
 def problem_of(data: Mapping[str, NDArray[Any]], name: str) -> Problem:
@@ -327,10 +329,10 @@ def load_plan(path: FilePath, start: ArrayLike) -> tuple[SegmentMotion, Codes]:
 
 
 def _read(
-    path: FilePath, needed: Sequence[str], error: type[FiberError]
+    path: FilePath, needed: Sequence[str], error: type[FiberError], content: bytes | None = None
 ) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path) as file:
+        with np.load(path if content is None else io.BytesIO(content)) as file:
             data = dict(file)
     except Exception as problem:  # zipfile, zlib and numpy raise errors of a dozen types
         text = str(problem) or type(problem).__name__

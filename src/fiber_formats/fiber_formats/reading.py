@@ -17,7 +17,7 @@ from fiber_formats.formats import FORMATS, OWN
 from fiber_formats.formats.own import obstacles_of
 from fiber_formats.interface import Format
 from fiber_formats.planes import plane_of, preset_of, without_outlines
-from fiber_formats.plausibility import AS_RADIANS, MANY, far_from_others, layout_doubts
+from fiber_formats.plausibility import AS_RADIANS, MANY, far_bodies, far_from_others, layout_doubts
 from fiber_formats.records import Layout, Starts, Targets
 from fiber_formats.source import Source
 from fiber_formats.turns import Turned, on_a_turn_inside
@@ -89,6 +89,7 @@ def read_layout(
     far = far_from_others(plane.ids, plane.centers)
     if len(far):
         notices += (f"far from all others: {_robots(far)}: is their place known?",)
+    notices += far_bodies(plane.centers, plane.obstacles, plane.walls)
     return Layout(plane, found, found_format.name, chosen, summary, notices)
 
 

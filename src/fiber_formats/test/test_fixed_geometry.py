@@ -70,6 +70,16 @@ def test_a_second_layout_is_not_taken_for_obstacles(tmp_path):
         read_obstacles(tmp_path / "more.csv")
 
 
+@pytest.mark.parametrize("scale, said", [(1, 0), (1000, 1)])
+def test_walls_and_obstacles_in_other_units_are_named(tmp_path, scale, said):
+    # they would keep no robot away
+    walls = f"wall,x_mm,y_mm\n1,0,{20 * scale}\n1,{30 * scale},{20 * scale}\n"
+    (tmp_path / "discs.csv").write_text(f"x_mm,y_mm,radius_mm\n0,{-20 * scale},{scale}\n")
+    notices = layout(tmp_path, walls, more=[tmp_path / "discs.csv"]).notices
+    for name in ("walls", "obstacles"):
+        assert (f"all 1 {name} are far from all robots" in "\n".join(notices)) == bool(said)
+
+
 def test_each_robot_has_the_outlines_of_its_row(tmp_path):
     robots = "id,x_mm,y_mm,phi_outline_mm\n3,0,0,4 0 -1 1 -1 -1\n4,10.4,0,5 0 4 1 -1 1 -1 -1 4 -1\n"
     found = layout(tmp_path, robots=robots)

@@ -416,6 +416,18 @@ def test_a_problem_holds_starts_and_targets(tmp_path):
         read_targets(tmp_path / "torn.npz")
 
 
+def test_a_problem_that_is_packed_is_read_as_any_other_file(tmp_path):
+    problem = random_problem(preset("desi", 7), np.random.default_rng(1))
+    save_problem(tmp_path / "problem.npz", problem)
+    packed = tmp_path / "problem.npz.gz"
+    packed.write_bytes(gzip.compress((tmp_path / "problem.npz").read_bytes()))
+    found = read_starts(packed, problem.plane).angles
+    assert np.allclose(found, problem.start, rtol=0, atol=1e-12)
+    packed.write_bytes(gzip.compress((tmp_path / "problem.npz").read_bytes()[:-99]))
+    with pytest.raises(FormatError, match="problem.npz.gz is not a problem or plan file"):
+        read_targets(packed)
+
+
 def test_starts_must_be_there_for_every_robot(made_up):
     plane = preset("desi", 7)
     with pytest.raises(

@@ -42,7 +42,7 @@ def targets(source: Source) -> TargetColumns:
 
 def _problem(source: Source) -> Problem:
     try:
-        return load_problem(source.only.path)
+        return load_problem(source.only.path, source.only.data)
     except FiberError as error:
         raise FormatError(str(error)) from None
 
