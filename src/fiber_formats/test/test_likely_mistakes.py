@@ -201,3 +201,19 @@ def test_a_text_of_another_encoding_is_refused_with_the_place(tmp_path, encoding
     )
     with pytest.raises(FormatError, match=words):
         read_targets(path)
+
+
+def test_of_a_range_that_is_told_twice_the_stops_count_and_the_other_is_named(tmp_path):
+    head = f"{HEAD},theta_zero_deg,theta_range_deg,theta_min_deg,theta_max_deg"
+    layout = read_layout(written(tmp_path, head, [[*row, 7, 8, -90, 90] for row in layout_rows()]))
+    assert np.allclose(np.rad2deg(layout.plane.limits[:, 0]), [-90, 90])
+    assert layout.notices == ("columns not used: theta_zero_deg, theta_range_deg",)
+
+
+def test_a_petal_without_a_bus_is_named(tmp_path):
+    rows = [[*row, k % 3] for k, row in enumerate(layout_rows())]
+    (said,) = read_layout(written(tmp_path, f"{HEAD},petal", rows)).notices
+    assert said.startswith("petal is not used")
+    rows = [[*row, 4] for row in rows]
+    layout = read_layout(written(tmp_path, f"{HEAD},petal,bus", rows))
+    assert layout.notices == () and len(np.unique(layout.plane.bus)) == 3

@@ -54,6 +54,7 @@ NUMBERS = {
 GEARS = tuple(f"motor_{motor}_by_{joint}" for motor in (1, 2) for joint in ("theta", "phi"))
 MOTOR_SPEEDS = tuple(f"motor_{motor}_speed_deg_s" for motor in (1, 2))
 MOTOR_LIMITS = tuple(f"motor_{motor}_{end}_deg" for motor in (1, 2) for end in ("min", "max"))
+_OF_MOTORS = (GEARS, MOTOR_SPEEDS, MOTOR_LIMITS)
 NUMBERS |= {name: "" for name in GEARS}
 NUMBERS |= {name: "deg / s" for name in MOTOR_SPEEDS} | {name: "deg" for name in MOTOR_LIMITS}
 _IDS = ("id", "location")
@@ -77,22 +78,13 @@ def layout(source: Source) -> LayoutColumns:
     notices = file.other_tables(table)
     identity, why = _layout_ids(columns)
     found: dict[str, np.ndarray] = {"id": identity}
-    for name in ("x_mm", "y_mm"):
-        found[name] = columns.numbers(name, "mm")
-    for name, unit in NUMBERS.items():
-        if name in columns:
-            found[name] = columns.numbers(name, unit)
+    found |= _numbers_of(columns)
     for name in OUTLINES:
         if name in columns:
             found[name] = outlines_of(columns, name)
     fibre_names: tuple[str, ...] = ()
     if "fibre_places_mm" in columns:
         found["fibre_places_mm"], fibre_names = fibres_of(columns, "fibre_places_mm")
-    for joint in ("theta", "phi"):
-        ends = [f"{joint}_{end}_deg" for end in ("min", "max")]
-        if sum(end in columns for end in ends) == 1:
-            columns.numbers(next(end for end in ends if end not in columns))  # notes what lacks
-    _ask_whole_groups(columns)
     enabled = enabled_of(columns)
     if enabled is not None:
         found["enabled"] = enabled
@@ -103,6 +95,8 @@ def layout(source: Source) -> LayoutColumns:
     for name in ("address", "supply"):
         if name in columns:
             found[name] = columns.whole(name)
+    if "petal" in columns and "bus" not in columns:
+        notices += ("petal is not used: no column bus tells where robots are wired",)
     found |= _drive(columns)
     preset = _one_word(columns, "preset")
     if enabled is None:
@@ -192,13 +186,27 @@ def _layout_ids(columns: Columns) -> tuple[np.ndarray, tuple[str, ...]]:
     return np.arange(len(columns)), ("no column id: robots have the numbers of their rows, from 0",)
 
 
+def _numbers_of(columns: Columns) -> dict[str, Floats]:
+    # all columns of numbers; zero and range of a joint with stops are left to be named as not used
+    found = {name: columns.numbers(name, "mm") for name in ("x_mm", "y_mm")}
+    by_stops = [joint for joint in ("theta", "phi") if f"{joint}_min_deg" in columns]
+    instead = {f"{joint}_{what}_deg" for joint in by_stops for what in ("zero", "range")}
+    for name, unit in NUMBERS.items():
+        if name in columns and name not in instead:
+            found[name] = columns.numbers(name, unit)
+    _ask_whole_groups(columns)
+    return found
+
+
 def _ask_whole_groups(columns: Columns) -> None:
     # notes what lacks of a group of which a part is there, and gears that speeds or ranges need
-    groups = (GEARS, MOTOR_SPEEDS, MOTOR_LIMITS)
-    there = [group for group in groups if any(name in columns for name in group)]
-    for group in dict.fromkeys((GEARS, *there) if there else ()):
+    stops = [(f"{joint}_min_deg", f"{joint}_max_deg") for joint in ("theta", "phi")]
+    of_motors = [group for group in _OF_MOTORS if any(name in columns for name in group)]
+    groups = [group for group in stops if any(name in columns for name in group)]
+    for group in (*groups, *dict.fromkeys((GEARS, *of_motors) if of_motors else ())):
         for name in group:
-            columns.numbers(name, NUMBERS[name])
+            if name not in columns:
+                columns.numbers(name)
 
 
 def _refuse_layout(columns: Columns, meant: str, *but: str) -> None:
