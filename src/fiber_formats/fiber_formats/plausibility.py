@@ -57,6 +57,8 @@ def far_bodies(centers: Points, obstacles: Floats, walls: Floats) -> tuple[str, 
         obstacles: discs x, y, radius [mm], shape (k, 3).
         walls: polygons [mm], shape (w, c, 2).
     """
+    if len(centers) < MANY:  # a few robots of an instrument with all its walls
+        return ()
     middle = np.median(centers, axis=0)
     plane = np.hypot(*(centers - middle).T).max() + _BESIDE_MM
     to_discs = np.hypot(*(obstacles[:, :2] - middle).T) - obstacles[:, 2]

@@ -75,7 +75,8 @@ def test_walls_and_obstacles_in_other_units_are_named(tmp_path, scale, said):
     # they would keep no robot away
     walls = f"wall,x_mm,y_mm\n1,0,{20 * scale}\n1,{30 * scale},{20 * scale}\n"
     (tmp_path / "discs.csv").write_text(f"x_mm,y_mm,radius_mm\n0,{-20 * scale},{scale}\n")
-    notices = layout(tmp_path, walls, more=[tmp_path / "discs.csv"]).notices
+    robots = "id,x_mm,y_mm\n" + "".join(f"{k},{10.4 * k},0\n" for k in range(12))
+    notices = layout(tmp_path, walls, robots, [tmp_path / "discs.csv"]).notices
     for name in ("walls", "obstacles"):
         assert (f"all 1 {name} are far from all robots" in "\n".join(notices)) == bool(said)
 
