@@ -17,7 +17,6 @@ from fiber_core.problem import Problem
 from fiber_planner.direct import DirectParameters, DirectPlanner, reachable, straight_pieces
 from fiber_planner.direct.certify_changed import require_more, shortfall_mm
 from fiber_planner.direct.collision_cost import _DEEPEST, collision_cost
-from fiber_planner.direct.compression import compress_profiles
 from fiber_planner.direct.initial_plan import choose_ends, straight_plan
 from fiber_planner.direct.local_search import fold_arms, straighten
 from fiber_planner.direct.perturbation import perturb_profile
@@ -429,31 +428,3 @@ def test_a_profile_near_the_present_one_keeps_ends_speed_and_limits():
             changed += np.any(np.abs(profile - present) > 1e-6, axis=0)
         np.testing.assert_array_equal(plan.q[i], present)
     assert (changed[2:-2] > 0.1 * 40 * problem.plane.n).all()
-
-
-@pytest.mark.parametrize("stretch", [1.3, 1.15, 1.0])
-def test_a_compressed_plan_keeps_ends_and_limits_and_the_way_of_robots_that_have_time(stretch):
-    problem = random_problem(preset("sdss_v", 37), np.random.default_rng(1))
-    parameters = DirectParameters(shortening=0.0)
-    scene = scene_of(problem)
-    ends = choose_ends(problem, scene, parameters)
-    longer = time_grid(1.3 * ends.alone_s, 1e-2, 48)
-    grid = time_grid(stretch * ends.alone_s, 1e-2, 48)
-    before, _ = straight_plan(problem, scene, parameters, ends, longer)
-    plan, _ = straight_plan(problem, scene, parameters, ends, grid)
-    rng = seeded_rng(scene.key[0], 1)
-    for i, joint in np.ndindex(problem.plane.n, 2):  # profiles with rests, many at full speed
-        row, per_interval = before.q[i, joint], scene.speed[i, joint] * longer.step_s
-        sample_window(row, row[0], row[-1], per_interval, rng)
-    compress_profiles(scene, plan, before.q, before.choice, grid.step_s)
-    n = problem.plane.n
-    assert np.array_equal(plan.q[:n, :, 0], problem.start)
-    assert np.array_equal(plan.q[:n, :, -1], before.q[:n, :, -1])
-    most = scene.speed[:, :, None] * grid.step_s
-    assert (np.abs(np.diff(plan.q[:n], axis=2)) <= most * (1 + 1e-9)).all()
-    share = np.linspace(0.0, 1.0, plan.q.shape[2])
-    share_before = np.linspace(0.0, 1.0, before.q.shape[2])
-    wanted = [[np.interp(share, share_before, row) for row in robot] for robot in before.q[:n]]
-    has_time = (np.abs(np.diff(wanted, axis=2)) <= most).all(axis=(1, 2))
-    assert has_time.any() and (stretch == 1.3 or not has_time.all())
-    np.testing.assert_allclose(plan.q[:n][has_time], np.array(wanted)[has_time], atol=1e-9)

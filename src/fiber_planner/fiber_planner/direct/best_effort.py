@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Best effort: the robots of a plan with most conflict lose their targets, or rest."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from fiber_core.array_types import Bools, Ints
@@ -15,6 +17,7 @@ __all__ = [
     "hold_at_start",
     "hold_idle",
     "hold_one_of_tangled",
+    "hold_worst",
     "near_static_arms",
     "release_worst",
     "worst_robots",
@@ -97,6 +100,29 @@ def hold_at_start(scene: Scene, plan: PlanState, rows: Ints) -> Ints:
     lost = rows[plan.choice[rows] >= 0]
     plan.choice[lost] = -1
     return lost
+
+
+def hold_worst(scene: Scene, plan: PlanState, unconfirmed: Callable[[], Bools]) -> Ints:
+    """Let the robots with most conflict rest where they start, then those in conflict with them.
+
+    Args:
+        scene: the robots and their surroundings.
+        plan: the plan; it is certified afterwards.
+        unconfirmed: returns the pairs that the certificate does not confirm, shape (p,).
+
+    Returns:
+        Rows of the robots that had targets.
+    """
+    plan.weight[:] = 1.0
+    moving = scene.movable.copy()
+    lost: list[Ints] = [np.zeros(0, dtype=np.int64)]
+    while True:
+        in_conflict = measure_all(scene, plan) > 0
+        rows = worst_robots(scene, plan, plan.cost > 0.0 if in_conflict else unconfirmed(), moving)
+        if not len(rows):
+            return np.concatenate(lost)
+        moving[rows] = False
+        lost.append(hold_at_start(scene, plan, rows))
 
 
 def hold_idle(scene: Scene, plan: PlanState) -> int:

@@ -2,15 +2,16 @@
 """Compression: the profiles of a plan in less time, where the speed limits allow it."""
 
 import numba as nb
+import numpy as np
 
 from fiber_core.array_types import Floats, Ints
 from fiber_planner.direct.coupled import motors_follow
 from fiber_planner.direct.perturbation import limit_speed
-from fiber_planner.direct.plan_state import PlanState
+from fiber_planner.direct.plan_state import PlanState, mark_changed, measure_pairs
 from fiber_planner.direct.profile_sampling import fill_two_ramps
 from fiber_planner.direct.scene import Scene
 
-__all__ = ["compress_profiles"]
+__all__ = ["compress_late", "compress_profiles"]
 
 
 @nb.njit(cache=True, nogil=True)
@@ -54,3 +55,32 @@ def compress_profiles(
             for joint in range(2):
                 s, g = plan.q[i, joint, 0], plan.q[i, joint, last]
                 fill_two_ramps(plan.q[i, joint], s, g, g, 0, last, last, last)
+
+
+def compress_late(scene: Scene, plan: PlanState, intervals: int, step_s: float) -> PlanState | None:
+    """Return a plan that ends sooner, None if a robot cannot be at its end by then.
+
+    Robots that rest by then keep their profiles, all others are sped up.
+
+    Args:
+        scene: the robots and their surroundings.
+        plan: a plan without conflicts, which is not written.
+        intervals: grid intervals of the new plan, fewer than the plan has.
+        step_s: length of an interval [s].
+    """
+    n = len(plan.choice)
+    late = np.any(plan.q[:n, :, intervals:-1] != plan.q[:n, :, -1:], axis=(1, 2))
+    way = np.abs(plan.q[:n, :, -1] - plan.q[:n, :, 0])
+    if (late[:, None] & (way > scene.speed * step_s * intervals)).any():
+        return None
+    sooner = PlanState._make([plan.q[:, :, : intervals + 1].copy(), *map(np.copy, plan[1:])])
+    compress_profiles(scene, sooner, plan.q, plan.choice, step_s)
+    sooner.q[:n][~late] = plan.q[:n][~late, :, : intervals + 1]
+    folded = plan.folded[:, 1] <= intervals
+    sooner.folded[folded & ~late] = plan.folded[folded & ~late]
+    sooner.weight[:] = 1.0
+    rows = np.flatnonzero(late)
+    for i in rows.tolist():
+        mark_changed(scene, sooner, i)
+    measure_pairs(scene, sooner, np.flatnonzero(np.isin(scene.pairs, rows).any(axis=1)))
+    return sooner

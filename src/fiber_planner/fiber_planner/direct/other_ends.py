@@ -6,16 +6,46 @@ import numpy as np
 
 from fiber_core.array_types import Bools, Ints
 from fiber_core.clearance import pair_gap_below
-from fiber_planner.direct.local_search import straighten
-from fiber_planner.direct.plan_state import PlanState
+from fiber_planner.direct.local_search import fold_arms, straighten
+from fiber_planner.direct.plan_state import PlanState, measure_all
 from fiber_planner.direct.profile_sampling import least_intervals
 from fiber_planner.direct.scene import Scene
 from fiber_planner.direct.splitmix64 import next_uniform, seeded_rng
 
-__all__ = ["change_ends"]
+__all__ = ["change_ends", "fold_around_conflicts"]
 
 _SHARE = 0.5  # of the robots are tried
 _MOST = 12  # robots that change their ends for one of them
+
+
+def fold_around_conflicts(
+    scene: Scene, plan: PlanState, step_s: float, number: int, straight: bool, other_ends: bool
+) -> None:
+    """Let robots in conflict and their neighbours begin again, with equal weights.
+
+    Arms that pass each other when both go straight may not be able to when both fold, and ends
+    that are clear of each other may be out of reach.
+
+    Args:
+        scene: the robots and their surroundings.
+        plan: the plan; written.
+        step_s: length of a grid interval [s].
+        number: number of a sweep that was not made yet; each has other random numbers.
+        straight: whether the robots in conflict go straight.
+        other_ends: whether they first get other ends.
+    """
+    pairs, movable = scene.pairs, scene.movable
+    stuck = np.zeros(len(movable), dtype=bool)
+    stuck[pairs[plan.cost > 0.0]] = True
+    if other_ends:
+        stuck |= change_ends(scene, plan, np.flatnonzero(stuck & movable), step_s, number)
+    near = stuck.copy()
+    near[pairs[near[pairs].any(axis=1)]] = True
+    plan.weight[:] = 1.0
+    fold_arms(scene, plan, near & movable, step_s)
+    if straight:
+        straighten(scene, plan, stuck & movable)
+    measure_all(scene, plan)
 
 
 def change_ends(scene: Scene, plan: PlanState, rows: Ints, step_s: float, number: int) -> Bools:

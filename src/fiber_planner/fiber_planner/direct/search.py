@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,19 +13,18 @@ from fiber_core.problem import Problem
 from fiber_core.wire_units import WireUnits
 from fiber_planner.direct.best_effort import (
     at_borders,
-    hold_at_start,
     hold_idle,
     hold_one_of_tangled,
+    hold_worst,
     near_static_arms,
     release_worst,
-    worst_robots,
 )
 from fiber_planner.direct.blocks import blocks_of, shortcut_all, sweep_parts
 from fiber_planner.direct.certify_changed import MORE_MM, require_more, shortfall_mm
-from fiber_planner.direct.compression import compress_profiles
+from fiber_planner.direct.compression import compress_late, compress_profiles
 from fiber_planner.direct.initial_plan import choose_ends, straight_plan
-from fiber_planner.direct.local_search import fold_arms, raise_weights, restore, straighten
-from fiber_planner.direct.other_ends import change_ends
+from fiber_planner.direct.local_search import fold_arms, raise_weights, restore
+from fiber_planner.direct.other_ends import fold_around_conflicts
 from fiber_planner.direct.parameters import DirectParameters, effort_share
 from fiber_planner.direct.plan_state import count_conflicts, measure_all, measure_pairs
 from fiber_planner.direct.scene import scene_of
@@ -49,9 +49,10 @@ _LINES = 60  # profiles of fewer segments that are tried for each robot
 _LAST_LINES = (400, 400)  # the same of a plan that is not searched any more, one after the other
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
 _IN_VAIN = 8  # sweeps without folding
-# So many pairs in conflict are searched deeper beside static bodies, and they, or two in a thousand
-# robots, fold before all get more time.
+# So many pairs in conflict are searched deeper beside static bodies. They, or two in a thousand
+# robots, fold before all get much more time.
 _FEW, _SHARE_OF_FEW, _FOLDED = 5, 0.002, 4  # times at one makespan
+_FEW_FOLD_FROM = 1.1  # stretch
 _DRAWS_OF_FEW = 15000  # in a sweep; 5 us each
 _VISITS = 100  # robots between two reports of progress, at least
 _PARTS = 50  # reports of progress in a sweep, at most
@@ -108,7 +109,7 @@ class Search:
         """Search at longer and longer makespans, and return the motion that was found."""
         conflicts = self._start_straight(1.0)
         if not (self._plan.choice >= 0).any():  # pairs that start too close are not parted either
-            return self._result()
+            return self.result()
         self.crowded = conflicts > _CROWDED * self._problem.plane.n
         self.dense = conflicts > _SHORTENED * self._problem.plane.n
         crowded = int(self.crowded)
@@ -139,7 +140,7 @@ class Search:
         if conflicts:
             self._resolve_by_release()
         self._restore()
-        return self._result()
+        return self.result()
 
     def begin_at(self, stretch: float, released: Bools, like: "Search") -> None:
         """Begin a search at one makespan with a longer plan compressed, for `go_on`.
@@ -174,13 +175,39 @@ class Search:
             self._restore()
         return self.certified
 
+    def end_after(self, intervals: int, moves: float) -> bool:
+        """Let a certified plan end sooner, if its late robots find ways that are certified too.
+
+        Args:
+            intervals: of the time grid, fewer than now.
+            moves: moves that may be evaluated, per robot for which effort is granted.
+        """
+        sooner = compress_late(self._scene, self._plan, intervals, self._grid.step_s)
+        if sooner is None or self._exhausted:
+            return False
+        before, at_most = (self._plan, self._grid, self._folding), self._at_most.copy()
+        self._folding, self._refolded_at_most = _FOLDING, _FOLDED
+        self._at_one_makespan = moves * self._effort_share
+        self._plan, self._grid = sooner, replace(self._grid, intervals=intervals)
+        if self._certified_search() == 0:
+            self.stretch = self._grid.makespan_s / self._alone_s
+            return True
+        self._plan, self._grid, self._folding = before
+        self._at_most[:] = at_most
+        return False
+
     def simplify(self) -> SearchResult:
         """Give robots of a certified plan profiles of fewer lines where those are certified too."""
         for lines in _LAST_LINES:
             if not self._late:
                 step_s, unconfirmed = self._grid.step_s, self._unconfirmed_pairs
                 simplify_plan(self._scene, self._plan, step_s, lines, self._blocks, unconfirmed)
-        return self._result()
+        return self.result()
+
+    @property
+    def intervals(self) -> tuple[int, int]:
+        """Grid intervals of the plan, and those of the time that the slowest robot needs alone."""
+        return self._grid.intervals, math.ceil(self._alone_s / self._grid.step_s - 1e-9)
 
     @property
     def spent(self) -> float:
@@ -236,24 +263,6 @@ class Search:
         fold_arms(self._scene, self._plan, self._scene.movable, self._grid.step_s)
         return measure_all(self._scene, self._plan)
 
-    def _fold_around(self, straight: bool, other_ends: bool) -> None:
-        # Robots in conflict and their neighbours begin again, with equal weights. Arms that pass
-        # each other when both go straight may not be able to when both fold, and ends that are
-        # clear of each other may be out of reach.
-        pairs, movable = self._scene.pairs, self._scene.movable
-        stuck = np.zeros(len(movable), dtype=bool)
-        stuck[pairs[self._plan.cost > 0.0]] = True
-        if other_ends:
-            rows = np.flatnonzero(stuck & movable)
-            stuck |= change_ends(self._scene, self._plan, rows, self._grid.step_s, self._sweep)
-        near = stuck.copy()
-        near[pairs[near[pairs].any(axis=1)]] = True
-        self._plan.weight[:] = 1.0
-        fold_arms(self._scene, self._plan, near & movable, self._grid.step_s)
-        if straight:
-            straighten(self._scene, self._plan, stuck & movable)
-        measure_all(self._scene, self._plan)
-
     def _local_search(self) -> int:
         # sweeps until no pair is in conflict; returns the number of conflicts left
         until = self._spent + self._at_one_makespan
@@ -262,7 +271,8 @@ class Search:
             return self._fold_anew(conflicts, self._refolded_at_most, until)
         plane = self._problem.plane
         few = conflicts <= max(_FEW, _SHARE_OF_FEW * plane.n) and not self._without_target.any()
-        if conflicts == 0 or not few or plane.coupling.shape[1]:  # coupled motors have no time
+        # what is found later may end sooner; coupled motors have no time to fold
+        if self.stretch < _FEW_FOLD_FROM or not few or plane.coupling.shape[1] or conflicts == 0:
             return conflicts
         before = self._plan.saved()
         left = self._fold_anew(conflicts, _FOLDED, until)
@@ -274,7 +284,10 @@ class Search:
         for number in range(times):
             if conflicts == 0 or self._spent >= until or self._exhausted:
                 break
-            self._fold_around(straight=number % 2 == 1, other_ends=number % 4 >= 2)
+            fold_around_conflicts(
+                self._scene, self._plan, self._grid.step_s, self._sweep,
+                straight=number % 2 == 1, other_ends=number % 4 >= 2,
+            )  # fmt: skip
             conflicts = self._sweep_repeatedly(_FOLDING)
         return conflicts
 
@@ -341,7 +354,8 @@ class Search:
             self._limit = max(self._limit, self._spent + _LAST_EFFORT * self._problem.plane.n)
             if self._certified_search() == 0:
                 return
-        self._hold_worst()
+        lost = hold_worst(self._scene, self._plan, self._unconfirmed_pairs)
+        self._reason[lost] = Reason.NOT_CONVERGED
 
     def _releasable(self) -> Bools:
         # Robots near static arms and at borders of sectors, and once one of them was released,
@@ -372,26 +386,13 @@ class Search:
         self._reason[worst] = Reason.NOT_CONVERGED
         return len(worst)
 
-    def _hold_worst(self) -> None:
-        # The robots with most conflict rest at their starts, then those in conflict with them.
-        self._plan.weight[:] = 1.0
-        moving = self._scene.movable.copy()
-        while True:
-            in_conflict = measure_all(self._scene, self._plan) > 0
-            bad = self._plan.cost > 0.0 if in_conflict else self._unconfirmed_pairs()
-            rows = worst_robots(self._scene, self._plan, bad, moving)
-            if not len(rows):
-                return
-            moving[rows] = False
-            lost = hold_at_start(self._scene, self._plan, rows)
-            self._reason[lost] = Reason.NOT_CONVERGED
-
     @property
     def _without_target(self) -> Bools:
         # robots that were released, or had to give up their targets from the beginning, (n,)
         return (self._reason == Reason.NOT_CONVERGED) | (self._reason == Reason.GOAL_BLOCKED)
 
-    def _result(self) -> SearchResult:
+    def result(self) -> SearchResult:
+        """Return the motion of the plan as it is."""
         plan, n = self._plan, self._problem.plane.n
         arrived = plan.choice >= 0
         self._reason[self._without_target & arrived] = Reason.OK
