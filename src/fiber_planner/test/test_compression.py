@@ -81,6 +81,6 @@ def test_only_robots_that_are_late_are_sped_up(late, more):
     assert np.array_equal(measured, sooner.cost)
 
 
-def test_nobody_is_sped_up_beyond_its_highest_speed(late):
+def test_no_robot_is_sped_up_beyond_its_highest_speed(late):
     scene, plan, grid = late
     assert compress_late(scene, plan, grid.intervals - 2, grid.step_s) is None

@@ -170,7 +170,7 @@ def test_a_budget_ends_the_further_searches(plans):
 
 
 # Fields of which one pair or two have no way in the time that the slowest robot needs alone.
-@pytest.mark.parametrize("seed", [117, 130, 132, 345, 540, 599])
+@pytest.mark.parametrize("seed", [117, 130, 132, 599])
 def test_late_robots_of_a_loose_plane_end_sooner(seed):
     problem = random_problem(preset("desi_outlines", 60), np.random.default_rng(seed))
     first, best = plan(problem, 0.0), plan(problem, 800.0)

@@ -49,10 +49,9 @@ _LINES = 60  # profiles of fewer segments that are tried for each robot
 _LAST_LINES = (400, 400)  # the same of a plan that is not searched any more, one after the other
 _SWEEPS = (60, 24)  # of one local search: not folding, folding
 _IN_VAIN = 8  # sweeps without folding
-# So many pairs in conflict are searched deeper beside static bodies. They, or two in a thousand
-# robots, fold before all get more time, and much more.
+# So few pairs in conflict are searched deeper beside static bodies. They, or 2 in 1000, fold.
 _FEW, _SHARE_OF_FEW, _FOLDED = 5, 0.002, 1  # times at one makespan
-_FEW_FOLD_FROM = 1.1  # stretch
+_FEW_FOLD_FROM = 1.1  # stretch; and in the time alone
 _DRAWS_OF_FEW = 15000  # in a sweep; 5 us each
 _VISITS = 100  # robots between two reports of progress, at least
 _PARTS = 50  # reports of progress in a sweep, at most
@@ -271,8 +270,7 @@ class Search:
             return self._fold_anew(conflicts, self._refolded_at_most, until)
         plane = self._problem.plane
         few = conflicts <= max(_FEW, _SHARE_OF_FEW * plane.n) and not self._without_target.any()
-        # with a little more time they do not: a plan of much more time is found sooner, and then
-        # ends sooner; coupled motors have no time to fold
+        # a plan of much more time is found sooner; coupled motors have no time to fold
         little = 1.0 < self.stretch < _FEW_FOLD_FROM
         if little or not few or plane.coupling.shape[1] or conflicts == 0:
             return conflicts
