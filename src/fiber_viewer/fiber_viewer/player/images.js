@@ -57,7 +57,8 @@ export function flaggedOf({ plane, images }) {
     let first = last; // image since which this is told
     while (first && images.verdicts[first - 1][row] === code) first -= 1;
     const far = Math.hypot(places[2 * row] - plane.target[2 * row], places[2 * row + 1] - plane.target[2 * row + 1]);
-    const text = (WHY[name] ? `${imageName(first)}: ${WHY[name]}` : imageName(first)) + (Number.isFinite(far) ? `; now ${far.toFixed(3)} mm from its target` : "");
+    const since = WHY[name] ? `${imageName(first)}: ${WHY[name]}` : imageName(first);
+    const text = since + (Number.isFinite(far) ? `; now ${far.toFixed(3)} mm from its target` : "");
     flagged.push({ row, verdict: name.replaceAll("_", " "), text });
   });
   return flagged;
