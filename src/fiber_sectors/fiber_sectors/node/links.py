@@ -59,8 +59,10 @@ class TopicLinks:
     def _spin(self) -> None:
         try:
             self._executor.spin()
-        except ExternalShutdownException:
-            pass
+        except (ExternalShutdownException, RuntimeError):
+            # a wait that begins in the instant of the shutdown fails with an error of its own
+            if self._node.context.ok():
+                raise
 
     def _hear(self, message: UInt8MultiArray) -> None:
         self._came.put(bytes(message.data))
