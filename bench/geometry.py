@@ -256,6 +256,7 @@ def main(argv: list[str] | None = None) -> int:
             lines = [x for x in lines if (x["plane"], x["seed"]) != (name, seed)] + [line]
             _replace(path, "".join(json.dumps(each) + "\n" for each in lines))
             _replace(options.out / "geometry.md", markdown(lines))
+    _replace(options.out / "geometry.md", markdown(lines))  # also of lines that are all there
     return 0
 
 
